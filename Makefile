@@ -1,0 +1,55 @@
+# Everything runs in .venv, which the first `make` fills; a later one installs again only when
+# setup.py has changed. ROS comes from Python wheels, so no ROS installation is needed, and one
+# that is sourced in the calling shell is kept out.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+HOME ?= $(CURDIR)/$(VENV)
+export HOME
+export AMENT_PREFIX_PATH := $(CURDIR)/$(VENV)
+export ROS_AUTOMATIC_DISCOVERY_RANGE := LOCALHOST
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
+unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
+
+.DELETE_ON_ERROR:
+.PHONY: help demo test lint clean
+
+help:
+	@echo 'make demo   eight departures on real terrain; results in out/demo'
+	@echo 'make test   linters, type checker and the whole test suite'
+	@echo 'make lint   linters and type checker only'
+	@echo 'make clean  remove .venv, out and all build results'
+	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
+
+demo: $(VENV)/.demo
+	$(BIN)/ambush_demo
+
+# pytest exits 5, and so fails this target, when it finds no test.
+test: lint
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest
+
+lint: $(VENV)/.test
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) out build install log dist *.egg-info
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(VENV)/.python:
+	@$(PYTHON) -c 'import sys; sys.version_info < (3, 10) and sys.exit("Python 3.10 or newer \
+	is needed, $(PYTHON) is " + sys.version.split()[0] + "; try: make PYTHON=python3.12 ...")'
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+# Editable, so that a change of the source needs no new installation: the commands land in
+# .venv/bin and import the checkout. What that leaves out (the resource index and share/) only
+# `ros2 run` needs; package data is read with importlib.resources.
+$(VENV)/.demo: EXTRAS := jazzy,figures
+$(VENV)/.test: EXTRAS := jazzy,figures,test,lint
+$(VENV)/.demo $(VENV)/.test: $(VENV)/.python setup.py
+	@echo 'Installing ambush_planner[$(EXTRAS)] in $(VENV), which takes about a minute ...'
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -e '.[$(EXTRAS)]'
+	@touch $@

@@ -1,0 +1,42 @@
+"""Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
+
+from .core.construction import NetworkOptions, build_network
+from .core.errors import (
+    AmbushPlannerError,
+    BudgetInfeasible,
+    GoalBlocked,
+    InvalidNetwork,
+    InvalidOption,
+    InvalidRiskMap,
+    NoRoute,
+    SolverFailed,
+    StartBlocked,
+    TimeLimit,
+)
+from .core.evaluation import evaluate
+from .core.game import GameOptions
+from .core.network import Network
+from .core.risk_map import RiskMap
+from .core.strategy import Strategy, StrategyOptions, solve
+
+__all__ = [
+    "AmbushPlannerError",
+    "BudgetInfeasible",
+    "GameOptions",
+    "GoalBlocked",
+    "InvalidNetwork",
+    "InvalidOption",
+    "InvalidRiskMap",
+    "Network",
+    "NetworkOptions",
+    "NoRoute",
+    "RiskMap",
+    "SolverFailed",
+    "StartBlocked",
+    "Strategy",
+    "StrategyOptions",
+    "TimeLimit",
+    "build_network",
+    "evaluate",
+    "solve",
+]

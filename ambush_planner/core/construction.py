@@ -1,0 +1,239 @@
+"""From a risk map to a network (the paper's section III, table I)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .connectivity import delaunay_pairs, grid8_pairs, lattice_delaunay_pairs
+from .errors import (
+    GoalBlocked,
+    GoalOutsideMap,
+    InvalidNetwork,
+    InvalidOption,
+    NoRoute,
+    StartBlocked,
+    StartOutsideMap,
+)
+from .network import IndexArray, Network
+from .obstacles import ObstacleField
+from .paths import reachable_from
+from .risk_map import FloatArray, RiskMap
+from .sampling import gradient_points, lattice_cells, lattice_points, lattice_shape, random_points
+
+METHODS = ("uniform_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay")
+
+
+@dataclass(frozen=True)
+class NetworkOptions:
+    """How the network is laid over the map.
+
+    Parameters
+    ----------
+    method
+        'uniform_delaunay' (the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
+        'gradient_delaunay' (the paper's outlook).
+    spacing
+        Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has.
+        0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
+    clearance
+        Distance that nodes and edges keep from obstacle cells [m]; 0: they do not touch any.
+    seed
+        Seed of random sampling. It decides where nodes lie, never which route is drawn.
+
+    Raises
+    ------
+    InvalidOption
+        A value is out of range.
+    """
+
+    method: str = "uniform_delaunay"
+    spacing: float = 0.0
+    clearance: float = 0.0
+    seed: int = 0
+    target_nodes: int = 2500
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
+        for name in ("spacing", "clearance"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InvalidOption(f"{name} must be finite and >= 0 [m], got {value}")
+        if self.seed < 0:
+            raise InvalidOption(f"seed must be >= 0, got {self.seed}")
+        if self.target_nodes < 2:
+            raise InvalidOption(f"target_nodes must be >= 2, got {self.target_nodes}")
+
+
+# A spacing that is far too small for the map is a mistake, not a wish for 10^9 nodes.
+MAX_CANDIDATES = 20_000_000
+
+
+def build_network(
+    risk_map: RiskMap,
+    start_xy: npt.ArrayLike,
+    goal_xy: npt.ArrayLike,
+    options: NetworkOptions | None = None,
+) -> Network:
+    """Build the network for driving from start to goal, both world positions [m].
+
+    Start and goal are nodes at exactly the given positions; each takes the place of its nearest
+    lattice node (random sampling: nearest sample). Every pair of joined nodes gives two directed
+    edges, except into the source and out of the target. Same inputs, options and seed give the
+    same network, bit for bit.
+
+    Raises
+    ------
+    StartBlocked, GoalBlocked
+        The position is not finite, off the map, or within the clearance of an obstacle.
+    InvalidNetwork
+        Start and goal are the same position.
+    InvalidOption
+        The spacing asks for more than ``MAX_CANDIDATES`` nodes.
+    NoRoute
+        No route leads from start to goal.
+    """
+    options = options or NetworkOptions()
+    field = ObstacleField(risk_map)
+    ends = np.stack([_position(start_xy, StartBlocked), _position(goal_xy, GoalBlocked)])
+    uv_ends = risk_map.to_map_axes(ends)
+    _check_ends(risk_map, field, ends, uv_ends, options.clearance)
+    spacing = chosen_spacing(risk_map, options)
+    uv, pairs = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
+    pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], options.clearance)]
+    points = risk_map.to_world(uv)
+    points[-2:] = ends
+    network = Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
+    _check_route(network, ends, spacing)
+    return network
+
+
+def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
+    """Spacing [m]: as given, or (0) for about ``target_nodes`` nodes on the free cells."""
+    spacing = options.spacing
+    if spacing == 0.0:
+        free_area = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
+        spacing = max(risk_map.resolution, math.sqrt(free_area / options.target_nodes))
+    width, height = risk_map.size
+    if width / spacing * height / spacing > MAX_CANDIDATES:
+        raise InvalidOption(
+            f"spacing {spacing} m on a map of {width:g} m x {height:g} m asks for more than "
+            f"{MAX_CANDIDATES} nodes; choose a larger spacing"
+        )
+    return spacing
+
+
+def _position(xy: npt.ArrayLike, error: type[StartBlocked] | type[GoalBlocked]) -> FloatArray:
+    position = np.asarray(xy, dtype=np.float64)
+    name = "start" if error is StartBlocked else "goal"
+    if position.shape != (2,):
+        raise error(f"{name} must be a position (x, y), got shape {position.shape}")
+    if not np.isfinite(position).all():
+        raise error(f"{name} must be finite, got ({position[0]}, {position[1]})")
+    return position
+
+
+def _check_ends(
+    risk_map: RiskMap, field: ObstacleField, ends: FloatArray, uv: FloatArray, clearance: float
+) -> None:
+    width, height = risk_map.size
+    for k, (name, off_map, blocked) in enumerate(
+        (("start", StartOutsideMap, StartBlocked), ("goal", GoalOutsideMap, GoalBlocked))
+    ):
+        where = f"{name} ({ends[k, 0]:.3f}, {ends[k, 1]:.3f})"
+        if not risk_map.contains(uv[k]):
+            raise off_map(
+                f"{where} is outside the map, which is {width:g} m x {height:g} m from "
+                f"(x, y, yaw) {risk_map.origin}"
+            )
+        if not field.clear_points(uv[k : k + 1], clearance)[0]:
+            raise blocked(
+                f"{where} lies in an obstacle or within the clearance {clearance:g} m of one; "
+                "move it, or lower the clearance"
+            )
+    if np.array_equal(ends[0], ends[1]):
+        raise InvalidNetwork(f"start and goal are the same position, {tuple(ends[0].tolist())}")
+
+
+def _ends(count: int) -> tuple[int, int]:
+    """Source and target are the last two nodes."""
+    return count - 2, count - 1
+
+
+def _losses(risk_map: RiskMap, uv: FloatArray) -> FloatArray:
+    alpha = risk_map.alpha[risk_map.cells(uv)]
+    alpha[-2:] = 0.0
+    return alpha
+
+
+def _directed(pairs: IndexArray, count: int) -> IndexArray:
+    """Both directions of each pair, without edges into the source or out of the target, sorted."""
+    source, target = _ends(count)
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    edges = edges[(edges[:, 1] != source) & (edges[:, 0] != target)]
+    return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
+
+
+def _check_route(network: Network, ends: FloatArray, spacing: float) -> None:
+    if not reachable_from(network.edges, len(network.points), network.source)[network.target]:
+        raise NoRoute(
+            f"no route from ({ends[0, 0]:.3f}, {ends[0, 1]:.3f}) to ({ends[1, 0]:.3f}, "
+            f"{ends[1, 1]:.3f}) keeps clear of the obstacles at a spacing of {spacing:g} m; "
+            "a smaller spacing finds narrower passages"
+        )
+
+
+def _nodes_and_pairs(
+    risk_map: RiskMap,
+    field: ObstacleField,
+    uv_ends: FloatArray,
+    spacing: float,
+    options: NetworkOptions,
+) -> tuple[FloatArray, IndexArray]:
+    """Return nodes in map axes, source and target last, and the pairs that connectivity joins."""
+    if options.method.startswith("uniform"):
+        return _lattice(risk_map, field, uv_ends, spacing, options)
+    sample = random_points if options.method == "random_delaunay" else gradient_points
+    uv = sample(risk_map, spacing, options.seed)
+    uv = uv[field.clear_points(uv, options.clearance)]
+    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
+    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
+    return uv, delaunay_pairs(uv)
+
+
+def _lattice(
+    risk_map: RiskMap,
+    field: ObstacleField,
+    uv_ends: FloatArray,
+    spacing: float,
+    options: NetworkOptions,
+) -> tuple[FloatArray, IndexArray]:
+    uv = lattice_points(risk_map, spacing)
+    shape = lattice_shape(risk_map, spacing)
+    free = field.clear_points(uv, options.clearance).reshape(shape)
+    if free.size == 0:
+        return uv_ends, np.array([[0, 1]])
+    cells = lattice_cells(risk_map, spacing, uv_ends)
+    free[tuple(cells.T)] = False
+    node_of = np.where(free, np.cumsum(free).reshape(shape) - 1, -1)
+    uv = np.concatenate((uv[free.ravel()], uv_ends))
+    if options.method == "uniform_delaunay":
+        return uv, lattice_delaunay_pairs(uv, node_of, spacing)
+    return uv, _grid8_with_ends(node_of, cells, len(uv))
+
+
+def _grid8_with_ends(node_of: IndexArray, cells: IndexArray, count: int) -> IndexArray:
+    """Join the 8-connected lattice, source and target in the cells of the nodes they replaced."""
+    source, target = _ends(count)
+    if (cells[0] == cells[1]).all():
+        pairs = [np.array([[source, target]])]
+        for end in (source, target):
+            node_of[tuple(cells[0])] = end
+            pairs.append(grid8_pairs(node_of))
+        return np.unique(np.concatenate(pairs), axis=0)
+    node_of[tuple(cells[0])], node_of[tuple(cells[1])] = source, target
+    return grid8_pairs(node_of)

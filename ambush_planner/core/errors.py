@@ -1,0 +1,55 @@
+"""The errors of the planner: each says what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+
+class AmbushPlannerError(Exception):
+    """Base of every error that the planner raises on purpose."""
+
+
+class InvalidRiskMap(AmbushPlannerError, ValueError):
+    """The risk map is malformed: shape, resolution, origin or a cell's value."""
+
+
+class InvalidNetwork(AmbushPlannerError, ValueError):
+    """The network is malformed: points, alpha, edges, source or target."""
+
+
+class InvalidOption(AmbushPlannerError, ValueError):
+    """An option is out of its range, contradicts another one or is not available."""
+
+
+class StartBlocked(AmbushPlannerError):
+    """The start lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
+class GoalBlocked(AmbushPlannerError):
+    """The goal lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
+class OutsideMap(AmbushPlannerError):
+    """Mixed into StartBlocked or GoalBlocked when the position is not on the map at all."""
+
+
+class StartOutsideMap(StartBlocked, OutsideMap):
+    """The start is not on the map."""
+
+
+class GoalOutsideMap(GoalBlocked, OutsideMap):
+    """The goal is not on the map."""
+
+
+class NoRoute(AmbushPlannerError):
+    """No route leads from the source to the target."""
+
+
+class BudgetInfeasible(AmbushPlannerError):
+    """No strategy fits the length budget (``max_detour``)."""
+
+
+class TimeLimit(AmbushPlannerError):
+    """The time limit passed before the strategy was found."""
+
+
+class SolverFailed(AmbushPlannerError):
+    """A solver stopped without a strategy whose certificate holds."""

@@ -1,0 +1,303 @@
+"""A primal-dual interior point method for separable convex programs on networks.
+
+Problem. With f (K,) >= 0,
+
+    minimise    c' f + sum of f_k ln f_k over the entropic k
+    subject to  rows f = rhs            sparse, few entries a column,
+                dense' f <= budget      one dense row, left out when the budget is infinite.
+
+Method. Mehrotra's predictor-corrector (S. Mehrotra, On the implementation of a primal-dual
+interior point method, SIAM Journal on Optimization 2, 1992). Entropy is a barrier of its own, so
+entropic variables carry no dual variable w; the others do. Each iteration factorises the normal
+matrix ``rows W rows'`` once, W = 1 / (Hessian's diagonal), in an order found once by geometric
+nested dissection; the dense row is kept out of it (bordered system).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csc_matrix, csr_matrix
+from scipy.sparse.linalg import splu
+
+from .dissection import nested_dissection
+from .errors import SolverFailed, TimeLimit
+from .game import BoolArray
+from .network import IndexArray
+from .risk_map import FloatArray
+
+MAX_ITERATIONS = 100
+# Residuals of the rows, in their own units (flows of size 1).
+ROW_TOLERANCE = 1e-10
+# Weighted dual residual and complementarity, relative to 1 + |objective|.
+GAP_TOLERANCE = 1e-9
+# Share of the way to the boundary that a step may go.
+BOUNDARY = 0.99
+# A slack far from its bound makes W huge and costs digits in every row that it stands in. It only
+# delays such a slack, which the next iterations make up for, to pretend that W is smaller.
+MAX_WEIGHT = 1e4
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """The data of one problem; ``places`` (R, 2) says where each row lies in the plane."""
+
+    rows: csr_matrix
+    rhs: FloatArray
+    cost: FloatArray
+    entropic: BoolArray
+    dense: FloatArray
+    budget: float
+    places: FloatArray
+
+    @property
+    def has_budget(self) -> bool:
+        """Whether the dense row is part of the problem."""
+        return bool(np.isfinite(self.budget))
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Primal f, duals y of the rows and ``price`` >= 0 of the dense row, iterations used."""
+
+    f: FloatArray
+    y: FloatArray
+    price: float
+    iterations: int
+
+
+@dataclass
+class _Point:
+    """An iterate: f > 0 with w >= 0; slack > 0 of the dense row with its price > 0."""
+
+    f: FloatArray
+    w: FloatArray
+    y: FloatArray
+    slack: float
+    price: float
+
+    def step(self, move: _Point, primal: float, dual: float) -> _Point:
+        return _Point(
+            self.f + primal * move.f,
+            self.w + dual * move.w,
+            self.y + dual * move.y,
+            self.slack + primal * move.slack,
+            self.price + dual * move.price,
+        )
+
+    def complementarity(self) -> float:
+        return float(self.f @ self.w) + self.slack * self.price
+
+
+def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> Solution:
+    """Solve the program from a start f (K,) > 0 that need not satisfy any row.
+
+    Parameters
+    ----------
+    deadline
+        Value of ``time.monotonic()`` at which to give up [s].
+
+    Raises
+    ------
+    TimeLimit
+        The deadline passed.
+    SolverFailed
+        The method does not converge: the program is infeasible or numerically out of reach.
+    """
+    normal = _NormalMatrix(program.rows, program.places)
+    point = _first_point(program, start)
+    for iteration in range(MAX_ITERATIONS):
+        residuals = _Residuals(program, point)
+        if residuals.small():
+            return Solution(point.f, point.y, point.price, iteration)
+        if time.monotonic() > deadline:
+            raise TimeLimit(f"interior point method: time is up after {iteration} iterations")
+        newton = _Newton(program, point, residuals, normal)
+        point = _advance(program, point, newton)
+        if not np.isfinite(point.f).all() or not np.isfinite(point.y).all():
+            break
+    raise SolverFailed(
+        f"interior point method: no convergence in {iteration + 1} iterations "
+        f"(rows {residuals.row_error:.1e}, gap {residuals.relative_gap:.1e})"
+    )
+
+
+def _first_point(program: Program, start: FloatArray) -> _Point:
+    w = np.where(program.entropic, 0.0, 1.0)
+    y = np.zeros(program.rows.shape[0])
+    if not program.has_budget:
+        return _Point(start, w, y, 0.0, 0.0)
+    slack = max(program.budget - float(program.dense @ start), 0.1 * abs(program.budget), 0.1)
+    return _Point(start, w, y, slack, 1.0)
+
+
+class _Residuals:
+    """How far a point is from each of the optimality conditions."""
+
+    def __init__(self, program: Program, point: _Point) -> None:
+        f, log = point.f, np.zeros_like(point.f)
+        np.log(f, out=log, where=program.entropic)
+        gradient = program.cost + np.where(program.entropic, log + 1.0, 0.0)
+        self.objective = float(program.cost @ f + (f * log).sum())
+        self.dual = program.rows.T @ point.y + point.w - gradient - point.price * program.dense
+        self.rows = program.rhs - program.rows @ f
+        self.budget = (
+            program.budget - float(program.dense @ f) - point.slack if program.has_budget else 0.0
+        )
+        self.gap = point.complementarity()
+        pairs = np.count_nonzero(point.w) + program.has_budget
+        self.mu = self.gap / max(pairs, 1)
+        self.row_error = float(np.abs(self.rows).max(initial=0.0))
+        weighted = float((f * np.abs(self.dual)).sum())
+        self.relative_gap = (weighted + self.gap) / (1.0 + abs(self.objective))
+        self._budget_scale = 1.0 + abs(program.budget) if program.has_budget else 1.0
+
+    def small(self) -> bool:
+        return (
+            self.row_error < ROW_TOLERANCE
+            and abs(self.budget) < ROW_TOLERANCE * self._budget_scale
+            and self.relative_gap < GAP_TOLERANCE
+        )
+
+
+class _Newton:
+    """The factorised Newton system at a point; solves for several right-hand sides."""
+
+    def __init__(
+        self, program: Program, point: _Point, residuals: _Residuals, normal: _NormalMatrix
+    ) -> None:
+        self.program, self.point, self.residuals = program, point, residuals
+        curvature = np.where(program.entropic, 1.0, point.w) / point.f
+        self.weight = np.minimum(1.0 / curvature, MAX_WEIGHT)
+        self._solve = normal.factorise(self.weight)
+        if program.has_budget:
+            self._border = program.rows @ (self.weight * program.dense)
+            self._border_solved = self._solve(self._border)
+            self._pivot = (
+                float(program.dense**2 @ self.weight)
+                + point.slack / point.price
+                - float(self._border @ self._border_solved)
+            )
+
+    def move(
+        self, target: FloatArray, budget_target: float, correction: FloatArray | float = 0.0
+    ) -> _Point:
+        """Solve for the move that makes f w change by ``target`` to first order.
+
+        ``budget_target`` is the same for the dense row's slack and price; ``correction`` is added
+        to the dual residual.
+        """
+        program, point, weight = self.program, self.point, self.weight
+        pull = self.residuals.dual + correction + target / point.f
+        y = self._solve(self.residuals.rows - program.rows @ (weight * pull))
+        price = slack = 0.0
+        if program.has_budget:
+            missing = self.residuals.budget - budget_target / point.price
+            missing -= float(program.dense @ (weight * pull))
+            price = (float(self._border @ y) - missing) / self._pivot
+            y = y + self._border_solved * price
+            slack = (budget_target - point.slack * price) / point.price
+        f = weight * (pull + program.rows.T @ y - price * program.dense)
+        w = np.where(program.entropic, 0.0, (target - point.w * f) / point.f)
+        return _Point(f, w, y, slack, price)
+
+
+def _advance(program: Program, point: _Point, newton: _Newton) -> _Point:
+    """One predictor-corrector step."""
+    mu = newton.residuals.mu
+    predictor = newton.move(-point.f * point.w, -point.slack * point.price)
+    primal, dual = _step_lengths(point, predictor)
+    centring = 0.0
+    if mu > 0.0:
+        reached = point.step(predictor, primal, dual).complementarity() * mu / newton.residuals.gap
+        centring = min(1.0, (reached / mu) ** 3) * mu
+    both = primal * dual
+    target = np.where(program.entropic, 0.0, centring - point.f * point.w)
+    target -= both * predictor.f * predictor.w
+    budget_target = centring - point.slack * point.price - both * predictor.slack * predictor.price
+    # ln(f + df) = ln f + df / f - (bend): what the linearisation of the entropy misses.
+    ratio = np.clip(primal * predictor.f / point.f, -0.95, 2.0)
+    bend = np.where(program.entropic, ratio - np.log1p(ratio), 0.0)
+    move = newton.move(target, budget_target, bend)
+    primal, dual = _step_lengths(point, move)
+    return point.step(move, primal, dual)
+
+
+def _step_lengths(point: _Point, move: _Point) -> tuple[float, float]:
+    """Longest primal and dual steps <= 1 that stay inside the positive variables."""
+    primal = max(float((-move.f / point.f).max()), 0.0)
+    inner = point.w > 0.0
+    dual = max(float((-move.w[inner] / point.w[inner]).max(initial=0.0)), 0.0)
+    if point.price > 0.0:
+        primal = max(primal, -move.slack / point.slack)
+        dual = max(dual, -move.price / point.price)
+    return _inside(primal), _inside(dual)
+
+
+def _inside(shrink: float) -> float:
+    """Step for a largest relative decrease ``shrink`` per unit step."""
+    return 1.0 if shrink <= BOUNDARY else BOUNDARY / shrink
+
+
+class _NormalMatrix:
+    """``rows W rows'`` for changing diagonals W: pattern, order and assembly found once."""
+
+    def __init__(self, rows: csr_matrix, places: FloatArray) -> None:
+        count = rows.shape[0]
+        row, column, factor, variable = _products(rows.tocsc())
+        off = row < column
+        links = np.unique(row[off] * count + column[off])
+        self._order = nested_dissection(places, np.stack(np.divmod(links, count), axis=1))
+        position = np.empty(count, dtype=np.int64)
+        position[self._order] = np.arange(count)
+        keys, entry = np.unique(position[column] * count + position[row], return_inverse=True)
+        self._assembly = csr_matrix(
+            (factor, (entry, variable)), shape=(len(keys), rows.shape[1])
+        )
+        columns, indices = np.divmod(keys, count)
+        self._indices = indices.astype(np.int32)
+        self._indptr = np.searchsorted(columns, np.arange(count + 1)).astype(np.int32)
+        self._diagonal = np.flatnonzero(columns == indices)
+
+    def factorise(self, weight: FloatArray):
+        """Return a function that solves ``rows diag(weight) rows' y = r`` for y."""
+        count, order = len(self._order), self._order
+        data = self._assembly @ weight
+        data[self._diagonal] *= 1.0 + 1e-15
+        matrix = csc_matrix((data, self._indices, self._indptr), shape=(count, count))
+        try:
+            factor = splu(
+                matrix,
+                permc_spec="NATURAL",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True, "Equil": False},
+            )
+        except RuntimeError as error:
+            raise SolverFailed(f"interior point method: {error}") from error
+
+        def solve(right: FloatArray) -> FloatArray:
+            ordered = right[order]
+            found = factor.solve(ordered)
+            found += factor.solve(ordered - matrix @ found)  # one step of iterative refinement
+            result = np.empty_like(right)
+            result[order] = found
+            return result
+
+        return solve
+
+
+def _products(
+    rows: csc_matrix,
+) -> tuple[IndexArray, IndexArray, FloatArray, IndexArray]:
+    """All (row a, row b, value product, column) with both rows in the same column."""
+    size = np.diff(rows.indptr).astype(np.int64)
+    start = rows.indptr[:-1].astype(np.int64)
+    variable = np.repeat(np.arange(len(size)), size**2)
+    first = np.repeat(np.cumsum(size**2) - size**2, size**2)
+    place = np.arange(len(variable)) - first
+    a = start[variable] + place // size[variable]
+    b = start[variable] + place % size[variable]
+    indices = rows.indices.astype(np.int64)
+    return indices[a], indices[b], rows.data[a] * rows.data[b], variable

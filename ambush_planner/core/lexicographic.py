@@ -1,0 +1,152 @@
+"""The default strategy: least risk within the length budget, then most entropy, acyclic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csc_matrix, identity
+from scipy.sparse.linalg import splu
+
+from .acyclic import acyclic_edges, forward_edges
+from .errors import BudgetInfeasible
+from .flow_programs import largest_flow, most_entropy, shortest_flow
+from .game import BoolArray, Game
+from .game_value import GameValue, indifferent_ambusher, solve_by_cut
+from .outcome import Outcome
+from .paths import distances_from
+from .risk_map import FloatArray
+
+# The later stages may miss the least value by this much, relative: without any room, the minimum
+# cut leaves their feasible sets no interior.
+ROOM = 1e-7
+# Routes this near to the shortest, relative, count as shortest when the budget allows no detour.
+NO_DETOUR = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class _LeastRisk:
+    """Stage 1: a value that an acyclic part of the network attains, and the ambusher's side."""
+
+    value: float
+    edges: BoolArray
+    q: FloatArray
+    length_price: float = 0.0
+
+
+def max_entropy_strategy(
+    game: Game, budget: float, risk_slack: float, deadline: float
+) -> Outcome:
+    """Solve the stages one after the other, each within the room that the one before leaves.
+
+    1. The least value z that a strategy of expected length <= ``budget`` [m] attains.
+    2. Values up to (1 + ``risk_slack``) z are accepted.
+    3. Of these strategies, the one of maximal edge entropy on an acyclic part of the network that
+       holds one of value z.
+
+    Raises
+    ------
+    BudgetInfeasible
+        The shortest playable route is longer than the budget.
+    """
+    left = _only_routes_within(game, budget)
+    limit = np.inf if left is not game else budget
+    risk = _least_risk(left, limit, deadline)
+    capacity = _capacities(left, (1.0 + risk_slack) * (1.0 + ROOM) * risk.value)
+    p, iterations = most_entropy(left, risk.edges, capacity, limit, deadline)
+    price = risk.length_price
+    if left is not game:
+        price = max(risk.value, 1e-300) / (NO_DETOUR * budget)
+    return Outcome(_as_walk(game, p), risk.q, budget, price, iterations)
+
+
+def _capacities(game: Game, value: float) -> FloatArray:
+    """Visits (S,) that keep each site's mean loss within ``value``."""
+    capacities: FloatArray = value / game.loss[game.sites]
+    return capacities
+
+
+def _only_routes_within(game: Game, budget: float) -> Game:
+    """Check the budget; where it allows no detour at all, keep the shortest routes alone."""
+    network = game.network
+    edges, lengths = network.edges[game.playable], network.lengths[game.playable]
+    ahead = distances_from(edges, lengths, game.node_count, network.source)
+    behind = distances_from(edges[:, ::-1], lengths, game.node_count, network.target)
+    shortest = float(ahead[network.target])
+    if shortest > budget * (1.0 + NO_DETOUR):
+        raise BudgetInfeasible(
+            f"the shortest playable route is {shortest:.3f} m long, more than the budget of "
+            f"{budget:.3f} m; raise max_detour, or alpha_threshold"
+        )
+    if budget > shortest * (1.0 + NO_DETOUR):
+        return game
+    through = ahead[network.tails] + network.lengths + behind[network.heads]
+    return replace(game, playable=game.playable & (through <= shortest * (1.0 + NO_DETOUR)))
+
+
+def _least_risk(game: Game, budget: float, deadline: float) -> _LeastRisk:
+    if game.ambush_radius > 0.0:
+        return _by_program(game, budget, deadline, float(game.loss.max(initial=0.0)))
+    exact = solve_by_cut(game)
+    if float(exact.p @ game.network.lengths) <= budget:
+        return _LeastRisk(exact.value, _edges_around(game, exact), exact.q)
+    if exact.value == 0.0:
+        return _by_program(game, budget, deadline, float(game.loss.max()))
+    length, potential = shortest_flow(
+        game, _capacities(game, (1.0 + ROOM / 2.0) * exact.value), deadline
+    )
+    if length <= budget:
+        return _LeastRisk(exact.value, forward_edges(game, -potential), exact.q)
+    return _by_program(game, budget, deadline, exact.value)
+
+
+def _edges_around(game: Game, exact: GameValue) -> BoolArray:
+    """Acyclic edges that hold the exact strategy; past every site when the value is 0."""
+    if exact.value == 0.0:
+        harmless = game.loss[game.network.heads] == 0.0
+        game = replace(game, playable=game.playable & harmless)
+    return acyclic_edges(game, exact.p)
+
+
+def _by_program(game: Game, budget: float, deadline: float, scale: float) -> _LeastRisk:
+    """Least value by a convex program, where no minimum cut tells it."""
+    untouched = game.playable & (game.hits.getnnz(axis=0) == 0)
+    network = game.network
+    safe = replace(game, playable=untouched)
+    distance = distances_from(
+        network.edges[untouched], network.lengths[untouched], game.node_count, network.source
+    )
+    if distance[network.target] <= budget:
+        _, potential = shortest_flow(safe, np.full(len(game.sites), np.inf), deadline)
+        return _LeastRisk(0.0, forward_edges(safe, -potential), indifferent_ambusher(game))
+    best = largest_flow(game, scale / game.loss[game.sites], budget, deadline)
+    value = scale / best.size
+    _, potential = shortest_flow(game, _capacities(game, (1.0 + ROOM / 2.0) * value), deadline)
+    q = np.zeros(game.node_count)
+    q[game.sites] = best.site_price / game.loss[game.sites]
+    total = q.sum()
+    # In the scaled flow's units the dual reads: sum of site prices on a route + price * length is
+    # at least 1 + price * budget; multiplied by the value it is the certificate's inequality.
+    return _LeastRisk(
+        value, forward_edges(game, -potential), q / total, best.length_price / total
+    )
+
+
+def _as_walk(game: Game, p: FloatArray) -> FloatArray:
+    """Turn an almost conserved p on an acyclic network into the walk's exact probabilities.
+
+    The walk leaves node i along edge k with probability p_k / sum of p out of i; its visits x
+    follow node by node from the source, so conservation holds to rounding.
+    """
+    network, n = game.network, game.node_count
+    out = np.bincount(network.tails, weights=p, minlength=n)
+    used = np.flatnonzero(p > 0.0)
+    tail, head = network.edges[used].T
+    share = p[used] / out[tail]
+    system = identity(n, format="csc") - csc_matrix((share, (head, tail)), shape=(n, n))
+    start = np.zeros(n)
+    start[network.source] = 1.0
+    x = splu(system, diag_pivot_thresh=0.0).solve(start)
+    walk = np.zeros_like(p)
+    walk[used] = np.maximum(x[tail], 0.0) * share
+    return walk

@@ -1,0 +1,155 @@
+"""The network that the game is played on: nodes, directed edges, source, target and losses."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from .arrays import frozen_array
+from .errors import InvalidNetwork
+
+FloatArray = npt.NDArray[np.float64]
+IndexArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A directed network with a loss at each node, validated.
+
+    No edge enters the source and none leaves the target: with such edges the flow equations also
+    allow circulations through them that never connect the two, and the value comes out too low.
+    Given edges of that kind are dropped with a warning and kept in ``dropped_edges``.
+
+    Parameters
+    ----------
+    points : (N, 2) float
+        World positions [m].
+    alpha : (N,) float, >= 0
+        Loss for being ambushed at each node; 0 at the source and the target.
+    edges : (M, 2) int
+        (tail, head) of each directed edge; no self-loops, no duplicates.
+    source, target : int
+        Where every route starts and ends.
+
+    Raises
+    ------
+    InvalidNetwork
+        Something is not as above; the message names the field, the place and the value.
+    """
+
+    points: FloatArray
+    alpha: FloatArray
+    edges: IndexArray
+    source: int
+    target: int
+    dropped_edges: IndexArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        points = _floats("points", self.points)
+        alpha = _floats("alpha", self.alpha)
+        _check_nodes(points, alpha)
+        source = _node("source", self.source, len(points))
+        target = _node("target", self.target, len(points))
+        _check_ends(alpha, source, target)
+        edges = _edge_array(self.edges, len(points))
+        outside = (edges[:, 1] == source) | (edges[:, 0] == target)
+        if outside.any():
+            warnings.warn(
+                f"{int(outside.sum())} edges into the source {source} or out of the target "
+                f"{target} were dropped: no route uses them",
+                stacklevel=3,
+            )
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "alpha", alpha)
+        object.__setattr__(self, "edges", frozen_array(edges[~outside], np.int64))
+        object.__setattr__(self, "source", source)
+        object.__setattr__(self, "target", target)
+        object.__setattr__(self, "dropped_edges", frozen_array(edges[outside], np.int64))
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Length of each edge (M,) [m]."""
+        tail, head = self.edges.T
+        return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
+
+    @property
+    def tails(self) -> IndexArray:
+        """Tail of each edge (M,)."""
+        return self.edges[:, 0]
+
+    @property
+    def heads(self) -> IndexArray:
+        """Head of each edge (M,)."""
+        return self.edges[:, 1]
+
+
+def _floats(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return frozen_array(values, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidNetwork(f"{name} must be an array of numbers: {error}") from error
+
+
+def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        raise InvalidNetwork(f"points must have shape (N >= 2, 2), got {points.shape}")
+    if alpha.shape != (len(points),):
+        raise InvalidNetwork(f"alpha must have shape ({len(points)},), got {alpha.shape}")
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise InvalidNetwork(f"points must be finite, got {points[node].tolist()} at node {node}")
+    bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise InvalidNetwork(f"alpha must be finite and >= 0, got {alpha[node]} at node {node}")
+
+
+def _node(name: str, value: object, count: int) -> int:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InvalidNetwork(f"{name} must be a node index (int), got {value!r}")
+    if not 0 <= value < count:
+        raise InvalidNetwork(f"{name} must be in 0..{count - 1}, got {value}")
+    return int(value)
+
+
+def _check_ends(alpha: FloatArray, source: int, target: int) -> None:
+    if source == target:
+        raise InvalidNetwork(f"source and target are the same node, {source}")
+    for name, node in (("source", source), ("target", target)):
+        if alpha[node] != 0.0:
+            raise InvalidNetwork(
+                f"alpha[{name}] must be 0 (no ambush at the ends), got {alpha[node]} at node {node}"
+            )
+
+
+def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
+    array = np.asarray(values)
+    if array.size == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InvalidNetwork(f"edges must have shape (M, 2), got {array.shape}")
+    if array.dtype.kind not in "iu":
+        raise InvalidNetwork(f"edges must be integers (tail, head), got dtype {array.dtype}")
+    edges = array.astype(np.int64)
+    _refuse_edges(edges, ((edges < 0) | (edges >= count)).any(axis=1), f"outside 0..{count - 1}")
+    _refuse_edges(edges, edges[:, 0] == edges[:, 1], "a self-loop")
+    keys = edges[:, 0] * count + edges[:, 1]
+    _, first = np.unique(keys, return_index=True)
+    repeated = np.ones(len(edges), dtype=bool)
+    repeated[first] = False
+    _refuse_edges(edges, repeated, "a duplicate")
+    return edges
+
+
+def _refuse_edges(edges: IndexArray, bad: npt.NDArray[np.bool_], what: str) -> None:
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InvalidNetwork(
+            f"edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} "
+            f"({int(bad.sum())} such edges)"
+        )

@@ -1,0 +1,127 @@
+"""Which points and segments keep clear of the obstacle cells: exact, whole arrays at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from .risk_map import FloatArray, RiskMap
+
+BoolArray = npt.NDArray[np.bool_]
+
+# Cells are closed squares: touching a corner counts. In units of a cell; covers the rounding of
+# positions such as (i + 0.5) * resolution.
+TOUCH = 1e-9
+# Pairs of segment and cell that are tested at once; bounds the memory.
+CHUNK = 1_000_000
+
+
+class ObstacleField:
+    """Obstacle cells of a risk map, prepared for many clearance queries in map axes [m]."""
+
+    def __init__(self, risk_map: RiskMap) -> None:
+        self._resolution = risk_map.resolution
+        self._shape = risk_map.obstacles.shape
+        counts = risk_map.obstacles.astype(np.int64).cumsum(axis=0).cumsum(axis=1)
+        self._sums = np.pad(counts, ((1, 0), (1, 0)))
+        self._obstacles = risk_map.obstacles
+
+    def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
+        """Tell which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
+        return self.clear_segments(uv, uv, clearance)
+
+    def clear_segments(self, a: FloatArray, b: FloatArray, clearance: float) -> BoolArray:
+        """Tell which segments a -> b, both (K, 2), have no obstacle cell within ``clearance``.
+
+        Exact: a segment is blocked when its distance to a closed obstacle cell is at most
+        ``clearance``. The map's border is no obstacle.
+        """
+        a, b, reach = a / self._resolution, b / self._resolution, clearance / self._resolution
+        low = self._cell(np.minimum(a, b) - reach - TOUCH)
+        high = self._cell(np.maximum(a, b) + reach + TOUCH)
+        near = np.flatnonzero(self._count(low, high) > 0)
+        clear = np.ones(len(a), dtype=bool)
+        clear[near] = ~self._hits(a[near], b[near], low[near], high[near], reach)
+        return clear
+
+    def _cell(self, uv: FloatArray) -> npt.NDArray[np.int64]:
+        rows, columns = self._shape
+        return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
+
+    def _count(self, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64]) -> FloatArray:
+        """Count the obstacle cells in boxes of cells, corners included (summed-area table)."""
+        (c0, r0), (c1, r1) = low.T, high.T + 1
+        sums = self._sums
+        counts: FloatArray = sums[r1, c1] - sums[r0, c1] - sums[r1, c0] + sums[r0, c0]
+        return counts
+
+    def _hits(
+        self,
+        a: FloatArray,
+        b: FloatArray,
+        low: npt.NDArray[np.int64],
+        high: npt.NDArray[np.int64],
+        reach: float,
+    ) -> BoolArray:
+        """Test each segment against every obstacle cell of its box, in chunks."""
+        hit = np.zeros(len(a), dtype=bool)
+        sizes = np.prod(high - low + 1, axis=1)
+        ends = np.cumsum(sizes)
+        start = 0
+        while start < len(a):
+            base = ends[start - 1] if start else 0
+            stop = max(int(np.searchsorted(ends, base + CHUNK)), start + 1)
+            part = slice(start, stop)
+            segment, cell = self._pairs(low[part], high[part], sizes[part])
+            touching = _touch(a[part][segment], b[part][segment], cell, reach)
+            hit[start + segment[touching]] = True
+            start = stop
+        return hit
+
+    def _pairs(
+        self,
+        low: npt.NDArray[np.int64],
+        high: npt.NDArray[np.int64],
+        sizes: npt.NDArray[np.int64],
+    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """List (segment, (column, row)) for every obstacle cell in every segment's box."""
+        segment = np.repeat(np.arange(len(low)), sizes)
+        offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        width = (high - low + 1)[segment, 0]
+        column = low[segment, 0] + offset % width
+        row = low[segment, 1] + offset // width
+        blocked = self._obstacles[row, column]
+        return segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
+
+
+def _touch(a: FloatArray, b: FloatArray, cell: npt.NDArray[np.int64], reach: float) -> BoolArray:
+    """Tell which segments come within ``reach`` of their closed unit cell (units of a cell)."""
+    centre = cell + 0.5
+    hit = _cross(a - centre, b - centre)
+    if reach > 0.0:
+        far = np.flatnonzero(~hit)
+        gap = _distance(a[far] - centre[far], b[far] - centre[far])
+        hit[far[gap <= reach + TOUCH]] = True
+    return hit
+
+
+def _cross(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Separating axes: does segment a -> b meet the closed unit square around 0?"""
+    middle, half = (a + b) / 2, np.abs(b - a) / 2
+    apart = (np.abs(middle) > 0.5 + half + TOUCH).any(axis=1)
+    across = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    span = 0.5 * half.sum(axis=1) + TOUCH * (half.sum(axis=1) + TOUCH)
+    meets: BoolArray = ~apart & (across <= span)
+    return meets
+
+
+def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Distance from segments a -> b that miss it to the unit square around 0."""
+    ends = np.stack((a, b))
+    best = np.hypot(*np.maximum(np.abs(ends) - 0.5, 0.0).T).min(axis=1)
+    along = b - a
+    squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
+        t = np.clip(((corner - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+        best = np.minimum(best, np.hypot(*(a + t[:, None] * along - corner).T))
+    return best

@@ -1,0 +1,187 @@
+"""The risk map: what an ambush costs at each place, and where nobody can drive.
+
+Axes. Row 0 is the lowest row and column 0 the left one, as in ``nav_msgs/OccupancyGrid``. *Map axes*
+(u, v) are metres along the columns and the rows from the lower left corner of cell (0, 0); the centre
+of cell (row, column) lies at ((column + 0.5), (row + 0.5)) * resolution. *World* coordinates (x, y)
+follow by the rotation and the translation of ``origin``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from .arrays import frozen_array
+from .errors import InvalidOption, InvalidRiskMap
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RiskMap:
+    """Loss for being ambushed, cell by cell.
+
+    Parameters
+    ----------
+    alpha : (H, W) float, >= 0
+        Loss for being ambushed in each cell; what stands in obstacle cells is never used.
+    obstacles : (H, W) bool
+        Cells that nobody can drive through.
+    resolution : float
+        Edge of a cell [m].
+    origin : (x, y, yaw)
+        World pose of the lower left corner of cell (0, 0) [m, m, rad].
+
+    Raises
+    ------
+    InvalidRiskMap
+        A shape, the resolution, the origin or a loss is not as above.
+    """
+
+    alpha: FloatArray
+    obstacles: npt.NDArray[np.bool_]
+    resolution: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        try:
+            alpha = frozen_array(self.alpha, np.float64)
+            obstacles = frozen_array(self.obstacles, np.bool_)
+            origin = tuple(float(value) for value in self.origin)
+            resolution = float(self.resolution)
+        except (TypeError, ValueError) as error:
+            raise InvalidRiskMap(f"risk map: not numeric: {error}") from error
+        _check_layers(alpha, obstacles)
+        if not (math.isfinite(resolution) and resolution > 0):
+            raise InvalidRiskMap(f"resolution must be positive and finite, got {resolution}")
+        if len(origin) != 3 or not all(map(math.isfinite, origin)):
+            raise InvalidRiskMap(f"origin must be three finite numbers (x, y, yaw), got {origin}")
+        for name, value in (("alpha", alpha), ("obstacles", obstacles)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "resolution", resolution)
+        object.__setattr__(self, "origin", origin)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height [m]."""
+        rows, columns = self.alpha.shape
+        return columns * self.resolution, rows * self.resolution
+
+    def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:
+        """Turn world positions (..., 2) into map axes (..., 2) [m]."""
+        x0, y0, yaw = self.origin
+        shifted = np.asarray(xy, dtype=np.float64) - (x0, y0)
+        return shifted if yaw == 0.0 else shifted @ _rotation(yaw)
+
+    def to_world(self, uv: npt.ArrayLike) -> FloatArray:
+        """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
+        x0, y0, yaw = self.origin
+        uv = np.asarray(uv, dtype=np.float64)
+        return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
+
+    def contains(self, uv: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Tell which positions in map axes (..., 2) lie on the map, its border included."""
+        uv = np.asarray(uv, dtype=np.float64)
+        inside: npt.NDArray[np.bool_] = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
+        return inside
+
+    def cells(self, uv: npt.ArrayLike) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        """Return (rows, columns) of the cells that hold positions in map axes (..., 2).
+
+        Positions must be on the map; the upper and right border belong to the last cells.
+        """
+        rows, columns = self.alpha.shape
+        index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
+        return (np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1))
+
+
+def _rotation(yaw: float) -> FloatArray:
+    """Matrix whose columns are the map's axes in the world."""
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def _check_layers(alpha: FloatArray, obstacles: npt.NDArray[np.bool_]) -> None:
+    if alpha.ndim != 2 or alpha.size == 0:
+        raise InvalidRiskMap(f"alpha must be a non-empty (H, W) array, got shape {alpha.shape}")
+    if obstacles.shape != alpha.shape:
+        raise InvalidRiskMap(
+            f"obstacles must have alpha's shape {alpha.shape}, got {obstacles.shape}"
+        )
+    bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
+    if bad.any():
+        row, column = (int(k) for k in np.argwhere(bad)[0])
+        raise InvalidRiskMap(
+            f"alpha must be finite and >= 0, got {alpha[row, column]} at row {row}, "
+            f"column {column} ({int(bad.sum())} such cells)"
+        )
+
+
+@dataclass(frozen=True)
+class OccupancyOptions:
+    """How cell values of an occupancy grid are read as losses (DESIGN: risk map).
+
+    A value v in 0..100 means alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
+    least ``obstacle_threshold`` are obstacles; -1 (unknown) is an obstacle unless
+    ``unknown_alpha`` >= 0 gives it a loss.
+
+    Raises
+    ------
+    InvalidOption
+        A number is not finite or out of range.
+    """
+
+    alpha_min: float = 1.0
+    alpha_max: float = 10.0
+    obstacle_threshold: int = 100
+    unknown_alpha: float = -1.0
+
+    def __post_init__(self) -> None:
+        for name in ("alpha_min", "alpha_max", "unknown_alpha"):
+            if not math.isfinite(getattr(self, name)):
+                raise InvalidOption(f"{name} must be finite, got {getattr(self, name)}")
+        if not 0.0 <= self.alpha_min <= self.alpha_max:
+            raise InvalidOption(
+                "0 <= alpha_min <= alpha_max must hold, "
+                f"got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}"
+            )
+        if not 1 <= self.obstacle_threshold <= 101:
+            raise InvalidOption(
+                "obstacle_threshold must be in 1..101 (101: no value is an obstacle), "
+                f"got {self.obstacle_threshold}"
+            )
+
+
+def risk_map_from_occupancy(
+    values: npt.ArrayLike,
+    resolution: float,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    options: OccupancyOptions | None = None,
+) -> RiskMap:
+    """Read an occupancy grid (H, W) of values -1..100 as a risk map.
+
+    Raises
+    ------
+    InvalidRiskMap
+        A value is outside -1..100, or the map is malformed.
+    """
+    options = options or OccupancyOptions()
+    grid = np.asarray(values)
+    bad = (grid < -1) | (grid > 100)
+    if bad.any():
+        where = tuple(int(k) for k in np.argwhere(bad)[0])
+        raise InvalidRiskMap(
+            f"cell values must be in -1..100, got {grid[where]} at (row, column) {where} "
+            f"({int(bad.sum())} such cells)"
+        )
+    unknown = grid == -1
+    span = options.alpha_max - options.alpha_min
+    alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
+    obstacles = grid >= options.obstacle_threshold
+    if options.unknown_alpha >= 0.0:
+        alpha = np.where(unknown, options.unknown_alpha, alpha)
+    else:
+        obstacles = obstacles | unknown
+    return RiskMap(alpha, obstacles, resolution, origin)

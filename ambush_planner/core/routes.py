@@ -1,0 +1,70 @@
+"""Drawing routes from a strategy and turning them into dense paths."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .network import IndexArray, Network
+from .risk_map import FloatArray
+
+
+class RouteSampler:
+    """Draws routes: at each node the next edge is taken with probability p_ij / x_i.
+
+    Where p is acyclic, a drawn route uses each edge with exactly the published probability.
+    Where p has cycles, the walk's loops are cut out as they close (loop-erased random walk), so
+    that no node comes twice.
+    """
+
+    def __init__(self, network: Network, p: FloatArray) -> None:
+        used = np.flatnonzero(p > 0.0)
+        order = used[np.argsort(network.tails[used], kind="stable")]
+        self._source, self._target = network.source, network.target
+        self._heads = network.heads[order]
+        self._weights = p[order]
+        self._first = np.searchsorted(network.tails[order], np.arange(len(network.points) + 1))
+
+    def draw(self, rng: np.random.Generator) -> IndexArray:
+        """Return one route (K,): node indices, source first, target last, none twice."""
+        route, position = [self._source], {self._source: 0}
+        while route[-1] != self._target:
+            node = self._next(route[-1], rng)
+            if node in position:
+                for erased in route[position[node] + 1 :]:
+                    del position[erased]
+                del route[position[node] + 1 :]
+            else:
+                position[node] = len(route)
+                route.append(node)
+        return np.array(route, dtype=np.int64)
+
+    def _next(self, node: int, rng: np.random.Generator) -> int:
+        choices = slice(self._first[node], self._first[node + 1])
+        steps = np.cumsum(self._weights[choices])
+        choice = int(np.searchsorted(steps, rng.random() * steps[-1], side="right"))
+        return int(self._heads[choices][min(choice, len(steps) - 1)])
+
+
+def route_edges(network: Network, route: IndexArray) -> IndexArray:
+    """Indices (K - 1,) of the edges that join the route's nodes one after the other."""
+    count = len(network.points)
+    keys = network.tails * count + network.heads
+    order = np.argsort(keys)
+    found: IndexArray = order[np.searchsorted(keys, route[:-1] * count + route[1:], sorter=order)]
+    return found
+
+
+def densify(points: FloatArray, spacing: float) -> FloatArray:
+    """Put poses (L, 3) = (x, y, yaw) along a polyline (K, 2), at most ``spacing`` [m] apart.
+
+    Every corner is a pose, the first and the last point are met exactly, and yaw is the direction
+    of the segment that starts at the pose (at the end: of the last segment) [rad].
+    """
+    steps = np.diff(points, axis=0)
+    yaw = np.arctan2(steps[:, 1], steps[:, 0])
+    parts = np.maximum(np.ceil(np.hypot(*steps.T) / spacing - 1e-9).astype(np.int64), 1)
+    segment = np.repeat(np.arange(len(steps)), parts)
+    place = np.arange(len(segment)) - np.repeat(np.cumsum(parts) - parts, parts)
+    inner = points[segment] + steps[segment] * (place / parts[segment])[:, None]
+    poses = np.column_stack((inner, yaw[segment]))
+    return np.vstack((poses, (*points[-1], yaw[-1])))

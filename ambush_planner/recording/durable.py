@@ -1,0 +1,60 @@
+"""Files that are either whole or not there, also after a crash or a power cut."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+
+def write_durably(path: Path, data: bytes) -> None:
+    """Put ``data`` at ``path`` (mode 0600) in one step, replacing what is there.
+
+    The data goes to a temporary file beside it, is flushed to the disk and only then renamed:
+    a reader sees the old content or the new one, never a part.
+
+    Raises:
+        OSError: Nothing was changed at ``path`` and no temporary file is left, unless the
+            final flush of the folder failed: then the file is in place, but may not survive
+            a power cut.
+    """
+    temporary = path.with_name(f'{path.name}.tmp')
+    try:
+        # An earlier failure may have left one behind that could not be removed at the time.
+        temporary.unlink(missing_ok=True)
+        _write_new_file(temporary, data)
+        os.replace(temporary, path)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise
+    flush_folder(path.parent)
+
+
+def make_private_folder(path: Path) -> None:
+    """Make the folder ``path`` with mode 0700 and flush its parent to the disk.
+
+    Raises:
+        FileExistsError: Something of this name is already there.
+        OSError: The parent does not exist or is not writable.
+    """
+    path.mkdir(mode=0o700)
+    flush_folder(path.parent)
+
+
+def flush_folder(path: Path) -> None:
+    """Flush the names in the folder ``path`` to the disk."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _write_new_file(path: Path, data: bytes) -> None:
+    # O_EXCL and O_NOFOLLOW: never write through a link or into a file that someone put there.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+    with os.fdopen(os.open(path, flags, 0o600), 'wb') as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

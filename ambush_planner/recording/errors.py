@@ -1,0 +1,36 @@
+"""The one error of the recording: it says which file or folder, why, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..core.errors import AmbushPlannerError
+
+
+class RecordingFailed(AmbushPlannerError):
+    """A departure could not be recorded; planning is not affected, the next one tries again.
+
+    Attributes:
+        path: The file or folder that could not be read or written.
+        reason: Why, in the operating system's words where it was the one to refuse.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f'recording failed at {path}: {reason}')
+        self.path = path
+        self.reason = reason
+
+
+@contextmanager
+def recording_to(path: Path) -> Iterator[None]:
+    """Turn an OSError met while writing ``path`` into RecordingFailed."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingFailed(
+            path,
+            f'{error.strerror or error}; check that recording.directory is a folder '
+            'that this user may write to, on a disk with space left',
+        ) from error

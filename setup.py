@@ -1,0 +1,63 @@
+"""Build and installation, with colcon (ament_python) and with pip."""
+
+import sys
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package_name = 'ambush_planner'
+
+data_files = [
+    ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
+    (f'share/{package_name}', ['package.xml']),
+    (f'share/{package_name}/msg_examples', sorted(glob('msg_examples/*.yaml'))),
+]
+# `ros2 run` looks for executables in lib/<package>. colcon puts them there (setup.cfg), pip puts
+# them in bin/, so a wheel brings launchers. Under colcon they would overwrite the real ones.
+if 'bdist_wheel' in sys.argv:
+    data_files.append((f'lib/{package_name}', sorted(glob('launchers/*'))))
+
+setup(
+    name=package_name,
+    version='0.1.0',
+    description='Random routes that an ambusher cannot foresee, for ROS 2',
+    maintainer='ambush_planner maintainers',
+    maintainer_email='maintainers@ambush-planner.invalid',
+    license='Apache-2.0',
+    packages=find_packages(include=[package_name, f'{package_name}.*']),
+    data_files=data_files,
+    zip_safe=False,
+    python_requires='>=3.10',
+    # rclpy and the messages are not here: on a ROS machine they come from apt (package.xml),
+    # elsewhere from the extra `jazzy`.
+    install_requires=[
+        'numpy>=1.26.4',
+        'scipy>=1.11.4',
+        'PyYAML>=6.0',
+        'mcap>=1.1.1',
+        'mcap-ros2-support>=0.5.3',
+    ],
+    extras_require={
+        # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
+        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'figures': ['matplotlib>=3.6.3'],
+        # colcon test runs pytest only because it stands in an extra of this name.
+        'test': [
+            'pytest>=7.4',
+            'pytest-timeout',
+            'hypothesis',
+            'networkx',
+            'highspy',
+            'clarabel',
+            'rosbags',
+            'setuptools',
+        ],
+        'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3'],
+    },
+    entry_points={
+        'console_scripts': [
+            'ambush_planner = ambush_planner.ros.planner_node:main',
+            'ambush_demo = ambush_planner.tools.demo:main',
+        ],
+    },
+)

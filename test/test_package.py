@@ -1,0 +1,175 @@
+"""The package's own papers agree: package.xml, setup.py, the source's imports, the files."""
+
+import ast
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from functools import cache
+from pathlib import Path
+
+import pytest
+import setuptools
+
+ROOT = Path(__file__).resolve().parent.parent
+NAME = 'ambush_planner'
+
+# Import name -> rosdep key, where the two differ.
+ROSDEP_KEYS = {
+    'matplotlib': 'python3-matplotlib',
+    'mcap': 'mcap-ros2-support',
+    'mcap_ros2': 'mcap-ros2-support',
+    'numpy': 'python3-numpy',
+    'scipy': 'python3-scipy',
+    'yaml': 'python3-yaml',
+}
+# Import name -> name on the package index, where the two differ.
+REQUIREMENTS = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+
+
+@cache
+def setup_arguments(*argv):
+    """What setup.py hands to setuptools when it is called with argv."""
+    given = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(ROOT)
+        patch.setattr(sys, 'argv', ['setup.py', *argv])
+        patch.setattr(setuptools, 'setup', lambda **arguments: given.update(arguments))
+        exec(compile((ROOT / 'setup.py').read_text(), 'setup.py', 'exec'), {})
+    return given
+
+
+@cache
+def manifest():
+    """The root element of package.xml."""
+    return ElementTree.parse(ROOT / 'package.xml').getroot()
+
+
+def dependencies(kind):
+    """The keys that package.xml declares with the tag `kind`."""
+    return [element.text for element in manifest().findall(kind)]
+
+
+def imported_packages():
+    """Top-level names that the source imports, the standard library's and its own left out."""
+    names = set()
+    for path in (ROOT / NAME).rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names.update(alias.name.split('.')[0] for alias in node.names)
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names.add(node.module.split('.')[0])
+    return names - set(sys.stdlib_module_names) - {NAME}
+
+
+def files_by_target(*argv):
+    return {target: [Path(file) for file in files]
+            for target, files in setup_arguments(*argv)['data_files']}
+
+
+def tracked_files():
+    listing = subprocess.run(
+        ['git', 'ls-files', '-z', '--cached', '--others', '--exclude-standard'],
+        cwd=ROOT, capture_output=True, check=False)
+    if listing.returncode or not (ROOT / '.git').exists():
+        pytest.skip('not a git checkout: nothing says which files belong to the project')
+    paths = (ROOT / name.decode() for name in listing.stdout.split(b'\0') if name)
+    return [path for path in paths if path.is_file()]
+
+
+def test_manifest_is_of_format_3_for_ament_python():
+    assert manifest().tag == 'package'
+    assert manifest().get('format') == '3'
+    assert manifest().findtext('export/build_type') == 'ament_python'
+    assert '@' in manifest().find('maintainer').get('email')
+
+
+def test_manifest_and_setup_agree():
+    arguments = setup_arguments()
+    assert manifest().findtext('name') == arguments['name'] == NAME
+    assert manifest().findtext('version') == arguments['version']
+    assert manifest().findtext('license') == arguments['license'] == 'Apache-2.0'
+    assert re.fullmatch(r'\d+\.\d+\.\d+', arguments['version'])
+
+
+def test_no_dependency_is_declared_twice():
+    for kind in ('exec_depend', 'test_depend'):
+        keys = dependencies(kind)
+        assert len(keys) == len(set(keys))
+
+
+def test_every_import_is_declared_in_the_manifest():
+    keys = {ROSDEP_KEYS.get(name, name) for name in imported_packages()}
+    assert keys <= set(dependencies('exec_depend'))
+
+
+def test_every_library_import_is_declared_for_pip():
+    arguments = setup_arguments()
+    required = arguments['install_requires'] + arguments['extras_require']['figures']
+    names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
+    libraries = imported_packages() & set(ROSDEP_KEYS)
+    assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
+
+
+def test_ros_is_an_extra_and_no_requirement():
+    arguments = setup_arguments()
+    assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
+    assert all(name.startswith('ros-jazzy-') for name in arguments['extras_require']['jazzy'])
+    assert any(name.startswith('pytest') for name in arguments['extras_require']['test'])
+
+
+def test_executables():
+    scripts = setup_arguments()['entry_points']['console_scripts']
+    modules = dict(re.split(r'\s*=\s*', script) for script in scripts)
+    assert modules['ambush_planner'] == 'ambush_planner.ros.planner_node:main'
+    assert modules['ambush_demo'] == 'ambush_planner.tools.demo:main'
+    for name, target in modules.items():
+        assert name.startswith('ambush_')
+        module, function = target.split(':')
+        source = (ROOT / Path(*module.split('.'))).with_suffix('.py').read_text()
+        functions = [node.name for node in ast.parse(source).body
+                     if isinstance(node, ast.FunctionDef)]
+        assert function in functions
+
+
+def test_every_package_folder_is_installed():
+    folders = {path.parent for path in (ROOT / NAME).rglob('*.py')}
+    expected = {'.'.join(folder.relative_to(ROOT).parts) for folder in folders}
+    assert set(setup_arguments()['packages']) == expected
+
+
+def test_data_files_exist_and_leave_nothing_out():
+    targets = files_by_target()
+    assert targets['share/ament_index/resource_index/packages'] == [Path('resource', NAME)]
+    assert targets[f'share/{NAME}'] == [Path('package.xml')]
+    examples = sorted(path.relative_to(ROOT) for path in (ROOT / 'msg_examples').iterdir())
+    assert examples
+    assert targets[f'share/{NAME}/msg_examples'] == examples
+    assert all((ROOT / file).is_file() for files in targets.values() for file in files)
+
+
+def test_only_wheels_bring_a_launcher_for_each_executable():
+    folder = f'lib/{NAME}'
+    assert folder not in files_by_target()
+    launchers = files_by_target('bdist_wheel')[folder]
+    scripts = setup_arguments()['entry_points']['console_scripts']
+    assert {path.name for path in launchers} == {script.split(' ')[0] for script in scripts}
+    assert all((ROOT / path).stat().st_mode & 0o111 for path in launchers)
+
+
+def test_licence_is_the_full_apache_text():
+    text = (ROOT / 'LICENSE').read_text()
+    assert 'Apache License' in text and 'Version 2.0, January 2004' in text
+    assert 'END OF TERMS AND CONDITIONS' in text
+
+
+def test_changelog_names_the_package():
+    lines = (ROOT / 'CHANGELOG.rst').read_text().splitlines()
+    assert f'Changelog for package {NAME}' in lines
+    assert 'Forthcoming' in lines or any(manifest().findtext('version') in line for line in lines)
+
+
+def test_no_file_holds_a_path_of_one_machine():
+    machine_path = re.compile(rb'(?<![\w.])/(?:home|root|work|farm|Users)/')
+    found = [path.name for path in tracked_files() if machine_path.search(path.read_bytes())]
+    assert not found
