@@ -143,8 +143,9 @@ def most_entropy(
     game: Game, edges: BoolArray, capacity: FloatArray, budget: float, deadline: float
 ) -> tuple[FloatArray, int]:
     """Unit flow p (M,) of maximal edge entropy on ``edges`` and the iterations it took."""
-    # On an acyclic network no node is visited more than once: u >= 1 never binds.
-    capacity = np.where(capacity < 1.0, capacity, np.inf)
+    if game.ambush_radius == 0.0:
+        # On an acyclic network no node is visited more than once: u >= 1 never binds.
+        capacity = np.where(capacity < 1.0, capacity, np.inf)
     rows = flow_rows(game, edges, capacity, 1.0)
     lengths = game.network.lengths[rows.edge]
     solution = minimise(rows.program(0.0, True, lengths, budget), rows.start(), deadline)
@@ -153,16 +154,30 @@ def most_entropy(
     return p, solution.iterations
 
 
-def shortest_flow(
-    game: Game, capacity: FloatArray, deadline: float
-) -> tuple[float, FloatArray]:
-    """Least expected length of a unit flow under ``capacity`` and the node potentials (N,)."""
+@dataclass(frozen=True, eq=False)
+class ShortestFlow:
+    """Least expected length [m], node potentials (N,) and reduced costs (M,) [m].
+
+    Potentials fall along every edge that the flow uses. A unit flow p under the same capacities
+    is at least ``reduced_cost' p`` longer than ``length``.
+    """
+
+    length: float
+    potential: FloatArray
+    reduced_cost: FloatArray
+
+
+def shortest_flow(game: Game, capacity: FloatArray, deadline: float) -> ShortestFlow:
+    """Unit flow of least expected length under ``capacity`` (S,)."""
     rows = flow_rows(game, game.playable, capacity, 1.0)
+    m = len(rows.edge)
     lengths = game.network.lengths[rows.edge]
     scale = float(lengths.mean())
     program = rows.program(lengths / scale, False, np.zeros_like(lengths), np.inf)
     solution = minimise(program, rows.start(), deadline)
-    return float(lengths @ solution.f[: len(lengths)]), rows.potentials(solution)
+    reduced = np.zeros(len(game.network.edges))
+    reduced[rows.edge] = np.maximum(lengths - scale * (rows.rows.T @ solution.y)[:m], 0.0)
+    return ShortestFlow(float(lengths @ solution.f[:m]), rows.potentials(solution), reduced)
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,7 +126,7 @@ class Game:
         distance = distances_from(
             self.network.edges[self.playable], price, self.node_count, self.network.source
         )
-        return float(distance[self.network.target]) - length_price * budget
+        return float(distance[self.network.target]) - (length_price and length_price * budget)
 
     def visits(self, p: FloatArray) -> FloatArray:
         """Expected visits x (N,) of each node; the source is visited once more than entered."""

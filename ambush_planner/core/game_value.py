@@ -112,8 +112,8 @@ def _cut_bound(game: Game) -> float:
         game.node_count,
         network.source,
     )
-    layer = depth[is_site].astype(np.int64)
-    capacity = np.bincount(layer, weights=1.0 / game.loss[is_site])
+    reached = is_site & np.isfinite(depth)
+    capacity = np.bincount(depth[reached].astype(np.int64), weights=1.0 / game.loss[reached])
     return float(capacity[1 : int(depth[network.target]) + 1].min())
 
 

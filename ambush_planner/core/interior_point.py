@@ -28,13 +28,21 @@ from .game import BoolArray
 from .network import IndexArray
 from .risk_map import FloatArray
 
-MAX_ITERATIONS = 100
+MAX_ITERATIONS = 150
 # Residuals of the rows, in their own units (flows of size 1).
 ROW_TOLERANCE = 1e-10
+# Where rounding keeps the rows from that, this will do after some more iterations.
+ROUGH_ROW_TOLERANCE, PATIENCE = 1e-8, 2
 # Weighted dual residual and complementarity, relative to 1 + |objective|.
 GAP_TOLERANCE = 1e-9
+# Afterwards the rows are met to this, in so many attempts at the most.
+POLISHED, POLISHING = 1e-14, 3
+# The last iterations aim at this share of the tolerated complementarity.
+LEAST_CENTRING = 0.1
 # Share of the way to the boundary that a step may go.
 BOUNDARY = 0.99
+# Changes of ln f that one step looks ahead to.
+MAX_RISE, MAX_FALL = 1.0, 20.0
 # A slack far from its bound makes W huge and costs digits in every row that it stands in. It only
 # delays such a slack, which the next iterations make up for, to pretend that W is smaller.
 MAX_WEIGHT = 1e4
@@ -108,10 +116,13 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
     """
     normal = _NormalMatrix(program.rows, program.places)
     point = _first_point(program, start)
+    nearly = 0
     for iteration in range(MAX_ITERATIONS):
         residuals = _Residuals(program, point)
-        if residuals.small():
-            return Solution(point.f, point.y, point.price, iteration)
+        nearly += residuals.small(ROUGH_ROW_TOLERANCE)
+        if residuals.small(ROW_TOLERANCE) or nearly > PATIENCE:
+            f = _polished(program, point.f, normal)
+            return Solution(f, point.y, point.price, iteration)
         if time.monotonic() > deadline:
             raise TimeLimit(f"interior point method: time is up after {iteration} iterations")
         newton = _Newton(program, point, residuals, normal)
@@ -122,6 +133,17 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
         f"interior point method: no convergence in {iteration + 1} iterations "
         f"(rows {residuals.row_error:.1e}, gap {residuals.relative_gap:.1e})"
     )
+
+
+def _polished(program: Program, f: FloatArray, normal: _NormalMatrix) -> FloatArray:
+    """Meet the rows to rounding by small relative changes of f."""
+    for _ in range(POLISHING):
+        missing = program.rhs - program.rows @ f
+        if np.abs(missing).max(initial=0.0) < POLISHED:
+            break
+        change = program.rows.T @ normal.factorise(np.minimum(f, 1.0))(missing)
+        f = f + np.minimum(f, 1.0) * np.clip(change, -0.5, 0.5)
+    return f
 
 
 def _first_point(program: Program, start: FloatArray) -> _Point:
@@ -148,16 +170,21 @@ class _Residuals:
         )
         self.gap = point.complementarity()
         pairs = np.count_nonzero(point.w) + program.has_budget
-        self.mu = self.gap / max(pairs, 1)
+        self._pairs = max(pairs, 1)
+        self.mu = self.gap / self._pairs
         self.row_error = float(np.abs(self.rows).max(initial=0.0))
         weighted = float((f * np.abs(self.dual)).sum())
         self.relative_gap = (weighted + self.gap) / (1.0 + abs(self.objective))
         self._budget_scale = 1.0 + abs(program.budget) if program.has_budget else 1.0
 
-    def small(self) -> bool:
+    def least_mu(self) -> float:
+        """Complementarity to aim for at the end; below it variables jam at their bounds."""
+        return LEAST_CENTRING * GAP_TOLERANCE * (1.0 + abs(self.objective)) / self._pairs
+
+    def small(self, row_tolerance: float) -> bool:
         return (
-            self.row_error < ROW_TOLERANCE
-            and abs(self.budget) < ROW_TOLERANCE * self._budget_scale
+            self.row_error < row_tolerance
+            and abs(self.budget) < row_tolerance * self._budget_scale
             and self.relative_gap < GAP_TOLERANCE
         )
 
@@ -169,8 +196,7 @@ class _Newton:
         self, program: Program, point: _Point, residuals: _Residuals, normal: _NormalMatrix
     ) -> None:
         self.program, self.point, self.residuals = program, point, residuals
-        curvature = np.where(program.entropic, 1.0, point.w) / point.f
-        self.weight = np.minimum(1.0 / curvature, MAX_WEIGHT)
+        self.weight = _weights(program, point, residuals)
         self._solve = normal.factorise(self.weight)
         if program.has_budget:
             self._border = program.rows @ (self.weight * program.dense)
@@ -204,22 +230,40 @@ class _Newton:
         return _Point(f, w, y, slack, price)
 
 
+def _weights(program: Program, point: _Point, residuals: _Residuals) -> FloatArray:
+    """How far each variable moves per unit of dual pull: 1 / curvature.
+
+    An entropic f whose dual residual is r should end at f e^r; the secant of the exponential
+    from 0 to r, not its tangent, leads there, so that one f far too large cannot hold up all.
+    """
+    weight = np.empty_like(point.f)
+    entropic = program.entropic
+    r = np.clip(residuals.dual[entropic], -np.inf, MAX_RISE)
+    r = np.where(np.abs(r) < 1e-8, 1e-8, r)
+    weight[entropic] = point.f[entropic] * np.expm1(r) / r
+    weight[~entropic] = point.f[~entropic] / point.w[~entropic]
+    return np.minimum(weight, MAX_WEIGHT)
+
+
 def _advance(program: Program, point: _Point, newton: _Newton) -> _Point:
     """One predictor-corrector step."""
-    mu = newton.residuals.mu
+    residuals = newton.residuals
+    mu = residuals.mu
     predictor = newton.move(-point.f * point.w, -point.slack * point.price)
     primal, dual = _step_lengths(point, predictor)
     centring = 0.0
     if mu > 0.0:
-        reached = point.step(predictor, primal, dual).complementarity() * mu / newton.residuals.gap
-        centring = min(1.0, (reached / mu) ** 3) * mu
+        kept = point.step(predictor, primal, dual).complementarity() / residuals.gap
+        centring = max(min(1.0, kept) ** 3 * mu, residuals.least_mu())
     both = primal * dual
     target = np.where(program.entropic, 0.0, centring - point.f * point.w)
     target -= both * predictor.f * predictor.w
     budget_target = centring - point.slack * point.price - both * predictor.slack * predictor.price
-    # ln(f + df) = ln f + df / f - (bend): what the linearisation of the entropy misses.
-    ratio = np.clip(primal * predictor.f / point.f, -0.95, 2.0)
-    bend = np.where(program.entropic, ratio - np.log1p(ratio), 0.0)
+    # Where the predictor asks ln f to change by a, f changes by the factor e^a.
+    wanted = np.clip(predictor.f / newton.weight, -MAX_FALL, MAX_RISE)
+    bend = np.where(
+        program.entropic, np.expm1(wanted) * point.f / newton.weight - wanted, 0.0
+    )
     move = newton.move(target, budget_target, bend)
     primal, dual = _step_lengths(point, move)
     return point.step(move, primal, dual)

@@ -19,7 +19,9 @@ from .risk_map import FloatArray
 
 # The later stages may miss the least value by this much, relative: without any room, the minimum
 # cut leaves their feasible sets no interior.
-ROOM = 1e-7
+ROOM = 4e-7
+# Edges that an accepted strategy uses less than this can be left out where the budget binds.
+HARDLY = 1e-4
 # Routes this near to the shortest, relative, count as shortest when the budget allows no detour.
 NO_DETOUR = 1e-7
 
@@ -51,8 +53,9 @@ def max_entropy_strategy(
     """
     left = _only_routes_within(game, budget)
     limit = np.inf if left is not game else budget
-    risk = _least_risk(left, limit, deadline)
-    capacity = _capacities(left, (1.0 + risk_slack) * (1.0 + ROOM) * risk.value)
+    accept = (1.0 + risk_slack) * (1.0 + ROOM)
+    risk = _least_risk(left, limit, accept, deadline)
+    capacity = _capacities(left, accept * risk.value)
     p, iterations = most_entropy(left, risk.edges, capacity, limit, deadline)
     price = risk.length_price
     if left is not game:
@@ -84,20 +87,19 @@ def _only_routes_within(game: Game, budget: float) -> Game:
     return replace(game, playable=game.playable & (through <= shortest * (1.0 + NO_DETOUR)))
 
 
-def _least_risk(game: Game, budget: float, deadline: float) -> _LeastRisk:
+def _least_risk(game: Game, budget: float, accept: float, deadline: float) -> _LeastRisk:
+    """Stage 1; ``accept`` times its value is what the later stages may use."""
     if game.ambush_radius > 0.0:
-        return _by_program(game, budget, deadline, float(game.loss.max(initial=0.0)))
+        return _by_program(game, budget, accept, deadline, float(game.loss.max(initial=0.0)))
     exact = solve_by_cut(game)
     if float(exact.p @ game.network.lengths) <= budget:
         return _LeastRisk(exact.value, _edges_around(game, exact), exact.q)
     if exact.value == 0.0:
-        return _by_program(game, budget, deadline, float(game.loss.max()))
-    length, potential = shortest_flow(
-        game, _capacities(game, (1.0 + ROOM / 2.0) * exact.value), deadline
-    )
-    if length <= budget:
-        return _LeastRisk(exact.value, forward_edges(game, -potential), exact.q)
-    return _by_program(game, budget, deadline, exact.value)
+        return _by_program(game, budget, accept, deadline, float(game.loss.max()))
+    least = shortest_flow(game, _capacities(game, (1.0 + ROOM) * exact.value), deadline)
+    if least.length > budget:
+        return _by_program(game, budget, accept, deadline, exact.value)
+    return _LeastRisk(exact.value, forward_edges(game, -least.potential), exact.q)
 
 
 def _edges_around(game: Game, exact: GameValue) -> BoolArray:
@@ -108,28 +110,40 @@ def _edges_around(game: Game, exact: GameValue) -> BoolArray:
     return acyclic_edges(game, exact.p)
 
 
-def _by_program(game: Game, budget: float, deadline: float, scale: float) -> _LeastRisk:
+def _by_program(
+    game: Game, budget: float, accept: float, deadline: float, scale: float
+) -> _LeastRisk:
     """Least value by a convex program, where no minimum cut tells it."""
-    untouched = game.playable & (game.hits.getnnz(axis=0) == 0)
-    network = game.network
-    safe = replace(game, playable=untouched)
-    distance = distances_from(
-        network.edges[untouched], network.lengths[untouched], game.node_count, network.source
-    )
-    if distance[network.target] <= budget:
-        _, potential = shortest_flow(safe, np.full(len(game.sites), np.inf), deadline)
-        return _LeastRisk(0.0, forward_edges(safe, -potential), indifferent_ambusher(game))
+    safe = _past_all_sites(game)
+    if safe is not None and _shortest(safe) <= budget:
+        flow = shortest_flow(safe, np.full(len(game.sites), np.inf), deadline)
+        return _LeastRisk(0.0, forward_edges(safe, -flow.potential), indifferent_ambusher(game))
     best = largest_flow(game, scale / game.loss[game.sites], budget, deadline)
     value = scale / best.size
-    _, potential = shortest_flow(game, _capacities(game, (1.0 + ROOM / 2.0) * value), deadline)
+    flow = shortest_flow(game, _capacities(game, accept * value), deadline)
+    # No accepted strategy uses an edge more than the spare length over its reduced cost; edges
+    # that can hardly be used would leave the entropy problem next to no interior.
+    usable = flow.reduced_cost * HARDLY <= max(budget - flow.length, 0.0)
+    edges = forward_edges(replace(game, playable=game.playable & usable), -flow.potential)
     q = np.zeros(game.node_count)
     q[game.sites] = best.site_price / game.loss[game.sites]
     total = q.sum()
     # In the scaled flow's units the dual reads: sum of site prices on a route + price * length is
     # at least 1 + price * budget; multiplied by the value it is the certificate's inequality.
-    return _LeastRisk(
-        value, forward_edges(game, -potential), q / total, best.length_price / total
-    )
+    return _LeastRisk(value, edges, q / total, best.length_price / total)
+
+
+def _past_all_sites(game: Game) -> Game | None:
+    """The game on the edges that no ambush hits, if a route is left; else None."""
+    untouched = replace(game, playable=game.playable & (game.hits.getnnz(axis=0) == 0))
+    return untouched if np.isfinite(_shortest(untouched)) else None
+
+
+def _shortest(game: Game) -> float:
+    """Length of the shortest playable route [m]; inf if there is none."""
+    network = game.network
+    edges, lengths = network.edges[game.playable], network.lengths[game.playable]
+    return float(distances_from(edges, lengths, game.node_count, network.source)[network.target])
 
 
 def _as_walk(game: Game, p: FloatArray) -> FloatArray:

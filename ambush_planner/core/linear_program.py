@@ -127,14 +127,13 @@ def _with_ambusher(
 
 def _run(program: LinearProgram, solver: str, budget: float, deadline: float) -> OptimizeResult:
     options = {
-        "presolve": solver == "simplex",
         "primal_feasibility_tolerance": TOLERANCE,
         "dual_feasibility_tolerance": TOLERANCE,
     }
     if np.isfinite(deadline):
         options["time_limit"] = max(deadline - time.monotonic(), 1e-3)
     if solver == "interior_point":
-        options |= {"run_crossover": _no_crossover(), "ipm_optimality_tolerance": 1e-12}
+        options |= {"run_crossover": _no_crossover()}
     with warnings.catch_warnings():
         # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
         warnings.simplefilter("ignore", OptimizeWarning)

@@ -194,6 +194,7 @@ def _certified(game: Game, outcome: Outcome, shortest: float, risk_slack: float)
             f"lower bound {bound:.9g}"
         )
     visits = game.visits(p)
+    leaving = np.bincount(network.tails, weights=p, minlength=game.node_count)
     return Strategy(
         game=game,
         edge_probability=frozen_array(p, np.float64),
@@ -203,7 +204,7 @@ def _certified(game: Game, outcome: Outcome, shortest: float, risk_slack: float)
         lower_bound=bound,
         gap=value - bound,
         edge_entropy=_entropy(p, np.ones_like(p)),
-        route_entropy=_entropy(p, visits[network.tails]),
+        route_entropy=_entropy(p, leaving[network.tails]),
         expected_length=float(p @ network.lengths),
         shortest_length=shortest,
         length_budget=outcome.budget,

@@ -6,11 +6,10 @@ The elevations are those of ``jacksboro_fault_dem.npz``, which ships with matplo
 in the south: 354 x 333 cells, 31.9 km x 30.0 km. For a cell of height h [m]:
 
 * Slope: the length of the gradient of h by central differences, so over 180 m. Where it is over
-  ``SLOPE_LIMIT`` = 0.40 (40 %, 21.8 degrees) the cell is an obstacle, value 100. Off-road trucks are
-  built to climb about 60 % on firm ground; ground that rises 40 % on average over 180 m holds
-  steeper pitches, and on a wooded hillside the ground is not firm. 11 % of the cells are steeper:
-  the flanks of the ridges, with gaps where streams cut through. (At 30 % it would be 32 %, at
-  50 % 1 %.)
+  ``SLOPE_LIMIT`` = 0.42 (23 degrees) the cell is an obstacle, value 100. Off-road trucks are built
+  to climb about 0.60 on firm, even ground; 30 % is taken off for soil, load and the steeper pitches
+  that an average over 180 m hides. 8 % of the cells are steeper: the flanks of the ridges, with
+  gaps where streams cut through. (0.30 would close 32 %, 0.50 only 1 %.)
 * Risk: being overlooked makes an ambush costly. With d = (highest h within ``VIEW_RADIUS`` = 500 m,
   about the range of a rifle) - h, the value is round(99 min(d / ``FULL_RISK_DEPTH``, 1)): 0 on
   crests and open plains, 99 at ``FULL_RISK_DEPTH`` = 200 m and more below the surroundings.
@@ -30,14 +29,14 @@ from scipy.ndimage import map_coordinates, maximum_filter
 FloatArray = npt.NDArray[np.float64]
 
 RESOLUTION = 90.0
-SLOPE_LIMIT = 0.40
+SLOPE_LIMIT = 0.42
 VIEW_RADIUS = 500.0
 FULL_RISK_DEPTH = 200.0
 OBSTACLE = 100
 METRES_PER_DEGREE = 111_200.0
 
 # Centres of free cells, (x, y) [m] from the map's south-west corner.
-START = (4005.0, 4005.0)
+START = (2025.0, 16065.0)
 GOAL = (26055.0, 27945.0)
 
 

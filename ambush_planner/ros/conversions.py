@@ -1,0 +1,163 @@
+"""Messages to arrays and back: whole arrays at a time, in named pairs.
+
+Every number is cast before it goes into a message: rclpy writes other types than the field's own
+into memory as they are.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+
+import numpy as np
+import numpy.typing as npt
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMessage
+from std_msgs.msg import Header
+
+from ..core.errors import InvalidRiskMap
+from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
+from .errors import FrameMismatch, InvalidPose
+
+# Of the squared norm, as Nav2 checks quaternions; covers rounding to float32.
+_UNIT_TOLERANCE = 1e-4
+
+
+def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
+    """Return the pose at (x, y) [m] that looks along yaw [rad]."""
+    half = 0.5 * float(yaw)
+    return Pose(
+        position=Point(x=float(x), y=float(y)),
+        orientation=Quaternion(z=math.sin(half), w=math.cos(half)),
+    )
+
+
+def pose_from_ros(pose: Pose) -> tuple[float, float, float]:
+    """Return (x, y, yaw) [m, m, rad] of a pose in the plane."""
+    q = pose.orientation
+    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    return pose.position.x, pose.position.y, yaw
+
+
+def occupancy_to_ros(
+    values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float], header: Header
+) -> OccupancyGrid:
+    """Return the grid of cell values (H, W), -1..100, row 0 the lowest; origin (x, y, yaw)."""
+    cells = np.ascontiguousarray(values, dtype=np.int8)
+    message = OccupancyGrid(header=header, data=array.array('b', cells.tobytes()))
+    message.info.map_load_time = header.stamp
+    message.info.height, message.info.width = (int(size) for size in cells.shape)
+    message.info.resolution = float(resolution)
+    message.info.origin = pose_to_ros(*origin)
+    return message
+
+
+def occupancy_from_ros(
+    message: OccupancyGrid,
+) -> tuple[npt.NDArray[np.int8], float, tuple[float, float, float]]:
+    """Return cell values (H, W), the resolution [m] and the origin (x, y, yaw).
+
+    Raises
+    ------
+    InvalidRiskMap
+        The map has no frame or no cells, its data is not width * height long, or its origin is
+        not a pose in the plane.
+    """
+    info = message.info
+    if not message.header.frame_id:
+        raise InvalidRiskMap('the map has no frame: header.frame_id is empty')
+    if info.width == 0 or info.height == 0:
+        raise InvalidRiskMap(f'the map is empty: width {info.width}, height {info.height}')
+    if len(message.data) != info.width * info.height:
+        raise InvalidRiskMap(
+            f'the map holds {len(message.data)} cells, but width {info.width} x height '
+            f'{info.height} is {info.width * info.height}'
+        )
+    origin = info.origin
+    if fault := _pose_fault(origin) or _tilt_fault(origin.orientation):
+        raise InvalidRiskMap(f"the map's origin: {fault}")
+    values = np.frombuffer(message.data, dtype=np.int8).reshape(info.height, info.width)
+    return values, float(info.resolution), pose_from_ros(origin)
+
+
+def risk_map_from_ros(message: OccupancyGrid, options: OccupancyOptions) -> RiskMap:
+    """Read the map's cell values as losses.
+
+    Raises
+    ------
+    InvalidRiskMap
+        The message is malformed, or a cell's value is outside -1..100.
+    """
+    return risk_map_from_occupancy(*occupancy_from_ros(message), options)
+
+
+def position_from_ros(pose: PoseStamped, name: str, frame: str) -> tuple[float, float]:
+    """Return (x, y) [m] of the pose called ``name``, which must be given in ``frame``.
+
+    Raises
+    ------
+    FrameMismatch
+        The pose is given in another frame, or in none.
+    InvalidPose
+        A number is not finite, or the orientation is not a unit quaternion.
+    """
+    if pose.header.frame_id != frame:
+        raise FrameMismatch(
+            f"{name} is given in the frame {pose.header.frame_id!r}, the map in {frame!r}; give "
+            "it in the map's frame"
+        )
+    if fault := _pose_fault(pose.pose):
+        raise InvalidPose(f'{name}: {fault}')
+    return pose.pose.position.x, pose.pose.position.y
+
+
+def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> PathMessage:
+    """Return the path along ``poses`` (L, 3) = (x, y, yaw).
+
+    The first pose has the start's position as it was given, the last one is the goal pose.
+    """
+    result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
+    result[0].pose.position = start.position
+    result[-1].pose = goal
+    return PathMessage(header=header, poses=result)
+
+
+def path_from_ros(path: PathMessage) -> FloatArray:
+    """Return the poses (L, 3) = (x, y, yaw) of a path."""
+    rows = [pose_from_ros(stamped.pose) for stamped in path.poses]
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def points_to_ros(points: FloatArray) -> list[Point]:
+    """Return the positions (K, 2) [m] as points at height 0."""
+    return [Point(x=x, y=y) for x, y in points.tolist()]
+
+
+def points_from_ros(points: list[Point]) -> FloatArray:
+    """Return the positions (K, 2) [m] of points."""
+    rows = [(point.x, point.y) for point in points]
+    return np.array(rows, dtype=np.float64).reshape(-1, 2)
+
+
+def _pose_fault(pose: Pose) -> str | None:
+    """Say what is wrong with a pose's numbers, if anything is."""
+    p, q = pose.position, pose.orientation
+    if not all(map(math.isfinite, (p.x, p.y, p.z))):
+        return f'position ({p.x}, {p.y}, {p.z}) is not finite'
+    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
+    if not abs(norm * norm - 1.0) <= _UNIT_TOLERANCE:
+        return (
+            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) is not a unit quaternion: '
+            f'its norm is {norm:.6g}'
+        )
+    return None
+
+
+def _tilt_fault(q: Quaternion) -> str | None:
+    if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
+        return (
+            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only a '
+            'rotation about z is possible'
+        )
+    return None

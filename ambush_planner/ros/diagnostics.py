@@ -1,0 +1,97 @@
+"""What the node tells about itself: one status with stable keys, never a route or a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header
+
+from ..core.planner import Plan
+from .errors import OK_CODE, code_of
+
+
+class Problem(NamedTuple):
+    """What is wrong: a code (``errors.code_of``) and the message for people."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Status:
+    """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'."""
+
+    missing: tuple[str, ...] = ()
+    solving: bool = False
+    problems: Mapping[str, Problem] = field(default_factory=dict)
+    plan: Plan | None = None
+    departures: int = 0
+    recording: str = 'off'
+
+    @property
+    def state(self) -> str:
+        """'solving', 'waiting' (for inputs) or 'ready'."""
+        if self.solving:
+            return 'solving'
+        return 'waiting' if self.missing else 'ready'
+
+    def with_problem(self, concern: str, error: Exception) -> Status:
+        """Return the status with ``error`` as what is wrong with ``concern``."""
+        problem = Problem(code_of(error), str(error) or type(error).__name__)
+        return replace(self, problems={**self.problems, concern: problem})
+
+    def without_problem(self, concern: str) -> Status:
+        """Return the status with nothing wrong with ``concern``."""
+        rest = {key: value for key, value in self.problems.items() if key != concern}
+        return replace(self, problems=rest)
+
+
+def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
+    """Return the status as the node called ``name`` publishes it on /diagnostics."""
+    level, code, message = _summary(status)
+    values = {
+        'state': status.state,
+        'code': code,
+        'message': message,
+        **_strategy_values(status.plan),
+        'departures': str(status.departures),
+        'recording': status.recording,
+    }
+    entry = DiagnosticStatus(
+        level=level,
+        name=name,
+        message=message,
+        values=[KeyValue(key=key, value=value) for key, value in values.items()],
+    )
+    return DiagnosticArray(header=Header(stamp=stamp), status=[entry])
+
+
+def _summary(status: Status) -> tuple[bytes, str, str]:
+    """(level, code, message): problems first, the last request's before all others."""
+    concerns = [concern for concern in ('request', 'map', 'recording')
+                if concern in status.problems]
+    if concerns:
+        problems = [status.problems[concern] for concern in concerns]
+        message = '; '.join(problem.message for problem in problems)
+        return DiagnosticStatus.ERROR, problems[0].code, message
+    if status.missing:
+        return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
+    return DiagnosticStatus.OK, OK_CODE, status.state
+
+
+def _strategy_values(plan: Plan | None) -> dict[str, str]:
+    """The strategy in force; the keys are there, and empty, as long as there is none."""
+    names = ('value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
+             'expected_length', 'shortest_length')
+    if plan is None:
+        return dict.fromkeys((*names, 'nodes', 'edges', 'solve_seconds'), '')
+    return {
+        **{name: f'{getattr(plan.strategy, name):.9g}' for name in names},
+        'nodes': str(len(plan.network.points)),
+        'edges': str(len(plan.network.edges)),
+        'solve_seconds': f'{plan.seconds:.3f}',
+    }

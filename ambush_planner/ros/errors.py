@@ -1,0 +1,71 @@
+"""What can be wrong with a request, and the code that the diagnostics give each error.
+
+Codes carry the names of the constants of Nav2's ``ComputePathToPose`` where there is one.
+"""
+
+from __future__ import annotations
+
+from ..core.errors import (
+    AmbushPlannerError,
+    BudgetInfeasible,
+    GoalBlocked,
+    GoalOutsideMap,
+    InvalidNetwork,
+    InvalidOption,
+    InvalidRiskMap,
+    NoRoute,
+    SolverFailed,
+    StartBlocked,
+    StartOutsideMap,
+    TimeLimit,
+)
+from ..recording import RecordingFailed
+
+
+class NoMap(AmbushPlannerError):
+    """No risk map is in force."""
+
+
+class NoStart(AmbushPlannerError):
+    """No start has arrived."""
+
+
+class NoGoal(AmbushPlannerError):
+    """No goal has arrived."""
+
+
+class InvalidPose(AmbushPlannerError, ValueError):
+    """A pose is not finite or its orientation is not a unit quaternion."""
+
+
+class FrameMismatch(AmbushPlannerError):
+    """A pose is not given in the map's frame."""
+
+
+OK_CODE = 'NONE'
+
+# The first row that fits counts: children stand above their parents.
+_CODES: tuple[tuple[type[Exception], str], ...] = (
+    (NoMap, 'NO_MAP'),
+    (NoStart, 'NO_START'),
+    (NoGoal, 'NO_GOAL'),
+    (InvalidPose, 'INVALID_POSE'),
+    (FrameMismatch, 'TF_ERROR'),
+    (StartOutsideMap, 'START_OUTSIDE_MAP'),
+    (GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
+    (StartBlocked, 'START_OCCUPIED'),
+    (GoalBlocked, 'GOAL_OCCUPIED'),
+    (NoRoute, 'NO_VALID_PATH'),
+    (BudgetInfeasible, 'NO_VALID_PATH'),
+    (TimeLimit, 'TIMEOUT'),
+    (InvalidRiskMap, 'INVALID_MAP'),
+    (InvalidNetwork, 'INVALID_NETWORK'),
+    (InvalidOption, 'INVALID_OPTION'),
+    (SolverFailed, 'SOLVER_FAILED'),
+    (RecordingFailed, 'RECORDING_FAILED'),
+)
+
+
+def code_of(error: Exception) -> str:
+    """Return the code of an error, UNKNOWN for one that is not the planner's own."""
+    return next((code for kind, code in _CODES if isinstance(error, kind)), 'UNKNOWN')

@@ -1,0 +1,125 @@
+"""What RViz and Foxglove show of a strategy: one marker a topic, built from whole arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import Vector3
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from ..core.network import IndexArray, Network
+from ..core.risk_map import FloatArray
+from ..core.strategy import Strategy
+from .conversions import points_to_ros
+
+# Edges, directions and sites that matter less often than once in this many departures are left
+# out: they would be drawn all but transparent.
+_SELDOM = 1e-4
+# Seldom to always: blue, yellow, red; seldom is more transparent.
+_RAMP = np.array([[0.20, 0.35, 0.85, 0.25], [0.95, 0.80, 0.20, 0.70], [0.85, 0.05, 0.10, 1.0]])
+_SHADES = 64
+
+
+def edge_probabilities(strategy: Strategy, header: Header) -> MarkerArray:
+    """One line list of the edges in use, coloured by the square root of their probability.
+
+    The root keeps the wide middle of a strategy visible beside the few edges at its ends.
+    """
+    network, p = strategy.network, strategy.edge_probability
+    shown = np.flatnonzero(p >= _SELDOM)
+    marker = _marker('edge_probabilities', Marker.LINE_LIST, header)
+    marker.scale.x = 0.12 * _edge_length(network)
+    marker.points = _ends(network, network.edges[shown])
+    marker.colors = _colours(np.repeat(np.sqrt(p[shown]), 2))
+    return _array(marker)
+
+
+def mean_direction(strategy: Strategy, header: Header) -> MarkerArray:
+    """One line list with an arrow a node: where the convoy goes on from there, on average.
+
+    An arrow is as long as the direction is certain, and coloured by the visits of its node.
+    """
+    network, x = strategy.network, strategy.visit_probability
+    shown = np.flatnonzero(x >= _SELDOM)
+    length = _edge_length(network)
+    direction = strategy.mean_direction()[shown]
+    shown, direction = _drop_zero(shown, direction)
+    marker = _marker('mean_direction', Marker.LINE_LIST, header)
+    marker.scale.x = 0.06 * length
+    marker.points = points_to_ros(_arrows(network.points[shown], 0.8 * length * direction))
+    marker.colors = _colours(np.repeat(np.sqrt(x[shown]), 6))
+    return _array(marker)
+
+
+def ambush_sites(strategy: Strategy, header: Header) -> MarkerArray:
+    """One list of flat discs where the ambusher would wait, coloured by how often.
+
+    A disc has the ambush's radius where there is one.
+    """
+    network, q = strategy.network, strategy.ambush_probability
+    shown = np.flatnonzero(q >= _SELDOM)
+    length = _edge_length(network)
+    diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
+    marker = _marker('ambush_sites', Marker.SPHERE_LIST, header)
+    marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
+    marker.points = points_to_ros(network.points[shown])
+    marker.colors = _colours(q[shown] / max(float(q.max(initial=0.0)), _SELDOM))
+    return _array(marker)
+
+
+def network_lines(network: Network, header: Header) -> MarkerArray:
+    """One grey line list of all edges, those of both directions drawn once."""
+    pairs = np.unique(np.sort(network.edges, axis=1), axis=0)
+    marker = _marker('network', Marker.LINE_LIST, header)
+    marker.scale.x = 0.03 * _edge_length(network)
+    marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
+    marker.points = _ends(network, pairs)
+    return _array(marker)
+
+
+def _marker(namespace: str, kind: int, header: Header) -> Marker:
+    marker = Marker(header=header, ns=namespace, id=0, type=kind, action=Marker.ADD)
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _array(marker: Marker) -> MarkerArray:
+    """Wrap the marker; viewers refuse lists without points, so an empty one removes the last."""
+    if not marker.points:
+        marker.action = Marker.DELETE
+    return MarkerArray(markers=[marker])
+
+
+def _edge_length(network: Network) -> float:
+    """Length of a typical edge [m], the measure of all that is drawn."""
+    return float(np.median(network.lengths))
+
+
+def _ends(network: Network, edges: IndexArray) -> list:
+    """Both ends of each edge (K, 2), one after the other; edges share their nodes' points."""
+    nodes, place = np.unique(edges, return_inverse=True)
+    points = points_to_ros(network.points[nodes])
+    return [points[k] for k in place.ravel().tolist()]
+
+
+def _colours(shares: FloatArray) -> list[ColorRGBA]:
+    """Return a colour for each share in 0..1; the few shades are shared."""
+    at = np.linspace(0.0, 1.0, len(_RAMP))
+    ramp = [np.interp(np.linspace(0.0, 1.0, _SHADES), at, channel) for channel in _RAMP.T]
+    shades = [ColorRGBA(r=r, g=g, b=b, a=a) for r, g, b, a in np.stack(ramp, axis=1).tolist()]
+    places = np.rint(np.clip(shares, 0.0, 1.0) * (_SHADES - 1)).astype(np.int64)
+    return [shades[k] for k in places.tolist()]
+
+
+def _drop_zero(nodes: IndexArray, direction: FloatArray) -> tuple[IndexArray, FloatArray]:
+    moving = np.hypot(*direction.T) > 1e-6
+    return nodes[moving], direction[moving]
+
+
+def _arrows(tails: FloatArray, shafts: FloatArray) -> FloatArray:
+    """Return the ends (6 * K, 2) of the three strokes of each arrow."""
+    tips = tails + shafts
+    across = np.stack((-shafts[:, 1], shafts[:, 0]), axis=1)
+    barbs = (tips - 0.3 * shafts + 0.15 * side * across for side in (1.0, -1.0))
+    left, right = barbs
+    return np.stack((tails, tips, tips, left, tips, right), axis=1).reshape(-1, 2)

@@ -1,0 +1,55 @@
+"""Everything that the node publishes, with the quality of service that DESIGN promises."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path as PathMessage
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from visualization_msgs.msg import MarkerArray
+
+from ..recording import RecordedMessage
+
+# Late joiners get the last message.
+LATCHED = QoSProfile(
+    depth=1,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+_DIAGNOSTICS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+
+_TOPICS = {
+    'path': (PathMessage, LATCHED),
+    'edge_probabilities': (MarkerArray, LATCHED),
+    'mean_direction': (MarkerArray, LATCHED),
+    'ambush_sites': (MarkerArray, LATCHED),
+    'network': (MarkerArray, LATCHED),
+    '/diagnostics': (DiagnosticArray, _DIAGNOSTICS),
+}
+
+
+class Outbox:
+    """Publishes, and hands back what a recording keeps of it."""
+
+    def __init__(self, node: Node) -> None:
+        self._clock = node.get_clock()
+        self._publishers = {
+            topic: node.create_publisher(kind, topic, qos)
+            for topic, (kind, qos) in _TOPICS.items()
+        }
+
+    def publish(self, topic: str, message: Any) -> RecordedMessage:
+        """Publish on one of the node's topics, by the name that it has in the code."""
+        publisher = self._publishers[topic]
+        publisher.publish(message)
+        _, qos = _TOPICS[topic]
+        return RecordedMessage(
+            publisher.topic_name, message, qos, self._clock.now().nanoseconds
+        )
+
+    def topic_name(self, topic: str) -> str:
+        """Return the full name after namespaces and remapping."""
+        return self._publishers[topic].topic_name

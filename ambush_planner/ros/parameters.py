@@ -1,0 +1,232 @@
+"""Every parameter of the node: declared once, read as a set into one frozen record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from ..core.construction import METHODS, NetworkOptions
+from ..core.errors import InvalidOption
+from ..core.game import GameOptions
+from ..core.planner import PlanningOptions
+from ..core.risk_map import OccupancyOptions
+from ..core.strategy import SOLVERS, StrategyOptions
+
+_MAP, _NETWORK, _GAME, _STRATEGY = (
+    OccupancyOptions(), NetworkOptions(), GameOptions(), StrategyOptions()
+)
+_INT64_MAX = 2**63 - 1
+COMPRESSIONS = ('zstd', 'lz4', 'none')
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """One parameter; ``low`` and ``high`` belong to the range, its type is the default's."""
+
+    default: bool | int | float | str
+    description: str
+    low: float = 0.0
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return what ``ros2 param describe`` shows."""
+        result = ParameterDescriptor(
+            description=self.description,
+            read_only=self.read_only,
+            additional_constraints=', '.join(self.choices) and f'one of {", ".join(self.choices)}',
+        )
+        if isinstance(self.default, float):
+            result.floating_point_range = [
+                FloatingPointRange(from_value=float(self.low), to_value=float(self.high))
+            ]
+        elif isinstance(self.default, int) and not isinstance(self.default, bool):
+            result.integer_range = [
+                IntegerRange(from_value=int(self.low), to_value=int(min(self.high, _INT64_MAX)))
+            ]
+        return result
+
+
+PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
+    'map.alpha_min': Declaration(
+        _MAP.alpha_min, 'Loss for being ambushed in a cell of value 0.'),
+    'map.alpha_max': Declaration(
+        _MAP.alpha_max, 'Loss for being ambushed in a cell of value 100; at least map.alpha_min.'),
+    'map.obstacle_threshold': Declaration(
+        _MAP.obstacle_threshold,
+        'Cells of at least this value are obstacles; 101: no value is one.', 1, 101),
+    'map.unknown_alpha': Declaration(
+        _MAP.unknown_alpha,
+        'Loss for being ambushed in an unknown cell (-1); negative: such cells are obstacles.',
+        -1.0),
+    'network.method': Declaration(
+        _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
+    'network.spacing': Declaration(
+        _NETWORK.spacing,
+        'Distance of nodes [m]; 0: chosen for about network.target_nodes nodes, never below the '
+        "map's resolution."),
+    'network.target_nodes': Declaration(
+        _NETWORK.target_nodes, 'Number of nodes aimed at when network.spacing is 0.',
+        2, 1_000_000),
+    'network.clearance': Declaration(
+        _NETWORK.clearance, 'Distance that routes keep from obstacle cells [m].'),
+    'game.ambush_radius': Declaration(
+        _GAME.ambush_radius,
+        'An ambush hits every route that passes within this distance of it [m]; 0: routes '
+        "through the ambush's node."),
+    'game.secured_radius': Declaration(
+        _GAME.secured_radius, 'Nobody can wait within this distance of start or goal [m].'),
+    'game.alpha_threshold': Declaration(
+        _GAME.alpha_threshold,
+        'Nodes whose loss is over this are not driven through; .inf: all may be.'),
+    'game.ambushers': Declaration(
+        _GAME.ambushers, 'Number of sites that are held at once; only 1 is available.', 1, 100),
+    'strategy.solver': Declaration(_STRATEGY.solver, 'How the game is solved.', choices=SOLVERS),
+    'strategy.max_detour': Declaration(
+        _STRATEGY.max_detour,
+        'Expected length allowed, as a multiple of the shortest path; .inf: any.', 1.0),
+    'strategy.risk_slack': Declaration(
+        _STRATEGY.risk_slack,
+        'Share of the value that may be given up for less predictable routes.'),
+    'strategy.length_weight': Declaration(
+        _STRATEGY.length_weight,
+        'Weight w of the length for the solvers interior_point and simplex, which minimise '
+        '(1 - w) * value + w * length.', 0.0, 1.0),
+    'max_planning_time': Declaration(
+        60.0, 'Time after which a solve is given up [s]; .inf: never.', 0.001),
+    'route.path_spacing': Declaration(
+        0.0,
+        "Largest distance of poses on the path [m]; 0: the map's resolution or the distance of "
+        'nodes, whichever is larger.'),
+    'recording.enabled': Declaration(True, 'Whether each departure is recorded.'),
+    'recording.directory': Declaration(
+        '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
+    'recording.compression': Declaration(
+        'zstd', 'Compression of the recordings.', choices=COMPRESSIONS),
+    'seed': Declaration(
+        -1,
+        "-1: routes are drawn with the operating system's entropy. From 0: always the same "
+        'sequence of routes, for tests and replay only.', -1, math.inf, read_only=True),
+})
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """Whether, where and how departures are recorded.
+
+    Raises
+    ------
+    InvalidOption
+        The directory is empty, or the compression is not one of those there are.
+    """
+
+    enabled: bool
+    directory: str
+    compression: str
+
+    def __post_init__(self) -> None:
+        if not self.directory.strip():
+            raise InvalidOption('recording.directory must not be empty')
+        if self.compression not in COMPRESSIONS:
+            raise InvalidOption(
+                f'recording.compression must be one of {", ".join(COMPRESSIONS)}, '
+                f'got {self.compression!r}'
+            )
+
+
+@dataclass(frozen=True)
+class NodeParameters:
+    """All parameters as the parts of the planner take them; ``path_spacing`` as declared [m]."""
+
+    occupancy: OccupancyOptions
+    planning: PlanningOptions
+    path_spacing: float
+    recording: RecordingOptions
+    seed: int
+    values: Mapping[str, Any]
+
+
+def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
+    """Read the values of all ``PARAMETERS`` as a set.
+
+    Raises
+    ------
+    InvalidOption
+        A value is out of range, or values contradict each other.
+    """
+    if not math.isfinite(values['route.path_spacing']):
+        raise InvalidOption(
+            f'route.path_spacing must be finite [m], got {values["route.path_spacing"]}'
+        )
+    strategy = StrategyOptions(
+        **_group(values, 'strategy'), time_limit=values['max_planning_time']
+    )
+    return NodeParameters(
+        occupancy=OccupancyOptions(**_group(values, 'map')),
+        planning=PlanningOptions(
+            NetworkOptions(**_group(values, 'network')),
+            GameOptions(**_group(values, 'game')),
+            strategy,
+        ),
+        path_spacing=values['route.path_spacing'],
+        recording=RecordingOptions(**_group(values, 'recording')),
+        seed=values['seed'],
+        values=MappingProxyType(dict(values)),
+    )
+
+
+def declare_parameters(
+    node: Node, changed: Callable[[NodeParameters], None]
+) -> NodeParameters:
+    """Declare all parameters; from now on ``changed`` is called with each new set that is valid.
+
+    Raises
+    ------
+    InvalidOption
+        The values that the node was started with are not valid as a set.
+    rclpy.exceptions.ParameterException
+        One of them has the wrong type or is out of its range.
+    """
+    node.declare_parameters(
+        '', [(name, each.default, each.descriptor()) for name, each in PARAMETERS.items()]
+    )
+    parameters = parameters_from(_values(node))
+    node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
+    node.add_post_set_parameters_callback(
+        lambda changes: changed(parameters_from(_values(node)))
+    )
+    return parameters
+
+
+def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    start = f'{prefix}.'
+    return {
+        name.removeprefix(start): value for name, value in values.items() if name.startswith(start)
+    }
+
+
+def _values(node: Node) -> dict[str, Any]:
+    return {name: node.get_parameter(name).value for name in PARAMETERS}
+
+
+def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
+    """Answer whether the set would be valid with ``changes``; other parameters are not ours."""
+    ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
+    try:
+        parameters_from({**_values(node), **ours})
+    except InvalidOption as error:
+        return SetParametersResult(successful=False, reason=str(error))
+    return SetParametersResult(successful=True)

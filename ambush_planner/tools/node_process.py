@@ -1,0 +1,111 @@
+"""A planner node as a process of its own, in a ROS domain of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+
+# Fast DDS finds others in domain d on UDP port 7400 + 250 d. Above domain 101 these ports are ones
+# that Linux gives to anybody.
+FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+DOMAINS = range(1, 102)
+# The node promises to end within 2 s.
+STOP_TIMEOUT = 10.0
+LOG_LINES = 12
+
+
+class NodeFailed(Exception):
+    """The node did not start, did not last, or did not end as it should."""
+
+
+def free_domain() -> int:
+    """Choose a ROS domain id at random among those that nobody on this machine is in.
+
+    Raises
+    ------
+    NodeFailed
+        All are taken.
+    """
+    for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain))
+            except OSError:
+                continue
+            return domain
+    raise NodeFailed("no ROS domain id is free on this machine")
+
+
+class NodeProcess:
+    """Runs ``ambush_planner.ros.planner_node`` with the given parameters until the ``with`` ends.
+
+    What the node prints goes to ``log``. ``seconds_to_stop`` says, after the end, how long the
+    node took to stop.
+
+    Raises
+    ------
+    NodeFailed
+        At the end, if the node did not exit with 0 on SIGINT. Errors in the ``with`` go first.
+    """
+
+    def __init__(self, parameters: Mapping[str, object], domain: int, log: Path) -> None:
+        self._log = log
+        self._arguments = ["--ros-args", "--log-level", "warn"]
+        for name, value in parameters.items():
+            # JSON is YAML, which ROS reads parameters as, with all quotes in place.
+            self._arguments += ["-p", f"{name}:={json.dumps(value)}"]
+        self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        self.seconds_to_stop = 0.0
+
+    def __enter__(self) -> NodeProcess:
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "ambush_planner.ros.planner_node", *self._arguments],
+                env=self._environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                # Ctrl-C is for the caller, which then stops the node.
+                start_new_session=True,
+            )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        code = self._stop()
+        if error is None and code != 0:
+            raise NodeFailed(f"the node ended with exit code {code} on SIGINT{self._last_words()}")
+
+    def check(self) -> None:
+        """Raise NodeFailed if the node has ended."""
+        code = self._process.poll()
+        if code is not None:
+            raise NodeFailed(f"the node ended early, exit code {code}{self._last_words()}")
+
+    def _stop(self) -> int:
+        begin = time.monotonic()
+        self._process.send_signal(signal.SIGINT)
+        try:
+            code = self._process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            code = self._process.wait()
+        self.seconds_to_stop = time.monotonic() - begin
+        return code
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(errors="replace").splitlines()[-LOG_LINES:]
+        return "; its last words:\n" + "\n".join(lines) if lines else ""

@@ -1,0 +1,226 @@
+"""A running planner node and a client beside it, apart from every other test and process."""
+
+import fcntl
+import os
+import tempfile
+import threading
+import time
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
+from rclpy.context import Context
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
+from ambush_planner.ros.planner_node import PlannerNode
+
+os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+
+TIMEOUT = 20.0  # s; discovery alone may take 3
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+FRAME = 'map'
+MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network')
+# About 100 nodes: a solve takes milliseconds.
+SMALL = {'network.spacing': 1.0}
+
+
+@contextmanager
+def free_domain():
+    """A domain id that no other test on this machine uses at the same time."""
+    # Ids over 101 need ports that the operating system also gives to others.
+    for domain in range(1, 102):
+        path = Path(tempfile.gettempdir(), f'ambush_planner_test_domain_{domain}.lock')
+        with path.open('w') as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            yield domain
+            return
+    raise RuntimeError('all domain ids from 1 to 101 are taken')
+
+
+@contextmanager
+def spinning(node, executor):
+    """Spin the node in a thread that is joined in the end: a thread left would abort Python."""
+    stop, failed = threading.Event(), []
+
+    def spin():
+        try:
+            while not stop.is_set():
+                executor.spin_once(timeout_sec=0.1)
+        except BaseException as error:
+            failed.append(error)
+
+    executor.add_node(node)
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        executor.shutdown()
+        node.destroy_node()
+        if failed:
+            raise AssertionError(f'{node.get_name()} stopped spinning') from failed[0]
+
+
+@contextmanager
+def ros_context(domain):
+    """A context of its own in a domain."""
+    context = Context()
+    rclpy.init(args=[], context=context, domain_id=domain)
+    try:
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def wait_until(condition, what, timeout=TIMEOUT):
+    """Return the first true value of ``condition()``."""
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        if value := condition():
+            return value
+        time.sleep(0.002)
+    raise AssertionError(f'not within {timeout} s: {what}')
+
+
+class Client:
+    """Publishes inputs, calls services and keeps all that the planner publishes."""
+
+    def __init__(self, node, planner='ambush_planner'):
+        self.node = node
+        self.received = {}
+        self._publishers = {}
+        self._keep(PathMessage, 'path', LATCHED)
+        self._keep(DiagnosticArray, '/diagnostics', 100)
+        for topic in MARKER_TOPICS:
+            self._keep(MarkerArray, topic, LATCHED)
+        self._services = {
+            name: node.create_client(kind, f'{planner}/{name}')
+            for name, kind in (('new_route', Trigger), ('replan', Trigger), ('get_plan', GetPlan))
+        }
+
+    def _keep(self, kind, topic, qos):
+        self.received[topic] = []
+        self.node.create_subscription(kind, topic, self.received[topic].append, qos)
+
+    def publish(self, topic, message):
+        """Publish once the planner listens; maps are latched."""
+        if topic not in self._publishers:
+            qos = LATCHED if isinstance(message, OccupancyGrid) else 1
+            self._publishers[topic] = self.node.create_publisher(type(message), topic, qos)
+        publisher = self._publishers[topic]
+        wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
+        publisher.publish(message)
+
+    def call(self, name, request=None):
+        """Call a service of the planner and return its answer."""
+        client = self._services[name]
+        assert client.wait_for_service(timeout_sec=TIMEOUT), name
+        future = client.call_async(request or client.srv_type.Request())
+        wait_until(future.done, f'an answer of {name}')
+        return future.result()
+
+    def call_until(self, name, condition):
+        """Call a Trigger until its answer is as wanted: inputs on their way are in no order."""
+        answers = []
+
+        def wanted():
+            answers.append(self.call(name))
+            return condition(answers[-1])
+
+        wait_until(wanted, f'a wanted answer of {name}')
+        return answers[-1]
+
+    def get_plan(self, start, goal, tolerance=0.0):
+        """Ask for a plan between two stamped poses."""
+        request = GetPlan.Request(start=start, goal=goal, tolerance=float(tolerance))
+        return self.call('get_plan', request).plan
+
+    def last(self, topic, count=1):
+        """Return the latest message of a topic, once ``count`` have come."""
+        wait_until(lambda: len(self.received[topic]) >= count, f'{count} messages on {topic}')
+        return self.received[topic][-1]
+
+    def diagnostics(self, **wanted):
+        """Return the values of the latest report, once it has those wanted, and its level."""
+        found = {}
+
+        def matches():
+            if self.received['/diagnostics']:
+                status = self.received['/diagnostics'][-1].status[0]
+                found.update({v.key: v.value for v in status.values}, level=status.level)
+            return found and all(found[key] == value for key, value in wanted.items())
+
+        try:
+            wait_until(matches, f'diagnostics with {wanted}')
+        except AssertionError as error:
+            raise AssertionError(f'{error}; the last one: {found}') from None
+        return found
+
+
+class Stage:
+    """A planner node in this process, with a client in a context of its own."""
+
+    def __init__(self, planner, client):
+        self.planner, self.client = planner, client
+
+    def give(self, grid=None, start=(1.5, 5.5), goal=(8.5, 5.5)):
+        """Give the planner all inputs, and wait until it has them."""
+        self.client.publish('alpha_map', risk_grid() if grid is None else grid)
+        self.client.publish('start_pose', pose(*start))
+        self.client.publish('goal_pose', pose(*goal))
+        self.client.diagnostics(state='ready')
+        return self.client
+
+
+@contextmanager
+def stage(directory=None, parameters=None, **planner_arguments):
+    """A running planner (recording to ``directory``, if given) and its client."""
+    values = {**SMALL, 'recording.enabled': directory is not None, **(parameters or {})}
+    if directory is not None:
+        values['recording.directory'] = str(directory)
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
+        planner = PlannerNode(
+            context=own, parameter_overrides=overrides, **planner_arguments
+        )
+        stack.enter_context(spinning(planner, MultiThreadedExecutor(4, context=own)))
+        node = Node('client', context=other, namespace=planner.get_namespace())
+        client = Client(node, planner.get_fully_qualified_name())
+        stack.enter_context(spinning(node, SingleThreadedExecutor(context=other)))
+        yield Stage(planner, client)
+
+
+def header(frame=FRAME):
+    return Header(frame_id=frame)
+
+
+def risk_grid(values=None, resolution=0.5, origin=(0.0, 0.0, 0.0), frame=FRAME):
+    """A map, by default 10 m x 10 m with a block in the middle and more risk in the south."""
+    if values is None:
+        values = np.repeat(np.linspace(60, 10, 20).astype(np.int8)[:, None], 20, axis=1)
+        values[8:14, 8:12] = 100
+    return occupancy_to_ros(values, resolution, origin, header(frame))
+
+
+def pose(x, y, yaw=0.0, frame=FRAME):
+    return PoseStamped(header=header(frame), pose=pose_to_ros(x, y, yaw))

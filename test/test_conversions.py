@@ -1,0 +1,166 @@
+"""Messages to arrays and back: round trips, exactness, and what is refused."""
+
+import math
+import time
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Quaternion
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from ros_harness import FRAME, header, pose, risk_grid
+
+from ambush_planner.core.errors import InvalidRiskMap
+from ambush_planner.core.risk_map import OccupancyOptions
+from ambush_planner.ros.conversions import (
+    occupancy_from_ros,
+    occupancy_to_ros,
+    path_from_ros,
+    path_to_ros,
+    points_from_ros,
+    points_to_ros,
+    pose_from_ros,
+    pose_to_ros,
+    position_from_ros,
+    risk_map_from_ros,
+)
+from ambush_planner.ros.errors import FrameMismatch, InvalidPose
+
+NAN, INF = math.nan, math.inf
+coordinates = st.floats(-1e6, 1e6)
+
+
+def over_the_wire(message):
+    return deserialize_message(serialize_message(message), type(message))
+
+
+@given(coordinates, coordinates, st.floats(-math.pi, math.pi))
+def test_pose_round_trip(x, y, yaw):
+    got = pose_from_ros(over_the_wire(pose_to_ros(x, y, yaw)))
+    assert got[:2] == (x, y)
+    assert math.cos(got[2] - yaw) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_yaw_does_not_depend_on_the_quaternions_sign():
+    message = pose_to_ros(0, 0, 2.5)
+    q = message.orientation
+    message.orientation = Quaternion(x=-q.x, y=-q.y, z=-q.z, w=-q.w)
+    assert pose_from_ros(message)[2] == pytest.approx(2.5)
+
+
+def test_occupancy_round_trip():
+    values = np.random.default_rng(3).integers(-1, 101, (7, 5), dtype=np.int8)
+    message = occupancy_to_ros(values, 0.25, (1.0, -2.0, 0.75), header())
+    assert (message.info.height, message.info.width) == (7, 5)
+    got, resolution, origin = occupancy_from_ros(over_the_wire(message))
+    np.testing.assert_array_equal(got, values)
+    assert (resolution, *origin) == pytest.approx((0.25, 1.0, -2.0, 0.75), abs=1e-15)
+
+
+def test_resolution_is_used_as_it_was_received():
+    message = over_the_wire(risk_grid(resolution=0.05))
+    assert risk_map_from_ros(message, OccupancyOptions()).resolution == float(np.float32(0.05))
+
+
+def test_first_cell_of_the_message_is_the_lower_left():
+    values = np.zeros((2, 3), dtype=np.int8)
+    values[0, 2] = 100
+    risk_map = risk_map_from_ros(occupancy_to_ros(values, 1.0, (0, 0, 0), header()),
+                                 OccupancyOptions())
+    assert np.argwhere(risk_map.obstacles).tolist() == [[0, 2]]
+
+
+def test_a_map_of_four_million_cells_is_read_without_a_loop():
+    message = risk_grid(np.zeros((2000, 2000), dtype=np.int8))
+    begin = time.perf_counter()
+    occupancy_from_ros(message)
+    assert time.perf_counter() - begin < 0.05
+
+
+def test_path_keeps_both_ends_exactly():
+    start, goal = pose_to_ros(0.1, 0.2, 3.0), pose_to_ros(7.3, 0.4, -2.0)
+    start.position.z, goal.position.z = 1.5, 2.5
+    rows = np.array([[0.1, 0.2, 0.0], [3.0, 0.2, 0.5], [7.3, 0.4, 0.5]])
+    path = over_the_wire(path_to_ros(rows, start, goal, header()))
+    assert path.poses[0].pose.position == start.position
+    assert pose_from_ros(path.poses[0].pose)[2] == 0.0
+    assert path.poses[-1].pose == goal
+    assert {stamped.header.frame_id for stamped in path.poses} == {FRAME}
+    rows[-1, 2] = -2.0
+    np.testing.assert_allclose(path_from_ros(path), rows, rtol=0, atol=1e-15)
+
+
+def test_points_round_trip():
+    points = np.random.default_rng(1).normal(size=(20, 2))
+    np.testing.assert_array_equal(points_from_ros(points_to_ros(points)), points)
+
+
+def spoiled(**changes):
+    """A good map with fields of its info, origin's position or orientation changed."""
+    message = risk_grid(np.zeros((3, 4), dtype=np.int8))
+    for name, value in changes.items():
+        place = message.info
+        if name in ('x', 'y', 'z'):
+            place = message.info.origin.position
+        elif name.startswith('q'):
+            place, name = message.info.origin.orientation, name[1:]
+        setattr(place, name, value)
+    return message
+
+
+BAD_MAPS = {
+    'no cells': (spoiled(width=0, height=0), 'empty: width 0, height 0'),
+    'no rows': (spoiled(height=0), 'width 4, height 0'),
+    'data too short': (spoiled(height=5), '12 cells, but width 4 x height 5 is 20'),
+    'data too long': (spoiled(width=2), '12 cells, but width 2 x height 3 is 6'),
+    'huge claim': (spoiled(width=30_000, height=30_000), '900000000'),
+    'resolution 0': (spoiled(resolution=0.0), 'resolution.*0.0'),
+    'resolution negative': (spoiled(resolution=-0.5), 'resolution.*-0.5'),
+    'resolution NaN': (spoiled(resolution=NAN), 'resolution.*nan'),
+    'resolution infinite': (spoiled(resolution=INF), 'resolution.*inf'),
+    'origin NaN': (spoiled(x=NAN), r"origin: position \(nan, 0.0, 0.0\)"),
+    'origin infinite': (spoiled(y=-INF), r"origin: position \(0.0, -inf, 0.0\)"),
+    'origin quaternion NaN': (spoiled(qz=NAN), 'origin: orientation .*nan'),
+    'origin quaternion zero': (spoiled(qw=0.0), 'not a unit quaternion: its norm is 0'),
+    'origin quaternion long': (spoiled(qw=2.0), 'not a unit quaternion: its norm is 2'),
+    'origin tilted': (spoiled(qw=0.0, qx=1.0), 'tilts the map'),
+    'value over 100': (risk_grid(np.array([[0, 101]])), r'101 at \(row, column\) \(0, 1\)'),
+    'value under -1': (risk_grid(np.array([[0], [-2]])), r'-2 at \(row, column\) \(1, 0\)'),
+    'no frame': (risk_grid(frame=''), 'frame_id is empty'),
+}
+
+
+@pytest.mark.parametrize('name', BAD_MAPS)
+def test_bad_map_is_refused_by_name_and_number(name):
+    message, words = BAD_MAPS[name]
+    with pytest.raises(InvalidRiskMap, match=words):
+        risk_map_from_ros(message, OccupancyOptions())
+
+
+def turned(**orientation):
+    message = pose(1.0, 2.0)
+    message.pose.orientation = Quaternion(**orientation)
+    return message
+
+
+BAD_POSES = {
+    'NaN': (pose(NAN, 2.0), InvalidPose, r'goal: position \(nan, 2.0, 0.0\)'),
+    'infinite': (pose(1.0, INF), InvalidPose, r'goal: position \(1.0, inf, 0.0\)'),
+    'quaternion NaN': (turned(w=NAN), InvalidPose, 'goal: orientation .*nan'),
+    'quaternion zero': (turned(w=0.0), InvalidPose, 'norm is 0'),
+    'quaternion long': (turned(w=1.0, z=1.0), InvalidPose, 'norm is 1.41421'),
+    'other frame': (pose(1.0, 2.0, frame='odom'), FrameMismatch, "goal.*'odom'.*'map'"),
+    'no frame': (pose(1.0, 2.0, frame=''), FrameMismatch, "goal.*''.*'map'"),
+}
+
+
+@pytest.mark.parametrize('name', BAD_POSES)
+def test_bad_pose_is_refused_by_name_and_number(name):
+    message, error, words = BAD_POSES[name]
+    with pytest.raises(error, match=words):
+        position_from_ros(message, 'goal', FRAME)
+
+
+def test_position_of_a_good_pose():
+    assert position_from_ros(pose(1.0, 2.0, 0.5), 'goal', FRAME) == (1.0, 2.0)

@@ -1,0 +1,140 @@
+"""Pictures: what the layers show, and that both figures of the demo are drawn."""
+
+import math
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="pictures need matplotlib")
+
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from ambush_planner.core.construction import NetworkOptions
+from ambush_planner.core.planner import PlanningOptions, depart, plan
+from ambush_planner.core.risk_map import RiskMap
+from ambush_planner.tools import figures
+from ambush_planner.tools.demo_figures import routes_figure, strategy_figure
+from ambush_planner.tools.figures import FixedRoute
+
+
+@pytest.fixture(scope="module")
+def small_plan():
+    row, column = np.mgrid[:20, :24]
+    alpha = 1.0 + 0.2 * row + 0.1 * column
+    obstacles = (abs(row - 10) < 3) & (abs(column - 12) < 3)
+    risk_map = RiskMap(alpha, obstacles, 5.0)
+    options = PlanningOptions(NetworkOptions(spacing=10.0))
+    return plan(risk_map, (12.0, 52.0), (108.0, 48.0), options)
+
+
+@pytest.fixture
+def axes():
+    return Figure().subplots()
+
+
+def turned_map(yaw: float) -> RiskMap:
+    return RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 2.0, (100.0, 50.0, yaw))
+
+
+def test_frame_holds_a_turned_map(axes):
+    figures.frame(axes, turned_map(math.pi / 2), "turned")
+    np.testing.assert_allclose(axes.get_xlim(), (94.0, 100.0))
+    np.testing.assert_allclose(axes.get_ylim(), (50.0, 60.0))
+    assert axes.get_xlabel() == "x [m]"
+
+
+def test_large_maps_are_labelled_in_kilometres(axes):
+    figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), "large")
+    assert axes.get_xlabel() == "x [km]"
+    assert axes.xaxis.get_major_formatter()(2500.0) == "2.5"
+
+
+def test_the_map_lies_where_its_origin_says(axes):
+    risk_map = turned_map(0.3)
+    image = figures.draw_risk_map(axes, risk_map)
+    shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
+    np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
+
+
+def test_obstacles_are_no_shade_of_grey(axes):
+    obstacles = np.array([[True, False]])
+    image = figures.draw_risk_map(axes, RiskMap(np.ones((1, 2)), obstacles, 1.0))
+    np.testing.assert_array_equal(image.get_array().mask, obstacles)
+
+
+def test_edges_hardly_driven_are_left_out_and_the_likeliest_lie_on_top(axes, small_plan):
+    network = small_plan.network
+    p = np.zeros(len(network.edges))
+    p[:4] = 0.2, 0.9, 0.5 * figures.LEAST_PROBABILITY, 0.1
+    lines = figures.draw_edges(axes, network, p)
+    assert lines.get_array().tolist() == [0.1, 0.2, 0.9]
+    assert (np.diff(lines.get_linewidths()) > 0.0).all()
+    np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
+
+
+@pytest.mark.parametrize("largest", [0.0, 1e-9, 0.3, 1.0])
+def test_the_scale_of_probabilities_is_never_empty(largest):
+    scale = figures.probability_scale(np.array([0.0, largest]))
+    assert scale.vmin == figures.LEAST_PROBABILITY < scale.vmax
+    assert np.isfinite(scale(largest))
+
+
+def test_binned_directions_are_weighted_means():
+    points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
+    direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
+    places, mean, share = figures.binned_directions(
+        points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0
+    )
+    np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
+    np.testing.assert_allclose(mean, [[0.75, 0.25], [0.6, 0.8]])
+    np.testing.assert_allclose(share, [1.0, 0.5])
+
+
+def test_binned_directions_of_nothing():
+    places, mean, share = figures.binned_directions(
+        np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), 1.0
+    )
+    assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
+
+
+def test_bins_hold_the_whole_weight(small_plan):
+    strategy = small_plan.strategy
+    _, mean, share = figures.binned_directions(
+        small_plan.network.points, strategy.mean_direction(), strategy.visit_probability, 1e9
+    )
+    assert share.tolist() == [1.0]
+    x = strategy.visit_probability
+    np.testing.assert_allclose(mean[0], x @ strategy.mean_direction() / x.sum())
+
+
+def test_markers_show_where_the_ambusher_may_be(axes, small_plan):
+    q = small_plan.strategy.ambush_probability
+    figures.draw_ambush_sites(axes, small_plan.network, q)
+    (markers,) = axes.collections
+    assert len(markers.get_offsets()) == (q > 1e-3 * q.max()).sum() > 0
+    sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
+    np.testing.assert_array_equal(np.argsort(sizes, kind="stable"),
+                                  np.argsort(shown, kind="stable"))
+
+
+def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
+    figures.draw_ambush_sites(axes, small_plan.network, np.zeros(len(small_plan.network.points)))
+    assert len(axes.collections[0].get_offsets()) == 0
+
+
+@pytest.mark.parametrize("secured", [0.0, 15.0])
+def test_both_figures_are_drawn(tmp_path, small_plan, secured):
+    rng = np.random.default_rng(3)
+    routes = [depart(small_plan, rng).points for _ in range(8)]
+    fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(("a", "b"))]
+    for name, figure in (
+        ("strategy.png", strategy_figure(small_plan, secured)),
+        ("routes.png", routes_figure(small_plan, routes, fixed, secured)),
+    ):
+        figure.savefig(tmp_path / name)
+        height, width, _ = imread(tmp_path / name).shape
+        assert width > 1500 and height > 900
+        assert np.std(imread(tmp_path / name)) > 0.05
+        legend = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert ("secured" in " ".join(legend)) == (secured > 0.0)

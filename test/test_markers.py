@@ -1,0 +1,130 @@
+"""Markers tell what the strategy says: one marker a topic, as many points as colours."""
+
+import time
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+from ros_harness import header, risk_grid
+from visualization_msgs.msg import Marker
+
+from ambush_planner.core.construction import NetworkOptions
+from ambush_planner.core.game import GameOptions
+from ambush_planner.core.network import Network
+from ambush_planner.core.planner import PlanningOptions, plan
+from ambush_planner.core.risk_map import OccupancyOptions
+from ambush_planner.core.strategy import solve
+from ambush_planner.ros.conversions import points_from_ros, risk_map_from_ros
+from ambush_planner.ros.markers import (
+    ambush_sites,
+    edge_probabilities,
+    mean_direction,
+    network_lines,
+)
+
+ALL = (edge_probabilities, mean_direction, ambush_sites)
+
+
+@pytest.fixture(scope='module')
+def strategy():
+    risk_map = risk_map_from_ros(risk_grid(), OccupancyOptions())
+    options = PlanningOptions(NetworkOptions(spacing=1.0))
+    return plan(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
+
+
+def corridor():
+    """A single route without any loss: nobody would wait anywhere but by symmetry."""
+    return Network(np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros(2), np.array([[0, 1]]), 0, 1)
+
+
+def only(message):
+    (marker,) = message.markers
+    return marker
+
+
+def alphas(marker):
+    return np.array([colour.a for colour in marker.colors])
+
+
+@pytest.mark.parametrize('build', ALL)
+def test_one_marker_with_a_colour_a_point(strategy, build):
+    marker = only(build(strategy, header()))
+    assert (marker.ns, marker.id, marker.action) == (build.__name__, 0, Marker.ADD)
+    assert marker.header.frame_id == 'map'
+    assert marker.pose.orientation.w == 1.0
+    assert len(marker.points) == len(marker.colors) > 0
+    assert marker.scale.x > 0.0
+    assert ((alphas(marker) > 0.0) & (alphas(marker) <= 1.0)).all()
+    serialize_message(build(strategy, header()))
+
+
+def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
+    marker = only(edge_probabilities(strategy, header()))
+    assert marker.type == Marker.LINE_LIST
+    network, p = strategy.network, strategy.edge_probability
+    used = network.edges[p >= 1e-4]
+    np.testing.assert_array_equal(points_from_ros(marker.points),
+                                  network.points[used.ravel()])
+
+
+def test_likelier_edges_are_more_opaque(strategy):
+    p = strategy.edge_probability
+    shown = alphas(only(edge_probabilities(strategy, header())))[::2]
+    order = np.argsort(p[p >= 1e-4])
+    assert (np.diff(shown[order]) >= 0.0).all()
+    assert shown.max() - shown.min() > 0.2
+
+
+def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
+    marker = only(mean_direction(strategy, header()))
+    strokes = points_from_ros(marker.points).reshape(-1, 6, 2)
+    visited = (strategy.visit_probability >= 1e-4) & (
+        np.hypot(*strategy.mean_direction().T) > 1e-6)
+    np.testing.assert_array_equal(strokes[:, 0], strategy.network.points[visited])
+    shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
+    np.testing.assert_allclose(np.cross(shafts, wanted), 0.0, atol=1e-12)
+    assert ((shafts * wanted).sum(axis=1) > 0.0).all()
+    assert (strokes[:, [2, 4]] == strokes[:, [1, 1]]).all(), 'barbs begin at the tip'
+
+
+def test_sites_are_where_the_ambusher_waits(strategy):
+    marker = only(ambush_sites(strategy, header()))
+    q = strategy.ambush_probability
+    np.testing.assert_array_equal(points_from_ros(marker.points),
+                                  strategy.network.points[q >= 1e-4])
+    assert alphas(marker).max() == pytest.approx(1.0)
+
+
+def test_sites_are_as_wide_as_the_ambush_reaches(strategy):
+    reaching = solve(strategy.network, GameOptions(ambush_radius=1.2))
+    scale = only(ambush_sites(reaching, header())).scale
+    assert (scale.x, scale.y) == (2.4, 2.4)
+    assert scale.z < 1.0
+
+
+def test_network_draws_each_pair_once(strategy):
+    marker = only(network_lines(strategy.network, header()))
+    pairs = {frozenset(edge) for edge in strategy.network.edges.tolist()}
+    ends = points_from_ros(marker.points).reshape(-1, 4)
+    assert len(np.unique(ends, axis=0)) == len(ends) == len(pairs)
+    assert 0.0 < marker.color.a < 1.0
+
+
+def test_what_has_no_points_removes_the_marker_of_before():
+    marker = only(ambush_sites(solve(corridor()), header()))
+    assert bool(marker.points) == (marker.action == Marker.ADD)
+
+
+def test_sixty_thousand_edges_take_no_loop_over_fields(monkeypatch):
+    n = 123
+    xy = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2).astype(float)
+    right = np.array([[k, k + 1] for k in range(n * n - 1) if (k + 1) % n])
+    up = np.array([[k, k + n] for k in range(n * n - n)])
+    edges = np.concatenate((right, right[:, ::-1], up, up[:, ::-1]))
+    network = Network(xy, np.zeros(n * n), edges[(edges[:, 1] != 0) & (edges[:, 0] != n * n - 1)],
+                      0, n * n - 1)
+    assert len(network.edges) > 59_000
+    begin = time.perf_counter()
+    network_lines(network, header())
+    # Far over what it needs, far under what a loop over fields does with checks switched on.
+    assert time.perf_counter() - begin < 2.0

@@ -1,0 +1,136 @@
+"""Parameters: declared once, described, ranged, and valid only as a set."""
+
+import math
+
+import pytest
+from rcl_interfaces.msg import ParameterType
+from rclpy.parameter import Parameter
+from ros_harness import free_domain, ros_context
+
+from ambush_planner.core.construction import NetworkOptions
+from ambush_planner.core.errors import InvalidOption
+from ambush_planner.core.game import GameOptions
+from ambush_planner.core.risk_map import OccupancyOptions
+from ambush_planner.core.strategy import StrategyOptions
+from ambush_planner.recording import Recorder
+from ambush_planner.ros.parameters import COMPRESSIONS, PARAMETERS, parameters_from
+from ambush_planner.ros.planner_node import PlannerNode
+
+DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
+# DESIGN section 6.
+NAMES = """
+    map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha
+    network.method network.spacing network.target_nodes network.clearance
+    game.ambush_radius game.secured_radius game.alpha_threshold game.ambushers
+    strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
+    max_planning_time route.path_spacing
+    recording.enabled recording.directory recording.compression seed
+""".split()
+
+
+@pytest.fixture(scope='module')
+def node():
+    with free_domain() as domain, ros_context(domain) as context:
+        node = PlannerNode(context=context)
+        yield node
+        node.destroy_node()
+
+
+def start(**overrides):
+    """Start a node with parameters, as a launch file would."""
+    values = [Parameter(name.replace('__', '.'), value=value) for name, value in overrides.items()]
+    with free_domain() as domain, ros_context(domain) as context:
+        PlannerNode(context=context, parameter_overrides=values).destroy_node()
+
+
+def change(node, **values):
+    """Set parameters together, as ``ros2 param load`` does; return the answer."""
+    return node.set_parameters_atomically(
+        [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()])
+
+
+def test_all_parameters_of_the_design_are_there(node):
+    assert sorted(PARAMETERS) == sorted(NAMES)
+    assert all(node.has_parameter(name) for name in NAMES)
+
+
+def test_defaults_are_the_cores_own():
+    parameters = parameters_from(DEFAULTS)
+    assert parameters.occupancy == OccupancyOptions()
+    assert parameters.planning.network == NetworkOptions()
+    assert parameters.planning.game == GameOptions()
+    assert parameters.planning.strategy == StrategyOptions(
+        time_limit=DEFAULTS['max_planning_time'])
+    assert parameters.seed == -1
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_parameter_is_described_and_ranged(node, name):
+    descriptor = node.describe_parameter(name)
+    assert descriptor.description.endswith('.')
+    ranges = {
+        ParameterType.PARAMETER_DOUBLE: descriptor.floating_point_range,
+        ParameterType.PARAMETER_INTEGER: descriptor.integer_range,
+    }
+    if descriptor.type in ranges:
+        (within,) = ranges[descriptor.type]
+        assert within.from_value <= PARAMETERS[name].default <= within.to_value
+
+
+def test_choices_are_in_the_description(node):
+    assert 'uniform_delaunay' in node.describe_parameter('network.method').additional_constraints
+
+
+def test_compressions_are_those_of_the_recorder(tmp_path):
+    for name in COMPRESSIONS:
+        Recorder(tmp_path, name)
+
+
+@pytest.mark.parametrize('values, words', [
+    ({'map__alpha_min': 20.0}, 'alpha_min 20.0 and alpha_max 10.0'),
+    ({'map__alpha_max': math.inf}, 'alpha_max must be finite'),
+    ({'map__obstacle_threshold': 102}, 'Max: 101'),
+    ({'network__method': 'hexagons'}, 'one of uniform_delaunay'),
+    ({'network__spacing': -1.0}, 'out of range'),
+    ({'network__clearance': math.nan}, 'out of range'),
+    ({'game__ambushers': 2}, 'ambushers must be 1, got 2'),
+    ({'strategy__max_detour': 0.5}, 'out of range'),
+    ({'strategy__length_weight': 0.01}, 'length_weight 0.01 goes with the solvers'),
+    ({'max_planning_time': 0.0}, 'out of range'),
+    ({'route__path_spacing': math.inf}, 'path_spacing must be finite'),
+    ({'recording__directory': ' '}, 'directory must not be empty'),
+    ({'recording__compression': 'rar'}, 'one of zstd, lz4, none'),
+    ({'seed': 7}, 'read-only'),
+])
+def test_bad_values_are_refused_with_the_reason(node, values, words):
+    before = [node.get_parameter(name).value for name in NAMES]
+    answer = change(node, **values)
+    assert not answer.successful
+    assert words in answer.reason
+    assert [node.get_parameter(name).value for name in NAMES] == before
+
+
+def test_what_is_valid_only_together_is_accepted_together(node):
+    assert change(node, map__alpha_min=20.0, map__alpha_max=30.0).successful
+    assert change(node, map__alpha_min=1.0, map__alpha_max=10.0).successful
+
+
+@pytest.mark.parametrize('name', ['game__alpha_threshold', 'strategy__max_detour',
+                                  'max_planning_time'])
+def test_infinity_switches_off(node, name):
+    assert change(node, **{name: math.inf}).successful
+    assert node.get_parameter(name.replace('__', '.')).value == math.inf
+
+
+def test_bad_values_stop_the_start_with_the_reason():
+    with pytest.raises(InvalidOption, match='alpha_min 20.0 and alpha_max 10.0'):
+        start(map__alpha_min=20.0)
+
+
+def test_a_full_valid_set_starts():
+    start(seed=3, strategy__solver='simplex', strategy__length_weight=0.01,
+          strategy__max_detour=math.inf)
+
+
+def test_the_record_holds_all_values_for_the_recording():
+    assert dict(parameters_from(DEFAULTS).values) == DEFAULTS
