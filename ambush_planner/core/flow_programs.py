@@ -19,6 +19,9 @@ from .interior_point import Program, Solution, minimise
 from .network import IndexArray
 from .risk_map import FloatArray
 
+# No route of an optimal strategy enters a disc so often.
+MANY = 1e4
+
 
 @dataclass(frozen=True, eq=False)
 class FlowRows:
@@ -74,12 +77,23 @@ class FlowRows:
         return potential
 
 
-def flow_rows(game: Game, edges: BoolArray, capacity: FloatArray, size: float | None) -> FlowRows:
-    """Rows for flows of a given size (None: free) on ``edges`` (M,) under ``capacity`` (S,).
+def flow_rows(
+    game: Game,
+    edges: BoolArray,
+    capacity: FloatArray,
+    size: float | None,
+    at_most_one: bool = False,
+) -> FlowRows:
+    """Rows for flows of a given size (None: free, or ``at_most_one``) on ``edges`` (M,).
 
-    Infinite capacities are left out. Every node of ``edges`` must lie on a route.
+    ``capacity`` (S,) may be infinite. Every node of ``edges`` must lie on a route.
     """
     edge = np.flatnonzero(edges)
+    if size is not None or at_most_one:
+        # Cycles aside, a node is visited at most once and a disc is entered a few times at most:
+        # larger capacities never bind.
+        most = MANY if game.ambush_radius > 0.0 else 1.0
+        capacity = np.where(capacity < most, capacity, np.inf)
     site = np.flatnonzero(np.isfinite(capacity) & (_uses(game, edge) > 0))
     node = np.unique(game.network.edges[edge])
     ends = [game.network.target] if size is not None else [game.network.source, game.network.target]
@@ -102,11 +116,13 @@ def _uses(game: Game, edge: IndexArray) -> IndexArray:
 
 
 def _incidence(game: Game, nodes: IndexArray, ends: IndexArray) -> csr_matrix:
-    """(len(nodes), len(ends)) 0/1: which of ``nodes`` each edge end is; ``nodes`` is sorted."""
-    position = np.minimum(np.searchsorted(nodes, ends), max(len(nodes) - 1, 0))
-    known = np.flatnonzero(nodes[position] == ends) if len(nodes) else np.empty(0, dtype=np.int64)
+    """(len(nodes), len(ends)) 0/1: which of ``nodes`` each edge end is (-1: none of them)."""
+    row_of = np.full(game.node_count + 1, -1)
+    row_of[nodes] = np.arange(len(nodes))
+    row = row_of[ends]
+    known = np.flatnonzero(row >= 0)
     return csr_matrix(
-        (np.ones(len(known)), (position[known], known)), shape=(len(nodes), len(ends))
+        (np.ones(len(known)), (row[known], known)), shape=(len(nodes), len(ends))
     )
 
 
@@ -143,9 +159,6 @@ def most_entropy(
     game: Game, edges: BoolArray, capacity: FloatArray, budget: float, deadline: float
 ) -> tuple[FloatArray, int]:
     """Unit flow p (M,) of maximal edge entropy on ``edges`` and the iterations it took."""
-    if game.ambush_radius == 0.0:
-        # On an acyclic network no node is visited more than once: u >= 1 never binds.
-        capacity = np.where(capacity < 1.0, capacity, np.inf)
     rows = flow_rows(game, edges, capacity, 1.0)
     lengths = game.network.lengths[rows.edge]
     solution = minimise(rows.program(0.0, True, lengths, budget), rows.start(), deadline)
@@ -190,14 +203,16 @@ class BudgetedValue:
 
 
 def largest_flow(
-    game: Game, capacity: FloatArray, budget: float, deadline: float
+    game: Game, capacity: FloatArray, budget: float, at_most_one: bool, deadline: float
 ) -> BudgetedValue:
     """Largest flow under ``capacity`` (S,) whose mean length is at most ``budget`` [m].
+
+    ``at_most_one`` tells that its size is known to be at most 1.
 
     ``l' f <= budget * size(f)`` is one row that is homogeneous in f, so this is again a flow
     program, in which the least value is one over the flow's size.
     """
-    rows = flow_rows(game, game.playable, capacity, None)
+    rows = flow_rows(game, game.playable, capacity, None, at_most_one)
     leaving = game.network.tails[rows.edge] == game.network.source
     dense = np.zeros(len(rows.edge))
     limit = np.inf

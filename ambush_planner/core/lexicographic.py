@@ -9,19 +9,23 @@ from scipy.sparse import csc_matrix, identity
 from scipy.sparse.linalg import splu
 
 from .acyclic import acyclic_edges, forward_edges
-from .errors import BudgetInfeasible
-from .flow_programs import largest_flow, most_entropy, shortest_flow
+from .errors import BudgetInfeasible, SolverFailed
+from .flow_programs import BudgetedValue, largest_flow, most_entropy, shortest_flow
 from .game import BoolArray, Game
 from .game_value import GameValue, indifferent_ambusher, solve_by_cut
 from .outcome import Outcome
-from .paths import distances_from
+from .paths import distances_from, on_some_route
 from .risk_map import FloatArray
 
 # The later stages may miss the least value by this much, relative: without any room, the minimum
 # cut leaves their feasible sets no interior.
 ROOM = 4e-7
+# Nodes that an optimal strategy visits less often than this are left out.
+HOPELESS = 1e-8
 # Edges that an accepted strategy uses less than this can be left out where the budget binds.
 HARDLY = 1e-4
+# A scaled flow below this has too few digits: the value is many orders over the first guess.
+TINY_FLOW, RESCALINGS = 1e-3, 6
 # Routes this near to the shortest, relative, count as shortest when the budget allows no detour.
 NO_DETOUR = 1e-7
 
@@ -59,7 +63,7 @@ def max_entropy_strategy(
     p, iterations = most_entropy(left, risk.edges, capacity, limit, deadline)
     price = risk.length_price
     if left is not game:
-        price = max(risk.value, 1e-300) / (NO_DETOUR * budget)
+        price = risk.value / (NO_DETOUR * budget)
     return Outcome(_as_walk(game, p), risk.q, budget, price, iterations)
 
 
@@ -90,16 +94,47 @@ def _only_routes_within(game: Game, budget: float) -> Game:
 def _least_risk(game: Game, budget: float, accept: float, deadline: float) -> _LeastRisk:
     """Stage 1; ``accept`` times its value is what the later stages may use."""
     if game.ambush_radius > 0.0:
-        return _by_program(game, budget, accept, deadline, float(game.loss.max(initial=0.0)))
-    exact = solve_by_cut(game)
+        return _by_program(game, budget, accept, deadline, 0.0)
+    lean, exact = _solve_leanly(game)
     if float(exact.p @ game.network.lengths) <= budget:
-        return _LeastRisk(exact.value, _edges_around(game, exact), exact.q)
+        return _LeastRisk(exact.value, _edges_around(lean, exact), exact.q)
     if exact.value == 0.0:
-        return _by_program(game, budget, accept, deadline, float(game.loss.max()))
-    least = shortest_flow(game, _capacities(game, (1.0 + ROOM) * exact.value), deadline)
+        return _by_program(game, budget, accept, deadline, 0.0)
+    least = shortest_flow(lean, _capacities(lean, (1.0 + ROOM) * exact.value), deadline)
     if least.length > budget:
         return _by_program(game, budget, accept, deadline, exact.value)
-    return _LeastRisk(exact.value, forward_edges(game, -least.potential), exact.q)
+    return _LeastRisk(exact.value, forward_edges(lean, -least.potential), exact.q)
+
+
+def _without_hopeless_nodes(game: Game, value: float) -> Game | None:
+    """Leave out the nodes that a strategy of this value visits next to never, if there are any.
+
+    A node whose alpha is many orders over the value bounds the visits so tightly that rounding
+    alone would break the bound. None: there are no such nodes, or no route does without them.
+    """
+    hopeless = value < HOPELESS * game.loss
+    if not hopeless.any():
+        return None
+    network = game.network
+    usable = game.playable & ~hopeless[network.heads] & ~hopeless[network.tails]
+    useful = on_some_route(
+        network.edges[usable], game.node_count, network.source, network.target
+    )
+    if not useful[network.source]:
+        return None
+    return replace(game, playable=usable & useful[network.tails] & useful[network.heads])
+
+
+def _solve_leanly(game: Game) -> tuple[Game, GameValue]:
+    """Solve by a cut, without the nodes that hardly count where the value allows it."""
+    exact = solve_by_cut(game)
+    lean = _without_hopeless_nodes(game, exact.value) if exact.value > 0.0 else None
+    if lean is None:
+        return game, exact
+    again = solve_by_cut(lean)
+    if again.value > exact.value * (1.0 + ROOM / 4.0):
+        return game, exact
+    return lean, replace(again, q=exact.q)
 
 
 def _edges_around(game: Game, exact: GameValue) -> BoolArray:
@@ -111,26 +146,43 @@ def _edges_around(game: Game, exact: GameValue) -> BoolArray:
 
 
 def _by_program(
-    game: Game, budget: float, accept: float, deadline: float, scale: float
+    game: Game, budget: float, accept: float, deadline: float, at_least: float
 ) -> _LeastRisk:
-    """Least value by a convex program, where no minimum cut tells it."""
+    """Least value by a convex program, where no minimum cut tells it but only ``at_least``."""
     safe = _past_all_sites(game)
     if safe is not None and _shortest(safe) <= budget:
         flow = shortest_flow(safe, np.full(len(game.sites), np.inf), deadline)
         return _LeastRisk(0.0, forward_edges(safe, -flow.potential), indifferent_ambusher(game))
-    best = largest_flow(game, scale / game.loss[game.sites], budget, deadline)
-    value = scale / best.size
+    value, best = _least_value(game, budget, deadline, at_least)
+    game = _without_hopeless_nodes(game, value) or game
     flow = shortest_flow(game, _capacities(game, accept * value), deadline)
     # No accepted strategy uses an edge more than the spare length over its reduced cost; edges
     # that can hardly be used would leave the entropy problem next to no interior.
-    usable = flow.reduced_cost * HARDLY <= max(budget - flow.length, 0.0)
+    spare = max(budget - flow.length, 1e-9 * flow.length)
+    usable = flow.reduced_cost * HARDLY <= spare
     edges = forward_edges(replace(game, playable=game.playable & usable), -flow.potential)
+    if not edges.any():
+        raise SolverFailed("the shortest strategy of least risk leaves no usable edges")
     q = np.zeros(game.node_count)
     q[game.sites] = best.site_price / game.loss[game.sites]
     total = q.sum()
     # In the scaled flow's units the dual reads: sum of site prices on a route + price * length is
     # at least 1 + price * budget; multiplied by the value it is the certificate's inequality.
     return _LeastRisk(value, edges, q / total, best.length_price / total)
+
+
+def _least_value(
+    game: Game, budget: float, deadline: float, at_least: float
+) -> tuple[float, BudgetedValue]:
+    """Solve for the largest flow in units in which it is neither tiny nor huge."""
+    scale = at_least if at_least > 0.0 else float(game.loss.max())
+    best = largest_flow(game, _capacities(game, scale), budget, at_least > 0.0, deadline)
+    for _ in range(RESCALINGS):
+        if best.size > TINY_FLOW:
+            break
+        scale /= best.size + TINY_FLOW**2
+        best = largest_flow(game, _capacities(game, scale), budget, at_least > 0.0, deadline)
+    return scale / best.size, best
 
 
 def _past_all_sites(game: Game) -> Game | None:

@@ -1,0 +1,172 @@
+"""Random ambush games and slow, independent answers to them, for the suites of the core.
+
+The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many examples, random ones.
+"""
+
+from __future__ import annotations
+
+import heapq
+import os
+import warnings
+from fractions import Fraction
+
+import networkx
+import numpy as np
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
+
+METHODS = ("uniform_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay")
+PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
+WITH_ZERO = (0.0, *PLAIN)
+NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)
+
+
+def examples(count: int) -> settings:
+    """Hypothesis' settings for ``count`` examples in CI."""
+    hunt = os.environ.get("HUNT")
+    return settings(
+        max_examples=count * int(hunt or 1),
+        derandomize=hunt is None,
+        database=None,
+        deadline=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+
+
+@st.composite
+def networks(draw, alphas=WITH_ZERO, max_nodes=9):
+    """Networks of any shape with a route: loops, dead ends, corridors, s beside t, two nodes."""
+    n = draw(st.integers(2, max_nodes))
+    place = st.tuples(st.integers(0, 6), st.integers(0, 6))
+    points = draw(st.lists(place, min_size=n, max_size=n, unique=True))
+    alpha = [0.0, *draw(st.lists(st.sampled_from(alphas), min_size=n - 2, max_size=n - 2)), 0.0]
+    pairs = [(i, j) for i in range(n - 1) for j in range(1, n) if i != j]
+    edges = draw(st.sets(st.sampled_from(pairs), max_size=4 * n))
+    inner = draw(st.permutations(range(1, n - 1)))[: draw(st.integers(0, n - 2))]
+    route = [0, *inner, n - 1]
+    edges |= set(zip(route[:-1], route[1:], strict=True))
+    return Network(np.array(points, float), np.array(alpha), np.array(sorted(edges)), 0, n - 1)
+
+
+def random_map(seed: int, cells: int = 12, obstacles: float = 0.15, yaw: float = 0.0) -> RiskMap:
+    """A smooth map of losses 1..10 with single obstacle cells strewn over it."""
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[0:cells, 0:cells] / cells
+    waves = rng.normal(size=(4, 3))
+    height = sum(np.sin(3.0 * a * u + 3.0 * b * v + c) for a, b, c in waves)
+    alpha = 1.0 + 9.0 * (height - height.min()) / np.ptp(height)
+    return RiskMap(alpha, rng.random((cells, cells)) < obstacles, 1.0, (3.0, -2.0, yaw))
+
+
+def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12) -> Network:
+    """A network over a random map; the first seed from ``seed`` on that has a route."""
+    while True:
+        risk_map = random_map(seed, cells, obstacles=0.08)
+        free = np.argwhere(~risk_map.obstacles)
+        column = free[:, 1]
+        start, goal = free[np.argmin(column)], free[np.argmax(column)]
+        ends = risk_map.to_world(np.array([start, goal])[:, ::-1] + 0.5)
+        try:
+            return build_network(risk_map, *ends, NetworkOptions(method, 1.3, seed=seed))
+        except NoRoute:
+            seed += 1_000_003
+
+
+terrain_networks = st.builds(
+    terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS), st.integers(5, 10)
+)
+
+
+def paper_example() -> Network:
+    """The paper's 8-node network: two columns of 3 between source and target, 7 routes."""
+    points = [(0, 1), *((1, k) for k in range(3)), *((2, k) for k in range(3)), (3, 1)]
+    edges = [(0, k) for k in (1, 2, 3)] + [(k, 7) for k in (4, 5, 6)]
+    edges += [(1 + i, 4 + j) for i in range(3) for j in range(3) if abs(i - j) <= 1]
+    alpha = np.array([0, 1, 1, 1, 1, 1, 1, 0.0])
+    return Network(np.array(points, float), alpha, np.array(edges), 0, 7)
+
+
+def quiet_network(*args) -> Network:
+    """A network whose useless edges are dropped without a word."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return Network(*args)
+
+
+def exact_value(network: Network) -> Fraction:
+    """Value of the plain game in rational arithmetic: networkx' maximum flow, nodes split."""
+    graph = networkx.DiGraph()
+    for node, alpha in enumerate(network.alpha):
+        limit = {"capacity": 1 / Fraction(float(alpha))} if alpha > 0 else {}
+        graph.add_edge((node, "in"), (node, "out"), **limit)
+    for tail, head in network.edges.tolist():
+        graph.add_edge((tail, "out"), (head, "in"))
+    ends = (network.source, "in"), (network.target, "out")
+    try:
+        return 1 / networkx.maximum_flow_value(
+            graph, *ends, flow_func=networkx.algorithms.flow.edmonds_karp
+        )
+    except networkx.NetworkXUnbounded:
+        return Fraction(0)
+
+
+def program_value(
+    network: Network, hits: np.ndarray | None = None, budget: float = np.inf
+) -> float:
+    """Least value by a dense linear program; row j of ``hits`` (N, M) lists what site j hits."""
+    n, m = len(network.points), len(network.edges)
+    head, tail = (
+        np.equal.outer(np.arange(n), network.edges[:, k]).astype(float) for k in (1, 0)
+    )
+    hits = head if hits is None else hits
+    rows = np.hstack((network.alpha[:, None] * hits, -np.ones((n, 1))))
+    limits = np.zeros(n)
+    if np.isfinite(budget):
+        rows = np.vstack((rows, np.append(network.lengths, 0.0)))
+        limits = np.append(limits, budget)
+    supply = np.zeros(n)
+    supply[network.source], supply[network.target] = 1.0, -1.0
+    balance = np.hstack((tail - head, np.zeros((n, 1))))
+    tolerances = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    found = linprog(
+        np.append(np.zeros(m), 1.0), rows, limits, balance, supply, method="highs-ds",
+        options=tolerances,
+    )
+    assert found.status == 0, found.message
+    return float(found.fun)
+
+
+def least_weight(network: Network, weights: np.ndarray) -> float:
+    """Least sum of edge weights (M,) >= 0 over all routes: a plain Dijkstra."""
+    leaving: dict[int, list[tuple[int, float]]] = {}
+    for (tail, head), weight in zip(network.edges.tolist(), weights.tolist(), strict=True):
+        leaving.setdefault(tail, []).append((head, weight))
+    queue, done = [(0.0, network.source)], set()
+    while queue:
+        distance, node = heapq.heappop(queue)
+        if node == network.target:
+            return distance
+        if node in done:
+            continue
+        done.add(node)
+        for head, weight in leaving.get(node, ()):
+            heapq.heappush(queue, (distance + weight, head))
+    return np.inf
+
+
+def is_acyclic(network: Network, p: np.ndarray) -> bool:
+    """Whether the edges with p > 0 form no cycle."""
+    graph = networkx.DiGraph(network.edges[p > 0.0].tolist())
+    return networkx.is_directed_acyclic_graph(graph)
+
+
+def connected_flow(network: Network, p: np.ndarray) -> float:
+    """Maximum flow from source to target through the support of p, capacities p."""
+    graph = networkx.DiGraph()
+    for (tail, head), capacity in zip(network.edges.tolist(), p.tolist(), strict=True):
+        if capacity > 0.0:
+            graph.add_edge(tail, head, capacity=capacity)
+    return networkx.maximum_flow_value(graph, network.source, network.target)

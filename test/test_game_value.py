@@ -1,0 +1,149 @@
+"""The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import (
+    NASTY,
+    PLAIN,
+    connected_flow,
+    exact_value,
+    examples,
+    is_acyclic,
+    least_weight,
+    networks,
+    program_value,
+    quiet_network,
+    terrain_networks,
+)
+from hypothesis import given
+
+from ambush_planner import GameOptions
+from ambush_planner.core.game import make_game
+from ambush_planner.core.game_value import GameValue, solve_by_cut
+
+
+def solved(network) -> GameValue:
+    return solve_by_cut(make_game(network, GameOptions()))
+
+
+def check_laws(network, found: GameValue) -> None:
+    """Both players' strategies are strategies, and each guarantees the value."""
+    p, q, game = found.p, found.q, make_game(network, GameOptions())
+    assert p.min() >= 0.0 and q.min() >= 0.0
+    assert q.sum() == pytest.approx(1.0, abs=1e-12)
+    assert game.conservation_residual(p) < 1e-12
+    visits = np.bincount(network.heads, weights=p, minlength=len(q))
+    assert (network.alpha * visits).max() <= found.value * (1 + 1e-9)
+    assert least_weight(network, (q * network.alpha)[network.heads]) >= found.value * (1 - 1e-9)
+    assert is_acyclic(network, p)
+    assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-9)
+
+
+def check_cut(network, found: GameValue) -> None:
+    """Without the cut's nodes no route is left, and q lives on the cut as 1 / alpha."""
+    gone = np.isin(network.heads, found.cut)
+    assert least_weight(network, np.where(gone, np.inf, 0.0)) == np.inf
+    assert np.array_equal(np.flatnonzero(found.q), found.cut)
+    weighted = (found.q * network.alpha)[found.cut]
+    assert weighted == pytest.approx(found.value, rel=1e-12)
+
+
+@examples(300)
+@given(networks())
+def test_value_and_strategies_on_any_network(network):
+    found = solved(network)
+    check_laws(network, found)
+    assert found.value == pytest.approx(float(exact_value(network)), rel=1e-9)
+    if found.value > 0.0:
+        check_cut(network, found)
+
+
+@examples(300)
+@given(networks(alphas=NASTY))
+def test_value_with_losses_from_1e_9_to_1e9_in_one_network(network):
+    found = solved(network)
+    check_laws(network, found)
+    assert found.value == pytest.approx(float(exact_value(network)), rel=1e-9)
+
+
+@examples(200)
+@given(networks(alphas=PLAIN))
+def test_value_agrees_with_the_linear_program(network):
+    assert solved(network).value == pytest.approx(program_value(network), rel=1e-9)
+
+
+@examples(40)
+@given(terrain_networks)
+def test_value_on_terrain(network):
+    found = solved(network)
+    check_laws(network, found)
+    assert found.value == pytest.approx(float(exact_value(network)), rel=1e-9)
+    if found.value > 0.0:
+        check_cut(network, found)
+
+
+def line(alphas, edges=None):
+    """Nodes in a row, joined one after the other unless ``edges`` says otherwise."""
+    n = len(alphas)
+    edges = [(k, k + 1) for k in range(n - 1)] if edges is None else edges
+    points = np.stack((np.arange(n), np.zeros(n)), axis=1)
+    return quiet_network(points, np.array(alphas, float), np.array(edges), 0, n - 1)
+
+
+def test_two_nodes_have_value_zero():
+    found = solved(line([0, 0]))
+    assert found.value == 0.0 and found.p.tolist() == [1.0]
+    assert found.q.sum() == pytest.approx(1.0)
+
+
+def test_source_beside_target_has_value_zero_whatever_the_losses():
+    found = solved(line([0, 5, 0], [(0, 1), (1, 2), (0, 2)]))
+    assert found.value == 0.0 and found.p.tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_single_corridor_costs_its_worst_node():
+    found = solved(line([0, 1, 4, 2, 0]))
+    assert found.value == 4.0 and found.q.tolist() == [0, 0, 1, 0, 0]
+
+
+def test_two_equal_cuts_give_one_value():
+    found = solved(line([0, 3, 3, 0]))
+    assert found.value == 3.0
+    assert found.q.tolist() in ([0, 1, 0, 0], [0, 0, 1, 0])
+
+
+def test_parallel_nodes_share_in_proportion_to_one_over_alpha():
+    network = line([0, 1, 2, 4, 0], [(0, 1), (0, 2), (0, 3), (1, 4), (2, 4), (3, 4)])
+    found = solved(network)
+    assert found.value == pytest.approx(4 / 7, rel=1e-15)
+    assert found.q[1:4] == pytest.approx([4 / 7, 2 / 7, 1 / 7])
+    assert found.p[:3] == pytest.approx([4 / 7, 2 / 7, 1 / 7])
+
+
+def test_a_node_without_loss_beside_an_ambush_makes_the_game_worthless():
+    found = solved(line([0, 9, 0, 0], [(0, 1), (1, 3), (0, 2), (2, 3)]))
+    assert found.value == 0.0
+    assert found.p.tolist() == [0.0, 0.0, 1.0, 1.0]
+
+
+def test_eighteen_orders_of_magnitude_apart():
+    # All but 1e-18 of the flow passes the cheap node; the value is 1 / (1e9 + 1e-9).
+    found = solved(line([0, 1e-9, 1e9, 0], [(0, 1), (1, 3), (0, 2), (2, 3)]))
+    assert found.value == pytest.approx(1e-9, rel=1e-12)
+
+
+def test_edges_that_only_circle_through_the_ends_change_nothing():
+    """The paper's equation (4) taken literally would let them: see the design, section 2."""
+    through = [(0, 1), (1, 2), (2, 3)]
+    circling = [(1, 0), (2, 0), (3, 1), (3, 2), (2, 1)]
+    assert solved(line([0, 1, 1, 0], through + circling)).value == 1.0
+
+
+def test_a_tiny_flow_needs_several_rounds_of_integers():
+    # 40 parallel nodes, losses over 18 orders of magnitude: sum of 1 / alpha to the last digits.
+    alphas = 10.0 ** np.linspace(-9, 9, 40)
+    edges = [(0, k) for k in range(1, 41)] + [(k, 41) for k in range(1, 41)]
+    found = solved(line([0, *alphas, 0], edges))
+    assert found.value == pytest.approx(1.0 / (1.0 / alphas).sum(), rel=1e-12)
