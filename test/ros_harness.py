@@ -129,11 +129,15 @@ class Client:
         wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
         publisher.publish(message)
 
-    def call(self, name, request=None):
-        """Call a service of the planner and return its answer."""
+    def send(self, name, request=None):
+        """Call a service of the planner and return the future of its answer."""
         client = self._services[name]
         assert client.wait_for_service(timeout_sec=TIMEOUT), name
-        future = client.call_async(request or client.srv_type.Request())
+        return client.call_async(request or client.srv_type.Request())
+
+    def call(self, name, request=None):
+        """Call a service of the planner and return its answer."""
+        future = self.send(name, request)
         wait_until(future.done, f'an answer of {name}')
         return future.result()
 

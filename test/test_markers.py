@@ -32,11 +32,6 @@ def strategy():
     return plan(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
 
 
-def corridor():
-    """A single route without any loss: nobody would wait anywhere but by symmetry."""
-    return Network(np.array([[0.0, 0.0], [1.0, 0.0]]), np.zeros(2), np.array([[0, 1]]), 0, 1)
-
-
 def only(message):
     (marker,) = message.markers
     return marker
@@ -82,7 +77,8 @@ def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
         np.hypot(*strategy.mean_direction().T) > 1e-6)
     np.testing.assert_array_equal(strokes[:, 0], strategy.network.points[visited])
     shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
-    np.testing.assert_allclose(np.cross(shafts, wanted), 0.0, atol=1e-12)
+    across = shafts[:, 0] * wanted[:, 1] - shafts[:, 1] * wanted[:, 0]
+    np.testing.assert_allclose(across, 0.0, atol=1e-12)
     assert ((shafts * wanted).sum(axis=1) > 0.0).all()
     assert (strokes[:, [2, 4]] == strokes[:, [1, 1]]).all(), 'barbs begin at the tip'
 
@@ -91,7 +87,7 @@ def test_sites_are_where_the_ambusher_waits(strategy):
     marker = only(ambush_sites(strategy, header()))
     q = strategy.ambush_probability
     np.testing.assert_array_equal(points_from_ros(marker.points),
-                                  strategy.network.points[q >= 1e-4])
+                                  strategy.network.points[q >= 1e-4 * q.max()])
     assert alphas(marker).max() == pytest.approx(1.0)
 
 
@@ -110,12 +106,14 @@ def test_network_draws_each_pair_once(strategy):
     assert 0.0 < marker.color.a < 1.0
 
 
-def test_what_has_no_points_removes_the_marker_of_before():
-    marker = only(ambush_sites(solve(corridor()), header()))
-    assert bool(marker.points) == (marker.action == Marker.ADD)
+@pytest.mark.parametrize('build', ALL)
+def test_a_single_edge_is_drawn(build):
+    points = np.array([[0.0, 0.0], [1.0, 0.0]])
+    strategy = solve(Network(points, np.zeros(2), np.array([[0, 1]]), 0, 1))
+    assert only(build(strategy, header())).points
 
 
-def test_sixty_thousand_edges_take_no_loop_over_fields(monkeypatch):
+def test_sixty_thousand_edges_take_no_loop_over_fields():
     n = 123
     xy = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2).astype(float)
     right = np.array([[k, k + 1] for k in range(n * n - 1) if (k + 1) % n])

@@ -12,8 +12,8 @@ from ..core.risk_map import FloatArray
 from ..core.strategy import Strategy
 from .conversions import points_to_ros
 
-# Edges, directions and sites that matter less often than once in this many departures are left
-# out: they would be drawn all but transparent.
+# Edges and nodes used less than once in 10 000 departures are left out, and so are sites held that
+# much less often than the first: they would be all but transparent.
 _SELDOM = 1e-4
 # Seldom to always: blue, yellow, red; seldom is more transparent.
 _RAMP = np.array([[0.20, 0.35, 0.85, 0.25], [0.95, 0.80, 0.20, 0.70], [0.85, 0.05, 0.10, 1.0]])
@@ -31,7 +31,7 @@ def edge_probabilities(strategy: Strategy, header: Header) -> MarkerArray:
     marker.scale.x = 0.12 * _edge_length(network)
     marker.points = _ends(network, network.edges[shown])
     marker.colors = _colours(np.repeat(np.sqrt(p[shown]), 2))
-    return _array(marker)
+    return MarkerArray(markers=[marker])
 
 
 def mean_direction(strategy: Strategy, header: Header) -> MarkerArray:
@@ -48,7 +48,7 @@ def mean_direction(strategy: Strategy, header: Header) -> MarkerArray:
     marker.scale.x = 0.06 * length
     marker.points = points_to_ros(_arrows(network.points[shown], 0.8 * length * direction))
     marker.colors = _colours(np.repeat(np.sqrt(x[shown]), 6))
-    return _array(marker)
+    return MarkerArray(markers=[marker])
 
 
 def ambush_sites(strategy: Strategy, header: Header) -> MarkerArray:
@@ -57,14 +57,15 @@ def ambush_sites(strategy: Strategy, header: Header) -> MarkerArray:
     A disc has the ambush's radius where there is one.
     """
     network, q = strategy.network, strategy.ambush_probability
-    shown = np.flatnonzero(q >= _SELDOM)
+    often = float(q.max())
+    shown = np.flatnonzero(q >= _SELDOM * often)
     length = _edge_length(network)
     diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
     marker = _marker('ambush_sites', Marker.SPHERE_LIST, header)
     marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
     marker.points = points_to_ros(network.points[shown])
-    marker.colors = _colours(q[shown] / max(float(q.max(initial=0.0)), _SELDOM))
-    return _array(marker)
+    marker.colors = _colours(q[shown] / often)
+    return MarkerArray(markers=[marker])
 
 
 def network_lines(network: Network, header: Header) -> MarkerArray:
@@ -74,20 +75,13 @@ def network_lines(network: Network, header: Header) -> MarkerArray:
     marker.scale.x = 0.03 * _edge_length(network)
     marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
     marker.points = _ends(network, pairs)
-    return _array(marker)
+    return MarkerArray(markers=[marker])
 
 
 def _marker(namespace: str, kind: int, header: Header) -> Marker:
     marker = Marker(header=header, ns=namespace, id=0, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     return marker
-
-
-def _array(marker: Marker) -> MarkerArray:
-    """Wrap the marker; viewers refuse lists without points, so an empty one removes the last."""
-    if not marker.points:
-        marker.action = Marker.DELETE
-    return MarkerArray(markers=[marker])
 
 
 def _edge_length(network: Network) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import traceback
@@ -67,6 +68,11 @@ class PlannerNode(Node):
         # Steady: a simulation's clock that stands still must not silence the diagnostics.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_REPORT_PERIOD, self._on_timer, clock=steady)
+
+    @property
+    def solving(self) -> bool:
+        """Whether a solve is running."""
+        return self._session.solving
 
     def _listen(self) -> None:
         self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, self._on_map)
@@ -193,6 +199,12 @@ def main(args: list[str] | None = None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+    if node is not None and node.solving:
+        # Python would wait for the thread of the solve. Nothing is lost: recordings are written
+        # after a solve, and only finished files have their names.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(0)
     return 0
 
 

@@ -7,7 +7,7 @@ from copy import deepcopy
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from threading import Lock
+from threading import RLock
 
 import numpy as np
 import yaml
@@ -53,7 +53,12 @@ class Session:
         self._markers: list[RecordedMessage] = []
         self._recorder = _recorder(parameters)
         self._status = Status(missing=self._inputs.missing, recording=self._recording_state())
-        self._status_lock = Lock()
+        self._status_lock = RLock()
+
+    @property
+    def solving(self) -> bool:
+        """Whether a solve is running."""
+        return self._status.solving
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
@@ -67,9 +72,7 @@ class Session:
     def accept_map(self, received: Received) -> None:
         """Put a map in force; raises InvalidRiskMap if the last one stays."""
         self._inputs.accept_map(received)
-        self._change(
-            lambda s: replace(s.without_problem('map'), missing=self._inputs.missing)
-        )
+        self._change(lambda s: replace(s.without_problem('map'), missing=self._inputs.missing))
 
     def set_start(self, received: Received, pose: PoseStamped) -> None:
         """Take a pose as the start of the trips to come."""
@@ -112,10 +115,12 @@ class Session:
 
     def report(self) -> RecordedMessage:
         """Publish the diagnostics as they are."""
-        stamp = self._clock.now().to_msg()
-        return self._outbox.publish(
-            '/diagnostics', status_to_ros(self._status, self._name, stamp)
-        )
+        # Under the lock, or an older status could go out after a newer one.
+        with self._status_lock:
+            stamp = self._clock.now().to_msg()
+            return self._outbox.publish(
+                '/diagnostics', status_to_ros(self._status, self._name, stamp)
+            )
 
     def _depart(self, trip: Trip, service: str) -> PathMessage:
         begin, parameters = self._clock.now().nanoseconds, self._parameters
@@ -134,9 +139,9 @@ class Session:
             self._outbox.publish('path', path),
             self._change(lambda s: replace(s.without_problem('request'), departures=number)),
         ]
-        if self._recorder is not None:
+        if (recorder := self._recorder) is not None:
             metadata = _metadata(parameters, service, number, source)
-            self._record(self._recorder, trip, begin, published, metadata)
+            self._record(recorder, trip, begin, published, metadata)
         return path
 
     def _plan(self, trip: Trip, parameters: NodeParameters) -> Plan:
@@ -201,15 +206,13 @@ class Session:
         try:
             recorder.record_departure([*inputs, *shown, *filter(None, published)], metadata)
         except Exception as error:
-            self._logger.error(f'recording: {error}')
-            self._change(
-                lambda s, error=error: replace(
-                    s.with_problem('recording', error), recording='failed')
-            )
+            self._recording_failed(error)
         else:
-            self._change(
-                lambda s: replace(s.without_problem('recording'), recording='on')
-            )
+            self._change(lambda s: replace(s.without_problem('recording'), recording='on'))
+
+    def _recording_failed(self, error: Exception) -> None:
+        self._logger.error(f'recording: {error}')
+        self._change(lambda s: replace(s.with_problem('recording', error), recording='failed'))
 
     def _recording_state(self) -> str:
         return 'off' if self._recorder is None else 'on'
@@ -217,9 +220,8 @@ class Session:
     def _change(self, change: Callable[[Status], Status]) -> RecordedMessage | None:
         """Change the status, and publish it if it is another one then."""
         with self._status_lock:
-            before, after = self._status, change(self._status)
-            self._status = after
-        return self.report() if after != before else None
+            before, self._status = self._status, change(self._status)
+            return self.report() if self._status != before else None
 
 
 def _recorder(parameters: NodeParameters) -> Recorder | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,9 +23,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Here, so that --help and the message below need no ROS and no matplotlib.
         from .demo_run import FAILURES, run_demo
     except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
         return _fail(
-            f"{error.name} is not installed; try: pip install 'ambush_planner[jazzy,figures]'"
+            f"{package} is not installed; try: pip install 'ambush_planner[jazzy,figures]'"
         )
+    # Ended from outside, it still takes its node along.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         run_demo(options.output, options.departures)
     except FAILURES as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -28,7 +29,7 @@ from .figures import (
 )
 
 DOTS_PER_INCH = 130
-# Arrows across the map's longer side.
+# Arrows across the map's longer side, at most.
 ARROWS = 34
 
 
@@ -42,7 +43,8 @@ def strategy_figure(plan: Plan, secured_radius: float = 0.0) -> Figure:
     frame(left, plan.risk_map, "How likely the convoy drives where")
     frame(right, plan.risk_map, "Which way it tends on average")
     edges = draw_edges(left, network, strategy.edge_probability)
-    draw_mean_direction(right, strategy, max(plan.risk_map.size) / ARROWS)
+    spacing = float(np.median(network.lengths))
+    draw_mean_direction(right, strategy, max(max(plan.risk_map.size) / ARROWS, spacing))
     for axes in (left, right):
         risk = draw_risk_map(axes, plan.risk_map)
         draw_ambush_sites(axes, network, strategy.ambush_probability)
@@ -65,7 +67,7 @@ def routes_figure(
 ) -> Figure:
     """Left: the routes (K, 2) of departures. Right: routes of planners that leave no choice."""
     figure, (left, right) = _two_panels()
-    loss = f"Whoever knows the strategy can cause a mean loss of {plan.strategy.value:.2f}"
+    loss = f"Whoever knows the strategy causes a mean loss of {plan.strategy.value:.2f} at most"
     frame(left, plan.risk_map, f"{len(routes)} departures of the random convoy\n{loss}")
     frame(
         right,
@@ -79,7 +81,7 @@ def routes_figure(
         _draw_ends(axes, plan, secured_radius)
     figure.colorbar(
         risk,
-        ax=(left, right),
+        ax=[left, right],
         location="bottom",
         label="loss if the convoy is ambushed here",
         shrink=0.4,

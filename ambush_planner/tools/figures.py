@@ -39,6 +39,8 @@ ROUTES = ("#0077bb", "#cc3311", "#009988", "#ee3377", "#332288", "#33bbee", "#11
 FIXED = (("#332288", "-"), ("#cc3377", (0, (3, 1.2))), ("#117733", (0, (1, 1))))
 # Edges that are driven less often than this are left out of pictures.
 LEAST_PROBABILITY = 1e-3
+# Squares that are visited less often than this, relative to the busiest, get no arrow.
+LEAST_SHARE = 2e-3
 SECURED_DASHES = (0, (4, 3))
 HALO = [Stroke(linewidth=3.0, foreground="white"), Normal()]
 
@@ -147,8 +149,8 @@ def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
     places, directions, share = binned_directions(
         strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
     )
-    often = LogNorm(0.01, 1.0, clip=True)(share)
-    shown = share >= 0.002
+    shown = share >= LEAST_SHARE
+    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
     axes.quiver(
         *places[shown].T,
         *(directions[shown] * size * 1.15).T,

@@ -36,13 +36,19 @@ def free_domain() -> int:
         All are taken.
     """
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain))
-            except OSError:
-                continue
+        if is_free(domain):
             return domain
     raise NodeFailed("no ROS domain id is free on this machine")
+
+
+def is_free(domain: int) -> bool:
+    """Tell whether nobody on this machine listens where ROS domain ``domain`` meets."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain))
+        except OSError:
+            return False
+    return True
 
 
 class NodeProcess:

@@ -36,7 +36,7 @@ OBSTACLE = 100
 METRES_PER_DEGREE = 111_200.0
 
 # Centres of free cells, (x, y) [m] from the map's south-west corner.
-START = (2025.0, 16065.0)
+START = (2025.0, 12015.0)
 GOAL = (26055.0, 27945.0)
 
 
@@ -53,7 +53,8 @@ def load_occupancy() -> npt.NDArray[np.int8]:
 
 def load_elevation(resolution: float) -> FloatArray:
     """Elevation (H, W) [m] on square cells of ``resolution`` [m], row 0 in the south."""
-    sample = get_sample_data("jacksboro_fault_dem.npz")
+    with np.load(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False)) as file:
+        sample = dict(file)
     # The file calls its first row's latitude ymin although it is the northern one.
     north_up = np.asarray(sample["elevation"], dtype=np.float64)
     latitude = math.radians(float(sample["ymin"] + sample["ymax"]) / 2)

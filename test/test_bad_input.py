@@ -1,0 +1,133 @@
+"""Bad input: the answer names the thing and the numbers, and the node goes on."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+from bad_maps import BAD_MAPS
+from ros_harness import pose, risk_grid, stage
+
+NAN = math.nan
+START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
+
+
+@pytest.fixture(scope='module')
+def client():
+    """One node for the whole table: it has to live through every row."""
+    with stage() as running:
+        yield running.give()
+
+
+def test_nothing_has_arrived():
+    with stage() as running:
+        client = running.client
+        for service in ('new_route', 'replan'):
+            answer = client.call(service)
+            assert not answer.success
+            assert answer.message == 'no risk map yet: publish one on alpha_map'
+        assert not client.get_plan(pose(*START), pose(*GOAL)).poses
+        client.diagnostics(code='NO_MAP', level=b'\2')
+        client.publish('alpha_map', risk_grid())
+        answer = client.call_until('new_route', lambda answer: 'map' not in answer.message)
+        assert answer.message == 'no start yet: publish one on start_pose or initialpose'
+        client.diagnostics(code='NO_START')
+        client.publish('start_pose', pose(*START))
+        answer = client.call_until('new_route', lambda answer: 'start' not in answer.message)
+        assert answer.message == 'no goal yet: publish one on goal_pose'
+        client.diagnostics(code='NO_GOAL')
+        client.publish('goal_pose', pose(*GOAL))
+        client.call_until('new_route', lambda answer: answer.success)
+
+
+@pytest.mark.parametrize('name', BAD_MAPS)
+def test_bad_map_is_refused_and_the_good_one_stays(client, name):
+    message, words = BAD_MAPS[name]
+    client.publish('alpha_map', message)
+    report = client.diagnostics(code='INVALID_MAP', level=b'\2')
+    assert re.search(words, report['message'])
+    assert client.call('new_route').success
+    client.publish('alpha_map', risk_grid())
+    client.diagnostics(code='NONE')
+
+
+def test_a_bad_first_map_is_the_reason_that_there_is_none():
+    with stage() as running:
+        running.client.publish('alpha_map', risk_grid(np.array([[0, 101]])))
+        answer = running.client.call_until('new_route', lambda answer: 'refused' in answer.message)
+        assert not answer.success
+        assert '101 at (row, column) (0, 1)' in answer.message
+
+
+BAD_TRIPS = {
+    'start in an obstacle': (pose(*BLOCK), pose(*GOAL), 'START_OCCUPIED',
+                             'start (5.000, 5.500) lies in an obstacle'),
+    'start outside': (pose(-1, 5), pose(*GOAL), 'START_OUTSIDE_MAP',
+                      'start (-1.000, 5.000) is outside the map, which is 10 m x 10 m'),
+    'goal in an obstacle': (pose(*START), pose(*BLOCK), 'GOAL_OCCUPIED',
+                            'goal (5.000, 5.500) lies in an obstacle'),
+    'goal outside': (pose(*START), pose(5, 11), 'GOAL_OUTSIDE_MAP',
+                     'goal (5.000, 11.000) is outside the map, which is 10 m x 10 m'),
+    'equal': (pose(*START), pose(*START), 'INVALID_NETWORK', 'the same position, (1.5, 5.5)'),
+    'start NaN': (pose(NAN, 1), pose(*GOAL), 'INVALID_POSE', 'start: position (nan, 1.0, 0.0)'),
+    'goal NaN': (pose(*START), pose(1, NAN), 'INVALID_POSE', 'goal: position (1.0, nan, 0.0)'),
+    'goal infinite': (pose(*START), pose(math.inf, 1), 'INVALID_POSE', '(inf, 1.0, 0.0)'),
+    'yaw NaN': (pose(*START), pose(*GOAL, NAN), 'INVALID_POSE', 'goal: orientation'),
+    'start in another frame': (pose(*START, frame='odom'), pose(*GOAL), 'TF_ERROR',
+                               "start is given in the frame 'odom', the map in 'map'"),
+    'goal in another frame': (pose(*START), pose(*GOAL, frame='odom'), 'TF_ERROR',
+                              "goal is given in the frame 'odom', the map in 'map'"),
+    'goal without a frame': (pose(*START), pose(*GOAL, frame=''), 'TF_ERROR',
+                             "goal is given in the frame '', the map in 'map'"),
+}
+
+
+@pytest.mark.parametrize('name', BAD_TRIPS)
+def test_bad_request_has_an_empty_path_and_a_reason(client, name):
+    start, goal, code, words = BAD_TRIPS[name]
+    assert not client.get_plan(start, goal).poses
+    assert words in client.diagnostics(code=code, level=b'\2')['message']
+    assert client.get_plan(pose(*START), pose(*GOAL)).poses
+    client.diagnostics(code='NONE')
+
+
+@pytest.mark.parametrize('name', BAD_TRIPS)
+def test_bad_poses_on_topics_are_answered_with_the_reason(client, name):
+    start, goal, _, words = BAD_TRIPS[name]
+    client.publish('start_pose', start)
+    client.publish('goal_pose', goal)
+    answer = client.call_until('new_route', lambda answer: words in answer.message)
+    assert not answer.success
+    client.publish('start_pose', pose(*START))
+    client.publish('goal_pose', pose(*GOAL))
+    client.call_until('new_route', lambda answer: answer.success)
+
+
+@pytest.mark.parametrize('tolerance', [-1.0, NAN])
+def test_bad_tolerance(client, tolerance):
+    assert not client.get_plan(pose(*START), pose(*GOAL), tolerance).poses
+    report = client.diagnostics(code='INVALID_OPTION')
+    assert report['message'] == f'tolerance must be >= 0 [m], got {tolerance}'
+
+
+def test_no_route():
+    values = np.zeros((20, 20), dtype=np.int8)
+    values[:, 10] = 100
+    with stage() as running:
+        answer = running.give(risk_grid(values)).call('new_route')
+        assert not answer.success
+        assert 'no route from (1.500, 5.500) to (8.500, 5.500)' in answer.message
+        running.client.diagnostics(code='NO_VALID_PATH')
+
+
+def test_all_unknown():
+    with stage() as running:
+        answer = running.give(risk_grid(np.full((20, 20), -1))).call('new_route')
+        assert 'start (1.500, 5.500) lies in an obstacle' in answer.message
+
+
+def test_too_little_time():
+    with stage(parameters={'max_planning_time': 0.001, 'network.spacing': 0.2}) as running:
+        answer = running.give().call('new_route')
+        assert not answer.success
+        running.client.diagnostics(code='TIMEOUT')

@@ -1,0 +1,227 @@
+"""``ambush_demo`` as a user starts it, and what it leaves."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="the demo draws pictures")
+
+import rclpy
+from matplotlib.image import imread
+from rclpy.context import Context
+from rosbags.highlevel import AnyReader
+
+from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.risk_map import risk_map_from_occupancy
+from ambush_planner.tools import demo
+from ambush_planner.tools.demo_client import DemoClient
+from ambush_planner.tools.demo_run import count_different
+from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
+from ambush_planner.tools.terrain import GOAL, START
+
+DEPARTURES = 8
+# The node promises to record what a route was drawn from and what was told about it.
+TYPES = {
+    "/alpha_map": "nav_msgs/msg/OccupancyGrid",
+    "/start_pose": "geometry_msgs/msg/PoseStamped",
+    "/goal_pose": "geometry_msgs/msg/PoseStamped",
+    "/path": "nav_msgs/msg/Path",
+    "/edge_probabilities": "visualization_msgs/msg/MarkerArray",
+    "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+
+def run(*arguments: str, timeout: float = 110.0) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", "ambush_planner.tools.demo", *arguments],
+        env={**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"},
+        capture_output=True,
+        text=True,
+        timeout=timeout,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The demo's folder and what it printed."""
+    folder = tmp_path_factory.mktemp("demo") / "new folder: 1"
+    process = run("--output", str(folder), "--departures", str(DEPARTURES))
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "Traceback" not in process.stderr
+    return folder, process.stdout
+
+
+@pytest.fixture(scope="module")
+def recordings(done):
+    """The messages of each recording by topic; paths as positions (L, 2)."""
+    files = sorted(done[0].rglob("*.mcap"))
+    assert len(files) == DEPARTURES
+    return [read(file) for file in files]
+
+
+def read(file: Path) -> dict[str, list]:
+    with AnyReader([file]) as reader:
+        types = {connection.topic: connection.msgtype for connection in reader.connections}
+        assert types.items() >= TYPES.items()
+        messages: dict[str, list] = {topic: [] for topic in types}
+        for connection, _, data in reader.messages():
+            messages[connection.topic].append(reader.deserialize(data, connection.msgtype))
+    return messages
+
+
+def positions(recording: dict[str, list]) -> np.ndarray:
+    (path,) = recording["/path"]
+    return np.array([(p.pose.position.x, p.pose.position.y) for p in path.poses])
+
+
+def test_routes_lead_from_start_to_goal(recordings):
+    for recording in recordings:
+        route = positions(recording)
+        assert tuple(route[0]) == START and tuple(route[-1]) == GOAL
+        (goal,) = recording["/goal_pose"]
+        assert recording["/path"][0].poses[-1].pose == goal.pose
+
+
+def test_routes_are_simple(recordings):
+    for recording in recordings:
+        route = np.round(positions(recording), 3)
+        assert len(np.unique(route, axis=0)) == len(route)
+
+
+def test_routes_meet_no_obstacle(recordings):
+    for recording in recordings:
+        (grid,) = recording["/alpha_map"]
+        values = np.asarray(grid.data).reshape(grid.info.height, grid.info.width)
+        field = ObstacleField(risk_map_from_occupancy(values, grid.info.resolution))
+        route = positions(recording)
+        assert field.clear_segments(route[:-1], route[1:], 0.0).all()
+
+
+def test_routes_differ(recordings):
+    assert count_different([positions(recording) for recording in recordings]) >= DEPARTURES - 1
+
+
+def test_recordings_are_private(done):
+    for file in done[0].rglob("*.mcap"):
+        assert file.stat().st_mode & 0o777 == 0o600
+
+
+def test_pictures_are_large_and_not_blank(done):
+    for name in ("strategy.png", "routes.png"):
+        picture = imread(done[0] / name)
+        assert picture.shape[0] > 900 and picture.shape[1] > 1500
+        assert picture.std() > 0.1
+
+
+def test_the_table_names_what_was_found(done):
+    rows = {line[:21].strip(): line[21:34].strip() for line in done[1].splitlines() if line}
+    value, bound = float(rows["value"]), float(rows["lower bound"])
+    assert 0.0 < bound <= value <= bound * (1.0 + 1e-5)
+    assert value < float(rows["fixed safest route"])
+    assert 0.0 < float(rows["route entropy"]) < float(rows["edge entropy"])
+    different, total = map(int, rows["different routes"].split(" of "))
+    assert DEPARTURES - 1 <= different <= total == DEPARTURES
+    assert float(rows["seconds"]) < 60.0
+
+
+def test_progress_is_shown_step_by_step(done):
+    times = [float(line.split()[0]) for line in done[1].splitlines() if line[5:9] == " s  "]
+    assert len(times) >= DEPARTURES + 5
+    assert times == sorted(times)
+
+
+def test_an_output_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    process = run("-o", str(tmp_path / "file"))
+    assert process.returncode == 1
+    assert process.stderr.startswith("ambush_demo: ") and "Traceback" not in process.stderr
+
+
+@pytest.mark.parametrize(
+    "missing, argument, code, words",
+    [
+        ("rclpy", "--help", 0, "--output"),
+        ("rclpy", "-n1", 1, "rclpy is not installed; try: pip install"),
+        ("matplotlib", "-n1", 1, "matplotlib is not installed; try: pip install"),
+    ],
+)
+def test_what_is_not_installed_is_named(missing, argument, code, words):
+    program = (
+        f"import sys; sys.modules['{missing}'] = None\n"
+        f"from ambush_planner.tools.demo import main; sys.exit(main(['{argument}']))"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert process.returncode == code
+    assert words in process.stdout + process.stderr
+    assert "Traceback" not in process.stderr
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "1.5", "many"])
+def test_a_wrong_number_of_departures_is_refused(count, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        demo.main([f"--departures={count}"])
+    assert exit_.value.code == 2
+    assert repr(count) in capsys.readouterr().err
+
+
+def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
+    domain = free_domain()
+    node = NodeProcess({"network.spacing": -1.0}, domain, tmp_path / "log")
+    with pytest.raises(NodeFailed, match=r"(?s)exit code 1.*network\.spacing"):
+        with node, DemoClient(domain, node.check) as client:
+            client.wait_for_node()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while "publishing" not in process.stdout.readline():
+        assert process.poll() is None
+    assert nodes_of(tmp_path)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=30.0)
+    assert (process.returncode, errors) == (1, "ambush_demo: interrupted\n")
+    assert not nodes_of(tmp_path)
+
+
+def nodes_of(folder: Path) -> list[str]:
+    """Process ids of the nodes that record into ``folder``."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes()
+        except OSError:  # it has just ended
+            continue
+        if b"planner_node" in words and str(folder).encode() in words:
+            found.append(entry.parent.name)
+    return found
+
+
+def test_a_domain_that_somebody_is_in_is_not_free():
+    context = Context()
+    domain = free_domain()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("somebody", context=context)
+    try:
+        assert not is_free(domain)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(context=context)
+
+
+def test_different_routes_are_counted():
+    route = np.array([[0.0, 0.0, 1.0], [1.0, 2.0, 3.0]])
+    assert count_different([route, route.copy(), route[:1], route + 1e-9]) == 3

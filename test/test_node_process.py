@@ -1,0 +1,133 @@
+"""The node as a process of its own: over DDS from the first map to a clean exit."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from recording_samples import read_with_mcap_ros2
+from ros_harness import (
+    TIMEOUT,
+    Client,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    spinning,
+)
+
+from ambush_planner.ros.conversions import path_from_ros
+
+SEED = '987654321'
+
+
+@contextmanager
+def node_process(domain, tmp_path, *parameters):
+    """The node, started as a user would, with its output in a file; killed if it is left over."""
+    arguments = [word for parameter in parameters for word in ('-p', parameter)]
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'ROS_LOG_DIR': str(tmp_path / 'log')}
+    with (tmp_path / 'output').open('w') as output:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', *arguments],
+            env=environment, stdout=output, stderr=subprocess.STDOUT)
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.wait()
+
+
+@contextmanager
+def client_in(domain):
+    with ros_context(domain) as context:
+        node = Node('client', context=context)
+        client = Client(node)
+        with spinning(node, SingleThreadedExecutor(context=context)):
+            yield client
+
+
+def exit_code(process, *signals):
+    """Send the signals, and return the exit code, which has to come within 2 s."""
+    for each in signals:
+        process.send_signal(each)
+        time.sleep(0.05)  # signals of one number that come at once are one
+    return process.wait(timeout=2.0)
+
+
+def test_a_convoy_departs_and_the_node_exits_cleanly(tmp_path):
+    recordings = tmp_path / 'recordings'
+    parameters = (f'recording.directory:={recordings}', 'network.spacing:=1.0', f'seed:={SEED}',
+                  'game.alpha_threshold:=.inf')
+    with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
+        with client_in(domain) as client:
+            client.publish('alpha_map', risk_grid())
+            client.publish('start_pose', pose(1.5, 5.5))
+            client.publish('goal_pose', pose(8.5, 5.5, 1.0))
+            client.diagnostics(state='ready')
+            for number in (1, 2):
+                answer = client.call('new_route')
+                assert answer.success, answer.message
+                client.last('path', number)
+            assert client.call('replan').success
+            plan = client.get_plan(pose(1.5, 5.5), pose(8.5, 2.5))
+            rows = path_from_ros(client.last('path', 3))
+            assert (path_from_ros(plan) == rows).all()
+            assert rows[0, :2].tolist() == [1.5, 5.5]
+            assert rows[-1, :2].tolist() == [8.5, 2.5]
+            assert client.last('edge_probabilities').markers[0].points
+        with client_in(domain) as late:
+            assert (path_from_ros(late.last('path')) == rows).all(), 'the path is latched'
+        assert exit_code(process, signal.SIGINT) == 0
+    files = [path for path in recordings.rglob('*') if path.is_file()]
+    assert sorted({path.suffix for path in files}) == ['.mcap', '.yaml'], 'nothing half-written'
+    assert sum(path.suffix == '.mcap' for path in files) == 3
+    assert all(read_with_mcap_ros2(path) for path in files if path.suffix == '.mcap')
+    logs = [path.read_text() for path in (tmp_path / 'log').rglob('*') if path.is_file()]
+    said = '\n'.join([*logs, (tmp_path / 'output').read_text()])
+    assert 'the parameter seed is fixed' in said
+    assert SEED not in said
+    assert 'Traceback' not in said
+
+
+@pytest.mark.parametrize('signals', [
+    (signal.SIGTERM,), (signal.SIGINT, signal.SIGINT)], ids=['SIGTERM', 'SIGINT twice'])
+def test_other_ways_to_end_it(tmp_path, signals):
+    with free_domain() as domain, node_process(domain, tmp_path) as process:
+        with client_in(domain) as client:
+            client.diagnostics(state='waiting')
+        assert exit_code(process, *signals) == 0
+    assert 'Traceback' not in (tmp_path / 'output').read_text()
+
+
+def test_a_solve_does_not_hold_up_the_exit(tmp_path):
+    large = risk_grid(np.zeros((300, 300), dtype=np.int8))
+    parameters = ('network.target_nodes:=40000', 'recording.enabled:=false')
+    with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
+        with client_in(domain) as client:
+            client.publish('alpha_map', large)
+            client.publish('start_pose', pose(5.0, 75.0))
+            client.publish('goal_pose', pose(145.0, 75.0))
+            client.diagnostics(state='ready')
+            client.send('replan')
+            client.diagnostics(state='solving')
+            assert exit_code(process, signal.SIGINT) == 0
+
+
+@pytest.mark.parametrize('parameter, words', [
+    ('map.alpha_min:=20.0', 'alpha_min 20.0 and alpha_max 10.0'),
+    ('strategy.max_detour:=0.5', 'out of range'),
+    ('strategy.max_detour:=2', "'strategy.max_detour'"),
+])
+def test_unusable_parameters_stop_the_start_in_one_line(tmp_path, parameter, words):
+    with free_domain() as domain, node_process(domain, tmp_path, parameter) as process:
+        assert process.wait(timeout=TIMEOUT) == 1
+    output = (tmp_path / 'output').read_text()
+    assert output.startswith('ambush_planner: cannot start: ')
+    assert words in output
+    assert output.count('\n') == 1
