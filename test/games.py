@@ -1,6 +1,6 @@
 """Random ambush games and slow, independent answers to them, for the suites of the core.
 
-The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many examples, random ones.
+The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.
 """
 
 from __future__ import annotations
@@ -137,6 +137,17 @@ def program_value(
     )
     assert found.status == 0, found.message
     return float(found.fun)
+
+
+def value_range(network: Network, budget: float) -> tuple[float, float]:
+    """Least and largest value that a correct solver may find within 2e-7 of the budget [m].
+
+    Where routes are nearly as short as the shortest, the value is steep in the budget.
+    """
+    value = program_value(network, None, budget)
+    loose = program_value(network, None, budget * (1 + 2e-7))
+    room = 2e-6 * value + 1e-8
+    return loose - room, 2 * value - loose + room
 
 
 def least_weight(network: Network, weights: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""Read-only arrays for the frozen records that the stages hand on."""
+"""Small array helpers: read-only copies for the frozen records, sums by index."""
 
 from __future__ import annotations
 
@@ -13,3 +13,10 @@ def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
     array = np.array(values, dtype=dtype, order="C")
     array.setflags(write=False)
     return array
+
+
+def sums(
+    index: npt.NDArray[np.int64], values: npt.NDArray[np.float64], count: int
+) -> npt.NDArray[np.float64]:
+    """Add up ``values`` (K,) by ``index`` (K,): result (count,)."""
+    return np.asarray(np.bincount(index, weights=values, minlength=count), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Which nodes are joined: 8-connected lattice or Delaunay triangulation. Undirected pairs (K, 2)."""
+"""Which nodes are joined: 8-connected lattice or Delaunay triangulation; pairs (K, 2)."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def lattice_delaunay_pairs(points: FloatArray, node_of: IndexArray, spacing: flo
     whole = np.stack(
         (node_of[:-1, :-1], node_of[:-1, 1:], node_of[1:, :-1], node_of[1:, 1:])
     )
-    full = (whole >= 0).all(axis=0)
+    full = np.asarray((whole >= 0).all(axis=0))
     rising = full & (np.arange(full.shape[0]) % 2 == 0)[:, None]
     falling = full & ~rising
     sides = _full_square_sides(whole, full)

@@ -161,7 +161,9 @@ def most_entropy(
     """Unit flow p (M,) of maximal edge entropy on ``edges`` and the iterations it took."""
     rows = flow_rows(game, edges, capacity, 1.0)
     lengths = game.network.lengths[rows.edge]
-    solution = minimise(rows.program(0.0, True, lengths, budget), rows.start(), deadline)
+    scale = float(lengths.mean())
+    program = rows.program(0.0, True, lengths / scale, budget / scale)
+    solution = minimise(program, rows.start(), deadline)
     p = np.zeros(len(edges))
     p[rows.edge] = solution.f[: len(rows.edge)]
     return p, solution.iterations

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
-from .arrays import frozen_array
+from .arrays import frozen_array, sums
 from .errors import InvalidOption, NoRoute
 from .network import IndexArray, Network
 from .paths import distances_from, on_some_route
@@ -130,15 +130,15 @@ class Game:
 
     def visits(self, p: FloatArray) -> FloatArray:
         """Expected visits x (N,) of each node; the source is visited once more than entered."""
-        x = np.bincount(self.network.heads, weights=p, minlength=self.node_count)
+        x = sums(self.network.heads, p, self.node_count)
         x[self.network.source] += 1.0
         return x
 
     def conservation_residual(self, p: FloatArray) -> float:
         """Largest violation of ``A p = b``: one unit leaves the source and enters the target."""
         network = self.network
-        balance = np.bincount(network.tails, weights=p, minlength=self.node_count)
-        balance -= np.bincount(network.heads, weights=p, minlength=self.node_count)
+        balance = sums(network.tails, p, self.node_count)
+        balance -= sums(network.heads, p, self.node_count)
         balance[network.source] -= 1.0
         balance[network.target] += 1.0
         return float(np.abs(balance).max())

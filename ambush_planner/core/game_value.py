@@ -14,6 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
+from .arrays import sums
 from .cycles import without_cycles
 from .errors import SolverFailed
 from .game import BoolArray, Game
@@ -31,7 +32,7 @@ RELATIVE_GAP = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class GameValue:
-    """Optimal value z, an acyclic optimal strategy p (M,), the ambusher's q (N,), the cut's nodes."""
+    """Value z, an acyclic optimal strategy p (M,), the ambusher's q (N,), the cut's nodes."""
 
     value: float
     p: FloatArray
@@ -148,7 +149,7 @@ class _SplitNetwork:
     def visits(self, flow: FloatArray) -> FloatArray:
         """Flow through each used node."""
         n = self.game.node_count
-        x = np.bincount(self._heads, weights=flow, minlength=n)
+        x = sums(self._heads, flow, n)
         x[self.game.network.source] = self.total(flow)
         return x[self.node]
 

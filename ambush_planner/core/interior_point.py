@@ -19,13 +19,11 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csc_matrix, csr_matrix
-from scipy.sparse.linalg import splu
+from scipy.sparse import csr_matrix
 
-from .dissection import nested_dissection
 from .errors import SolverFailed, TimeLimit
 from .game import BoolArray
-from .network import IndexArray
+from .normal_matrix import NormalMatrix
 from .risk_map import FloatArray
 
 MAX_ITERATIONS = 150
@@ -114,7 +112,7 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
     SolverFailed
         The method does not converge: the program is infeasible or numerically out of reach.
     """
-    normal = _NormalMatrix(program.rows, program.places)
+    normal = NormalMatrix(program.rows, program.places)
     point = _first_point(program, start)
     nearly = 0
     for iteration in range(MAX_ITERATIONS):
@@ -135,7 +133,7 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
     )
 
 
-def _polished(program: Program, f: FloatArray, normal: _NormalMatrix) -> FloatArray:
+def _polished(program: Program, f: FloatArray, normal: NormalMatrix) -> FloatArray:
     """Meet the rows to rounding by small relative changes of f."""
     for _ in range(POLISHING):
         missing = program.rhs - program.rows @ f
@@ -169,7 +167,7 @@ class _Residuals:
             program.budget - float(program.dense @ f) - point.slack if program.has_budget else 0.0
         )
         self.gap = point.complementarity()
-        pairs = np.count_nonzero(point.w) + program.has_budget
+        pairs = int(np.count_nonzero(point.w)) + int(program.has_budget)
         self._pairs = max(pairs, 1)
         self.mu = self.gap / self._pairs
         self.row_error = float(np.abs(self.rows).max(initial=0.0))
@@ -193,7 +191,7 @@ class _Newton:
     """The factorised Newton system at a point; solves for several right-hand sides."""
 
     def __init__(
-        self, program: Program, point: _Point, residuals: _Residuals, normal: _NormalMatrix
+        self, program: Program, point: _Point, residuals: _Residuals, normal: NormalMatrix
     ) -> None:
         self.program, self.point, self.residuals = program, point, residuals
         self.weight = _weights(program, point, residuals)
@@ -271,9 +269,9 @@ def _advance(program: Program, point: _Point, newton: _Newton) -> _Point:
 
 def _step_lengths(point: _Point, move: _Point) -> tuple[float, float]:
     """Longest primal and dual steps <= 1 that stay inside the positive variables."""
-    primal = max(float((-move.f / point.f).max()), 0.0)
+    primal = float((-move.f / point.f).max(initial=0.0))
     inner = point.w > 0.0
-    dual = max(float((-move.w[inner] / point.w[inner]).max(initial=0.0)), 0.0)
+    dual = float((-move.w[inner] / point.w[inner]).max(initial=0.0))
     if point.price > 0.0:
         primal = max(primal, -move.slack / point.slack)
         dual = max(dual, -move.price / point.price)
@@ -283,65 +281,3 @@ def _step_lengths(point: _Point, move: _Point) -> tuple[float, float]:
 def _inside(shrink: float) -> float:
     """Step for a largest relative decrease ``shrink`` per unit step."""
     return 1.0 if shrink <= BOUNDARY else BOUNDARY / shrink
-
-
-class _NormalMatrix:
-    """``rows W rows'`` for changing diagonals W: pattern, order and assembly found once."""
-
-    def __init__(self, rows: csr_matrix, places: FloatArray) -> None:
-        count = rows.shape[0]
-        row, column, factor, variable = _products(rows.tocsc())
-        off = row < column
-        links = np.unique(row[off] * count + column[off])
-        self._order = nested_dissection(places, np.stack(np.divmod(links, count), axis=1))
-        position = np.empty(count, dtype=np.int64)
-        position[self._order] = np.arange(count)
-        keys, entry = np.unique(position[column] * count + position[row], return_inverse=True)
-        self._assembly = csr_matrix(
-            (factor, (entry, variable)), shape=(len(keys), rows.shape[1])
-        )
-        columns, indices = np.divmod(keys, count)
-        self._indices = indices.astype(np.int32)
-        self._indptr = np.searchsorted(columns, np.arange(count + 1)).astype(np.int32)
-        self._diagonal = np.flatnonzero(columns == indices)
-
-    def factorise(self, weight: FloatArray):
-        """Return a function that solves ``rows diag(weight) rows' y = r`` for y."""
-        count, order = len(self._order), self._order
-        data = self._assembly @ weight
-        data[self._diagonal] *= 1.0 + 1e-15
-        matrix = csc_matrix((data, self._indices, self._indptr), shape=(count, count))
-        try:
-            factor = splu(
-                matrix,
-                permc_spec="NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True, "Equil": False},
-            )
-        except RuntimeError as error:
-            raise SolverFailed(f"interior point method: {error}") from error
-
-        def solve(right: FloatArray) -> FloatArray:
-            ordered = right[order]
-            found = factor.solve(ordered)
-            found += factor.solve(ordered - matrix @ found)  # one step of iterative refinement
-            result = np.empty_like(right)
-            result[order] = found
-            return result
-
-        return solve
-
-
-def _products(
-    rows: csc_matrix,
-) -> tuple[IndexArray, IndexArray, FloatArray, IndexArray]:
-    """All (row a, row b, value product, column) with both rows in the same column."""
-    size = np.diff(rows.indptr).astype(np.int64)
-    start = rows.indptr[:-1].astype(np.int64)
-    variable = np.repeat(np.arange(len(size)), size**2)
-    first = np.repeat(np.cumsum(size**2) - size**2, size**2)
-    place = np.arange(len(variable)) - first
-    a = start[variable] + place // size[variable]
-    b = start[variable] + place % size[variable]
-    indices = rows.indices.astype(np.int64)
-    return indices[a], indices[b], rows.data[a] * rows.data[b], variable

@@ -9,6 +9,7 @@ from scipy.sparse import csc_matrix, identity
 from scipy.sparse.linalg import splu
 
 from .acyclic import acyclic_edges, forward_edges
+from .arrays import sums
 from .errors import BudgetInfeasible, SolverFailed
 from .flow_programs import BudgetedValue, largest_flow, most_entropy, shortest_flow
 from .game import BoolArray, Game
@@ -205,7 +206,7 @@ def _as_walk(game: Game, p: FloatArray) -> FloatArray:
     follow node by node from the source, so conservation holds to rounding.
     """
     network, n = game.network, game.node_count
-    out = np.bincount(network.tails, weights=p, minlength=n)
+    out = sums(network.tails, p, n)
     used = np.flatnonzero(p > 0.0)
     tail, head = network.edges[used].T
     share = p[used] / out[tail]

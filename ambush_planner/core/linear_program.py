@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy
@@ -126,7 +127,7 @@ def _with_ambusher(
 
 
 def _run(program: LinearProgram, solver: str, budget: float, deadline: float) -> OptimizeResult:
-    options = {
+    options: dict[str, Any] = {
         "primal_feasibility_tolerance": TOLERANCE,
         "dual_feasibility_tolerance": TOLERANCE,
     }

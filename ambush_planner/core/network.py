@@ -136,7 +136,8 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
     if array.dtype.kind not in "iu":
         raise InvalidNetwork(f"edges must be integers (tail, head), got dtype {array.dtype}")
     edges = array.astype(np.int64)
-    _refuse_edges(edges, ((edges < 0) | (edges >= count)).any(axis=1), f"outside 0..{count - 1}")
+    outside = np.asarray(((edges < 0) | (edges >= count)).any(axis=1))
+    _refuse_edges(edges, outside, f"outside 0..{count - 1}")
     _refuse_edges(edges, edges[:, 0] == edges[:, 1], "a self-loop")
     keys = edges[:, 0] * count + edges[:, 1]
     _, first = np.unique(keys, return_index=True)

@@ -1,9 +1,9 @@
 """The risk map: what an ambush costs at each place, and where nobody can drive.
 
-Axes. Row 0 is the lowest row and column 0 the left one, as in ``nav_msgs/OccupancyGrid``. *Map axes*
-(u, v) are metres along the columns and the rows from the lower left corner of cell (0, 0); the centre
-of cell (row, column) lies at ((column + 0.5), (row + 0.5)) * resolution. *World* coordinates (x, y)
-follow by the rotation and the translation of ``origin``.
+Axes. Row 0 is the lowest row and column 0 the left one, as in ``nav_msgs/OccupancyGrid``. *Map
+axes* (u, v) are metres along the columns and the rows from the lower left corner of cell (0, 0);
+the centre of cell (row, column) lies at ((column + 0.5), (row + 0.5)) * resolution. *World*
+coordinates (x, y) follow by the rotation and the translation of ``origin``.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ def _close_pairs(
     near = cKDTree(centres).query_ball_point(middle, radius + network.lengths / 2 + 1e-9 * radius)
     counts = np.array([len(found) for found in near], dtype=np.int64)
     edge = np.repeat(np.arange(len(counts)), counts)
-    site = np.concatenate([np.asarray(found, dtype=np.int64) for found in near if found] or [[]])
-    return edge, site.astype(np.int64)
+    site = np.array([k for found in near for k in found], dtype=np.int64)
+    return edge, site
 
 
 def _distance_to_segment(tail: FloatArray, head: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .arrays import frozen_array
+from .arrays import frozen_array, sums
 from .errors import InvalidOption, SolverFailed
 from .game import Game, GameOptions, make_game
 from .lexicographic import max_entropy_strategy
@@ -142,8 +142,8 @@ class Strategy:
         step = network.points[network.heads] - network.points[network.tails]
         unit = step / np.maximum(network.lengths, np.finfo(float).tiny)[:, None]
         count = len(network.points)
-        total = [np.bincount(network.tails, weights=p * u, minlength=count) for u in unit.T]
-        out = np.bincount(network.tails, weights=p, minlength=count)
+        total = [sums(network.tails, p * u, count) for u in unit.T]
+        out = sums(network.tails, p, count)
         mean: FloatArray = np.stack(total, axis=1) / np.where(out > 0.0, out, 1.0)[:, None]
         return mean
 
@@ -194,7 +194,7 @@ def _certified(game: Game, outcome: Outcome, shortest: float, risk_slack: float)
             f"lower bound {bound:.9g}"
         )
     visits = game.visits(p)
-    leaving = np.bincount(network.tails, weights=p, minlength=game.node_count)
+    leaving = sums(network.tails, p, game.node_count)
     return Strategy(
         game=game,
         edge_probability=frozen_array(p, np.float64),

@@ -69,7 +69,9 @@ class NodeProcess:
         for name, value in parameters.items():
             # JSON is YAML, which ROS reads parameters as, with all quotes in place.
             self._arguments += ["-p", f"{name}:={json.dumps(value)}"]
-        self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        # A crash in native code leaves a traceback in the log.
+        extra = {"ROS_DOMAIN_ID": str(domain), "PYTHONFAULTHANDLER": "1"}
+        self._environment = {**os.environ, **extra}
         self.seconds_to_stop = 0.0
 
     def __enter__(self) -> NodeProcess:
