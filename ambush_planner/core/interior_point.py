@@ -29,16 +29,18 @@ from .risk_map import FloatArray
 MAX_ITERATIONS = 150
 # Residuals of the rows, in their own units (flows of size 1).
 ROW_TOLERANCE = 1e-10
-# Where rounding keeps the rows from that, this will do after some more iterations.
-ROUGH_ROW_TOLERANCE, PATIENCE = 1e-8, 2
 # Weighted dual residual and complementarity, relative to 1 + |objective|.
 GAP_TOLERANCE = 1e-9
+# Where rounding keeps it from these, tolerances so much larger will do after some iterations.
+ROUGH, PATIENCE = 100.0, 3
 # Afterwards the rows are met to this, in so many attempts at the most.
 POLISHED, POLISHING = 1e-14, 3
 # The last iterations aim at this share of the tolerated complementarity.
 LEAST_CENTRING = 0.1
 # Share of the way to the boundary that a step may go.
 BOUNDARY = 0.99
+# Entropic variables below this may miss a step's end: no row notices, and none waits for them.
+NEGLIGIBLE = 1e-16
 # Changes of ln f that one step looks ahead to.
 MAX_RISE, MAX_FALL = 1.0, 20.0
 # A slack far from its bound makes W huge and costs digits in every row that it stands in. It only
@@ -86,7 +88,7 @@ class _Point:
 
     def step(self, move: _Point, primal: float, dual: float) -> _Point:
         return _Point(
-            self.f + primal * move.f,
+            np.maximum(self.f + primal * move.f, (1.0 - BOUNDARY) * self.f),
             self.w + dual * move.w,
             self.y + dual * move.y,
             self.slack + primal * move.slack,
@@ -117,8 +119,8 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
     nearly = 0
     for iteration in range(MAX_ITERATIONS):
         residuals = _Residuals(program, point)
-        nearly += residuals.small(ROUGH_ROW_TOLERANCE)
-        if residuals.small(ROW_TOLERANCE) or nearly > PATIENCE:
+        nearly += residuals.small(ROUGH)
+        if residuals.small() or nearly > PATIENCE:
             f = _polished(program, point.f, normal)
             return Solution(f, point.y, point.price, iteration)
         if time.monotonic() > deadline:
@@ -179,11 +181,12 @@ class _Residuals:
         """Complementarity to aim for at the end; below it variables jam at their bounds."""
         return LEAST_CENTRING * GAP_TOLERANCE * (1.0 + abs(self.objective)) / self._pairs
 
-    def small(self, row_tolerance: float) -> bool:
+    def small(self, factor: float = 1.0) -> bool:
+        """Tell whether all residuals are within ``factor`` times their tolerances."""
         return (
-            self.row_error < row_tolerance
-            and abs(self.budget) < row_tolerance * self._budget_scale
-            and self.relative_gap < GAP_TOLERANCE
+            self.row_error < factor * ROW_TOLERANCE
+            and abs(self.budget) < factor * ROW_TOLERANCE * self._budget_scale
+            and self.relative_gap < factor * GAP_TOLERANCE
         )
 
 
@@ -269,8 +272,9 @@ def _advance(program: Program, point: _Point, newton: _Newton) -> _Point:
 
 def _step_lengths(point: _Point, move: _Point) -> tuple[float, float]:
     """Longest primal and dual steps <= 1 that stay inside the positive variables."""
-    primal = float((-move.f / point.f).max(initial=0.0))
     inner = point.w > 0.0
+    counts = inner | (point.f > NEGLIGIBLE)
+    primal = float((-move.f[counts] / point.f[counts]).max(initial=0.0))
     dual = float((-move.w[inner] / point.w[inner]).max(initial=0.0))
     if point.price > 0.0:
         primal = max(primal, -move.slack / point.slack)

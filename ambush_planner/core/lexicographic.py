@@ -176,7 +176,7 @@ def _least_value(
     game: Game, budget: float, deadline: float, at_least: float
 ) -> tuple[float, BudgetedValue]:
     """Solve for the largest flow in units in which it is neither tiny nor huge."""
-    scale = at_least if at_least > 0.0 else float(game.loss.max())
+    scale = at_least if at_least > 0.0 else float(game.loss[game.sites].min())
     best = largest_flow(game, _capacities(game, scale), budget, at_least > 0.0, deadline)
     for _ in range(RESCALINGS):
         if best.size > TINY_FLOW:

@@ -4,32 +4,39 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import scipy
 from scipy.optimize import OptimizeResult, OptimizeWarning, linprog
-from scipy.sparse import csr_matrix, hstack, vstack
+from scipy.sparse import csr_matrix, diags, hstack, vstack
+from scipy.sparse.linalg import spsolve
 
 from .errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .game import Game
-from .game_value import indifferent_ambusher
+from .game_value import indifferent_ambusher, solve_by_cut
 from .network import IndexArray
 from .outcome import Outcome
+from .paths import distances_from, on_some_route
 from .risk_map import FloatArray
 
 LIMIT_REACHED, INFEASIBLE = 1, 2
 # HiGHS' own tolerances, far below the certificate's.
 TOLERANCE = 1e-9
+# No node is visited this often; where a loss is so small, its row says this instead.
+MOST_VISITS = 1e6
+# The rows A p = b are met to this, in so many attempts at the most.
+CONSERVED, ATTEMPTS = 1e-13, 3
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram:
-    """minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``, v = (p, z) >= 0.
+    """minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``, v = (p, z') >= 0.
 
-    p are the expected uses of the playable edges ``edge`` (m,). Rows of ``inequalities``: one a
-    site, ``sum p into j - z / alpha_j <= 0``, and last, where a budget is set, ``l' p <= budget``.
+    p are the expected uses of the playable edges ``edge`` (m,), z' is the value in units of
+    ``unit``. Rows of ``inequalities``: one a site, ``sum p into j - z' unit / alpha_j <= 0``, and
+    last, where a budget is set, ``l' p <= budget``.
     """
 
     edge: IndexArray
@@ -38,15 +45,21 @@ class LinearProgram:
     limits: FloatArray
     equalities: csr_matrix
     rhs: FloatArray
+    unit: float
 
 
-def linear_program(game: Game, length_weight: float, budget: float) -> LinearProgram:
-    """Build the program: (1 - w) z + w l' p under D p <= z, A p = b and l' p <= budget."""
+def linear_program(
+    game: Game, length_weight: float, budget: float, unit: float
+) -> LinearProgram:
+    """Build the program: (1 - w) z + w l' p under D p <= z, A p = b and l' p <= budget.
+
+    ``unit`` > 0 is a loss near to the value, so that the digits of z count.
+    """
     network = game.network
     edge = np.flatnonzero(game.playable)
     lengths = network.lengths[edge]
-    cost = np.append(length_weight * lengths, 1.0 - length_weight)
-    per_loss = -1.0 / game.loss[game.sites]
+    cost = np.append(length_weight / unit * lengths, 1.0 - length_weight)
+    per_loss = -np.minimum(unit / game.loss[game.sites], MOST_VISITS)
     inequalities = hstack((game.hits[:, edge], csr_matrix(per_loss[:, None])))
     limits = np.zeros(len(game.sites))
     if np.isfinite(budget):
@@ -61,6 +74,7 @@ def linear_program(game: Game, length_weight: float, budget: float) -> LinearPro
         limits,
         hstack((conservation, nothing)).tocsr(),
         rhs,
+        unit,
     )
 
 
@@ -93,46 +107,83 @@ def linear_program_strategy(
     BudgetInfeasible, TimeLimit, SolverFailed
         As the names say.
     """
-    program = linear_program(game, length_weight, np.inf)
-    result = _run(program, solver, budget, deadline)
+    if length_weight == 0.0:
+        game = _past_all_sites(game, budget) or game
+    program = linear_program(game, length_weight, np.inf, _unit(game))
+    result = _run(program, solver, deadline)
     row_added = float(game.network.lengths[program.edge] @ result.x[:-1]) > budget * (1 + 1e-9)
     if row_added:
-        program = linear_program(game, length_weight, budget)
-        result = _run(program, solver, budget, deadline)
+        program = linear_program(game, length_weight, budget, program.unit)
+        result = _run(program, solver, deadline, budget)
     p = np.zeros(len(game.network.edges))
-    p[program.edge] = np.maximum(result.x[:-1], 0.0)
+    p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     reference = budget if length_weight == 0.0 else float(p @ game.network.lengths)
-    return _with_ambusher(game, p, result, length_weight, row_added, reference)
+    price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
+    return _with_ambusher(game, p, result, price, reference)
+
+
+def _past_all_sites(game: Game, budget: float) -> Game | None:
+    """The game on the edges that no ambush hits, if a route within the budget is left; else None.
+
+    Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
+    """
+    untouched = game.playable & (game.hits.getnnz(axis=0) == 0)
+    network, count = game.network, game.node_count
+    edges = network.edges[untouched]
+    length = distances_from(edges, network.lengths[untouched], count, network.source)
+    if not np.isfinite(length[network.target]) or length[network.target] > budget * (1 + 1e-9):
+        return None
+    useful = on_some_route(edges, count, network.source, network.target)
+    untouched &= useful[network.tails] & useful[network.heads]
+    return replace(game, playable=untouched)
+
+
+def _unit(game: Game) -> float:
+    """A loss near to the value: the value without a budget where a cut tells it."""
+    value = solve_by_cut(game).value if game.ambush_radius == 0.0 else 0.0
+    return value or float(game.loss.max(initial=0.0)) or 1.0
+
+
+def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
+    """Meet ``A p = b`` to rounding by small relative changes of p; HiGHS stops at about 1e-8."""
+    rows = program.equalities[:, :-1]
+    for _ in range(ATTEMPTS):
+        missing = program.rhs - rows @ p
+        if np.abs(missing).max() < CONSERVED:
+            break
+        weight = np.maximum(p, 1e-12)
+        change = rows.T @ spsolve((rows @ diags(weight) @ rows.T).tocsc(), missing)
+        p = p + weight * np.clip(change, -0.5, 0.5)
+    return np.maximum(p, 0.0)
 
 
 def _with_ambusher(
-    game: Game,
-    p: FloatArray,
-    result: OptimizeResult,
-    length_weight: float,
-    row_added: bool,
-    budget: float,
+    game: Game, p: FloatArray, result: OptimizeResult, price: float, budget: float
 ) -> Outcome:
-    """Read q and the price of length off the duals of the inequalities."""
+    """Read q off the duals of the sites' rows; q and ``price`` share their scale."""
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
     q = np.zeros(game.node_count)
     q[game.sites] = duals[: len(game.sites)] / game.loss[game.sites]
     total = q.sum()
     if total <= 0.0:
         return Outcome(p, indifferent_ambusher(game), budget, 0.0, int(result.nit))
-    price = length_weight + (duals[-1] if row_added else 0.0)
     if price == 0.0:
         budget = max(budget, float(p @ game.network.lengths))
     return Outcome(p, q / total, budget, price / total, int(result.nit))
 
 
-def _run(program: LinearProgram, solver: str, budget: float, deadline: float) -> OptimizeResult:
+def _run(
+    program: LinearProgram, solver: str, deadline: float, budget: float = np.inf
+) -> OptimizeResult:
     options: dict[str, Any] = {
         "primal_feasibility_tolerance": TOLERANCE,
         "dual_feasibility_tolerance": TOLERANCE,
     }
-    if np.isfinite(deadline):
-        options["time_limit"] = max(deadline - time.monotonic(), 1e-3)
+    left = deadline - time.monotonic()
+    if left <= 0.0:
+        raise TimeLimit(f"{solver}: time is up before the first iteration")
+    if np.isfinite(left):
+        options["time_limit"] = left
     if solver == "interior_point":
         options |= {"run_crossover": _no_crossover()}
     with warnings.catch_warnings():
@@ -149,7 +200,7 @@ def _run(program: LinearProgram, solver: str, budget: float, deadline: float) ->
         )
     if result.status == LIMIT_REACHED:
         raise TimeLimit(f"{solver}: time is up after {result.nit} iterations")
-    if result.status == INFEASIBLE:
+    if result.status == INFEASIBLE and np.isfinite(budget):
         raise BudgetInfeasible(f"{solver}: no strategy fits the length budget of {budget:.3f} m")
     if result.x is None or result.status != 0:
         raise SolverFailed(f"{solver}: {result.message}")

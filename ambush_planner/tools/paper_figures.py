@@ -1,0 +1,158 @@
+"""The paper's figures 2 to 7, and our own strategy in the same style."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch
+
+from ..core.risk_map import RiskMap
+from ..core.strategy import Strategy
+from .figures import (
+    PROBABILITY,
+    draw_edges,
+    draw_ends,
+    draw_mean_direction,
+    draw_risk_map,
+    frame,
+    probability_scale,
+)
+from .paper_environment import EXAMPLE, METHODS, SPACING
+from .paper_results import METHOD_3, Results, Say
+
+DOTS_PER_INCH = 100
+CONNECTIVITY = {
+    "Method 1": "random samples, Delaunay triangulation",
+    "Method 2": "lattice, 8-connected",
+    "Method 3": "lattice, Delaunay triangulation",
+}
+# Thresholds of figure 7: a moderate one, and one that leaves a bottleneck.
+SHOWN_THRESHOLDS = (7.0, 5.0)
+
+
+def draw_all(results: Results, folder: Path, say: Say) -> None:
+    """Write every figure into the folder."""
+    for name, figure in (
+        ("figure_2_interior_point", _example(results, "interior_point", "interior point")),
+        ("figure_3_interior_point", _methods(results, "interior_point", "interior point")),
+        ("figure_4_simplex", _example(results, "simplex", "simplex")),
+        ("figure_5_simplex", _methods(results, "simplex", "simplex")),
+        ("figure_6_energy", _energy(results)),
+        ("figure_7_threshold", _thresholds(results)),
+        ("figure_ours", _methods(results, "max_entropy", "max_entropy")),
+    ):
+        say(f"drawing {name}.png")
+        figure.savefig(folder / f"{name}.png")
+
+
+def _methods(results: Results, solver: str, name: str) -> Figure:
+    rows = [
+        (f"{method}: {CONNECTIVITY[method]} ({name})", results.strategies[method, solver])
+        for method in METHODS
+    ]
+    return _rows(results.risk_map, rows)
+
+
+def _energy(results: Results) -> Figure:
+    title = f"{METHOD_3}, minimising 0.99 z + 0.01 E (interior point)"
+    return _rows(results.risk_map, [(title, results.weighted)])
+
+
+def _thresholds(results: Results) -> Figure:
+    """Both panels show edges, and where the ambusher waits."""
+    figure, axes = _panels(1)
+    scale = probability_scale(np.array([1.0]))
+    for panel, threshold in zip(axes[0], SHOWN_THRESHOLDS, strict=True):
+        strategy = results.thresholds[threshold]
+        frame(panel, results.risk_map,
+              f"No node with alpha over {threshold:g}: value {strategy.value:.2f}")
+        draw_risk_map(panel, results.risk_map)
+        lines = draw_edges(panel, strategy.network, strategy.edge_probability, scale, (0.4, 3.4))
+        _draw_sites(panel, strategy)
+        _draw_ends(panel, strategy)
+    figure.colorbar(lines, ax=axes[0].tolist(), location="bottom", shrink=0.4, aspect=40,
+                    label="expected uses of each edge")
+    sites = Line2D([], [], linestyle="none", marker="s", markersize=8, color="white",
+                   markeredgecolor="black", label="where the ambusher waits")
+    figure.legend(handles=[sites], loc="lower right")
+    return figure
+
+
+def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
+    """One row a strategy: left how likely each edge is used, right the mean direction."""
+    figure, axes = _panels(len(rows))
+    for (left, right), (title, strategy) in zip(axes, rows, strict=True):
+        frame(left, risk_map, title)
+        frame(right, risk_map, "mean direction")
+        lines = draw_edges(left, strategy.network, strategy.edge_probability, None, (0.4, 3.4))
+        draw_mean_direction(right, strategy, SPACING)
+        for panel in (left, right):
+            risk = draw_risk_map(panel, risk_map)
+            _draw_ends(panel, strategy)
+        figure.colorbar(lines, ax=left, label="expected uses of each edge", shrink=0.9)
+        figure.colorbar(risk, ax=right, label="alpha", shrink=0.9)
+    return figure
+
+
+def _panels(rows: int) -> tuple[Figure, np.ndarray]:
+    figure = Figure(figsize=(13.5, 6.0 * rows), dpi=DOTS_PER_INCH, layout="compressed")
+    return figure, figure.subplots(rows, 2, squeeze=False)
+
+
+def _draw_ends(axes: Axes, strategy: Strategy) -> None:
+    network = strategy.network
+    draw_ends(axes, *network.points[[network.source, network.target]])
+
+
+def _draw_sites(axes: Axes, strategy: Strategy) -> None:
+    """The paper's little white squares."""
+    q = strategy.ambush_probability
+    sites = strategy.network.points[q > 1e-3 * q.max()]
+    axes.scatter(*sites.T, s=55, marker="s", color="white", edgecolors="black", zorder=8)
+
+
+def _example(results: Results, solver: str, name: str) -> Figure:
+    """The 8-node network: the wider an arrow, the likelier the edge; unused ones dotted."""
+    strategy = results.strategies[EXAMPLE, solver]
+    network = strategy.network
+    figure = Figure(figsize=(8.0, 4.6), dpi=DOTS_PER_INCH, layout="constrained")
+    axes = figure.subplots()
+    for (tail, head), p in zip(network.edges, strategy.edge_probability, strict=True):
+        _draw_arrow(axes, network.points[tail], network.points[head], float(p))
+    axes.scatter(*network.points.T, s=420, color="white", edgecolors="black", zorder=3)
+    for node, x in enumerate(strategy.visit_probability):
+        label = {network.source: "A", network.target: "B"}.get(node, f"{x:.2f}")
+        axes.annotate(label, network.points[node], ha="center", va="center", fontsize=8, zorder=4)
+    axes.set(xlim=(-0.25, 3.25), ylim=(-0.3, 2.3), aspect="equal")
+    axes.set_axis_off()
+    axes.set_title(
+        f"8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}; "
+        "in the nodes how often they are visited",
+        fontsize="medium",
+    )
+    return figure
+
+
+def _draw_arrow(axes: Axes, tail: np.ndarray, head: np.ndarray, p: float) -> None:
+    used = p > 1e-6
+    axes.add_patch(FancyArrowPatch(
+        tail,
+        head,
+        arrowstyle="-|>",
+        mutation_scale=10.0 + 25.0 * p,
+        linewidth=0.8 + 16.0 * p if used else 0.8,
+        linestyle="-" if used else ":",
+        color=PROBABILITY(0.25 + 2.0 * p) if used else "0.6",
+        shrinkA=11.0,
+        shrinkB=11.0,
+        zorder=2 if used else 1,
+    ))
+    if used:
+        x, y = tail + 0.36 * (head - tail)
+        axes.annotate(f"{p:.2f}", (x, y), ha="center", va="center", fontsize=8, zorder=5,
+                      bbox={"boxstyle": "round,pad=0.15", "color": "white", "alpha": 0.85})
