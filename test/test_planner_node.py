@@ -29,8 +29,8 @@ from ambush_planner.ros.conversions import path_from_ros, pose_to_ros, risk_map_
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 KEYS = {
     'state', 'code', 'message', 'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
-    'expected_length', 'shortest_length', 'nodes', 'edges', 'solve_seconds', 'departures',
-    'recording',
+    'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
+    'deciding_sites_near_ends', 'secured_value', 'solve_seconds', 'departures', 'recording',
 }
 
 

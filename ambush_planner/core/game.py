@@ -8,7 +8,7 @@ edge: row j of ``D p`` is what an ambush at site j costs on average (the paper's
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -174,6 +174,11 @@ def make_game(network: Network, options: GameOptions) -> Game:
         frozen_array(playable, np.bool_),
         frozen_array(loss, np.float64),
     )
+
+
+def without_sites(game: Game, nodes: BoolArray) -> Game:
+    """The game in which nobody can wait at ``nodes`` (N,)."""
+    return replace(game, loss=frozen_array(np.where(nodes, 0.0, game.loss), np.float64))
 
 
 def _possible_sites(network: Network, options: GameOptions) -> BoolArray:

@@ -18,14 +18,17 @@ from .game import Game
 from .game_value import indifferent_ambusher, solve_by_cut
 from .network import IndexArray
 from .outcome import Outcome
-from .paths import distances_from, on_some_route
+from .paths import distances_from, on_some_route, shortest_path
 from .risk_map import FloatArray
+from .routes import route_edges
 
 LIMIT_REACHED, INFEASIBLE = 1, 2
 # HiGHS' own tolerances, far below the certificate's.
 TOLERANCE = 1e-9
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
+# A unit this near to the value or nearer serves; from far above it is lowered, so often at most.
+NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # The rows A p = b are met to this, in so many attempts at the most.
 CONSERVED, ATTEMPTS = 1e-13, 3
 
@@ -113,13 +116,12 @@ def linear_program_strategy(
     result = _run(program, solver, deadline)
     row_added = float(game.network.lengths[program.edge] @ result.x[:-1]) > budget * (1 + 1e-9)
     if row_added:
-        program = linear_program(game, length_weight, budget, program.unit)
-        result = _run(program, solver, deadline, budget)
+        program, result = _within_budget(game, solver, budget, length_weight, deadline)
     p = np.zeros(len(game.network.edges))
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     reference = budget if length_weight == 0.0 else float(p @ game.network.lengths)
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    return _with_ambusher(game, p, result, price, reference)
+    return _with_ambusher(game, program, p, result, price, reference)
 
 
 def _past_all_sites(game: Game, budget: float) -> Game | None:
@@ -144,6 +146,36 @@ def _unit(game: Game) -> float:
     return value or float(game.loss.max(initial=0.0)) or 1.0
 
 
+def _within_budget(
+    game: Game, solver: str, budget: float, length_weight: float, deadline: float
+) -> tuple[LinearProgram, OptimizeResult]:
+    """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
+    unit = _shortest_route_loss(game) or 1.0
+    for _ in range(MAX_UNITS):
+        program = linear_program(game, length_weight, budget, unit)
+        result = _run(program, solver, deadline, budget)
+        value = float(result.x[-1])
+        if value > NEAR_UNIT:
+            break
+        unit *= max(value, NEAR_UNIT**2)
+    return program, result
+
+
+def _shortest_route_loss(game: Game) -> float:
+    """What the best ambush costs against always driving the shortest route."""
+    network, edges = game.network, np.flatnonzero(game.playable)
+    route = shortest_path(
+        network.edges[edges],
+        network.lengths[edges],
+        game.node_count,
+        network.source,
+        network.target,
+    )
+    p = np.zeros(len(network.edges))
+    p[route_edges(network, route)] = 1.0
+    return game.upper_bound(p)
+
+
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
     """Meet ``A p = b`` to rounding by small relative changes of p; HiGHS stops at about 1e-8."""
     rows = program.equalities[:, :-1]
@@ -158,12 +190,15 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
 
 
 def _with_ambusher(
-    game: Game, p: FloatArray, result: OptimizeResult, price: float, budget: float
+    game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float,
+    budget: float,
 ) -> Outcome:
     """Read q off the duals of the sites' rows; q and ``price`` share their scale."""
-    duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+    loss = game.loss[game.sites]
+    duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
+    # The row of a loss far below the unit never binds: its dual is rounding, and large over alpha.
     q = np.zeros(game.node_count)
-    q[game.sites] = duals[: len(game.sites)] / game.loss[game.sites]
+    q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
     total = q.sum()
     if total <= 0.0:
         return Outcome(p, indifferent_ambusher(game), budget, 0.0, int(result.nit))

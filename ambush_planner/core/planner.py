@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .arrays import frozen_array
+from .bottleneck import Bottleneck, find_bottleneck
 from .construction import NetworkOptions, build_network
 from .game import GameOptions
 from .network import IndexArray, Network
@@ -27,11 +28,15 @@ class PlanningOptions:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took."""
+    """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took.
+
+    ``bottleneck`` tells which sites decide the strategy's value.
+    """
 
     risk_map: RiskMap
     network: Network
     strategy: Strategy
+    bottleneck: Bottleneck
     seconds: float
 
 
@@ -54,7 +59,8 @@ def plan(
     begin = time.monotonic()
     network = build_network(risk_map, start_xy, goal_xy, options.network)
     strategy = solve(network, options.game, options.strategy)
-    return Plan(risk_map, network, strategy, time.monotonic() - begin)
+    bottleneck = find_bottleneck(strategy)
+    return Plan(risk_map, network, strategy, bottleneck, time.monotonic() - begin)
 
 
 def depart(a_plan: Plan, rng: np.random.Generator) -> Route:

@@ -88,10 +88,17 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
     names = ('value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
              'expected_length', 'shortest_length')
     if plan is None:
-        return dict.fromkeys((*names, 'nodes', 'edges', 'solve_seconds'), '')
+        return dict.fromkeys(
+            (*names, 'nodes', 'edges', 'deciding_sites', 'deciding_sites_near_ends',
+             'secured_value', 'solve_seconds'),
+            '',
+        )
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in names},
         'nodes': str(len(plan.network.points)),
         'edges': str(len(plan.network.edges)),
+        'deciding_sites': str(len(plan.bottleneck.sites)),
+        'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
+        'secured_value': f'{plan.bottleneck.secured_value:.9g}',
         'solve_seconds': f'{plan.seconds:.3f}',
     }

@@ -40,6 +40,8 @@ SEED = 0
 HIGH_ALPHA = 5.0
 # For figure 7: from next to no effect to a single node that everybody has to pass.
 THRESHOLDS = (7.0, 6.0, 5.0, 4.5)
+# For one strategy of ours: ground around start and goal where nobody can wait.
+SECURED_RADIUS = 5.0
 
 EXAMPLE = "8 nodes"
 # The paper's table I.

@@ -1,15 +1,19 @@
-"""The paper's figures 2 to 7, and our own strategy in the same style."""
+"""The paper's figures 2 to 7, and our own strategies in the same style."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
+from scipy.sparse import csr_matrix
 
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
@@ -20,9 +24,8 @@ from .figures import (
     draw_mean_direction,
     draw_risk_map,
     frame,
-    probability_scale,
 )
-from .paper_environment import EXAMPLE, METHODS, SPACING
+from .paper_environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
 from .paper_results import METHOD_3, Results, Say
 
 DOTS_PER_INCH = 100
@@ -45,6 +48,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
         ("figure_6_energy", _energy(results)),
         ("figure_7_threshold", _thresholds(results)),
         ("figure_ours", _methods(results, "max_entropy", "max_entropy")),
+        ("figure_ours_secured", _secured(results)),
     ):
         say(f"drawing {name}.png")
         figure.savefig(folder / f"{name}.png")
@@ -52,34 +56,43 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
 
 def _methods(results: Results, solver: str, name: str) -> Figure:
     rows = [
-        (f"{method}: {CONNECTIVITY[method]} ({name})", results.strategies[method, solver])
+        (f"{method}: {CONNECTIVITY[method]}; {name}", results.strategies[method, solver])
         for method in METHODS
     ]
     return _rows(results.risk_map, rows)
 
 
 def _energy(results: Results) -> Figure:
-    title = f"{METHOD_3}, minimising 0.99 z + 0.01 E (interior point)"
+    title = f"{METHOD_3}, 0.99 z + 0.01 E minimised; interior point"
     return _rows(results.risk_map, [(title, results.weighted)])
 
 
+def _secured(results: Results) -> Figure:
+    title = f"{METHOD_3}, no ambush within {SECURED_RADIUS:g} m of the ends; max_entropy"
+    figure = _rows(results.risk_map, [(title, results.secured)])
+    _draw_sites(figure.axes[0], results.secured)
+    _sites_legend(figure)
+    return figure
+
+
 def _thresholds(results: Results) -> Figure:
-    """Both panels show edges, and where the ambusher waits."""
-    figure, axes = _panels(1)
-    scale = probability_scale(np.array([1.0]))
-    for panel, threshold in zip(axes[0], SHOWN_THRESHOLDS, strict=True):
+    """One row a threshold: the whole map, and the goal with the places where the ambusher waits."""
+    figure, axes = _panels(len(SHOWN_THRESHOLDS))
+    for panels, threshold in zip(axes, SHOWN_THRESHOLDS, strict=True):
         strategy = results.thresholds[threshold]
-        frame(panel, results.risk_map,
-              f"No node with alpha over {threshold:g}: value {strategy.value:.2f}")
-        draw_risk_map(panel, results.risk_map)
-        lines = draw_edges(panel, strategy.network, strategy.edge_probability, scale, (0.4, 3.4))
-        _draw_sites(panel, strategy)
-        _draw_ends(panel, strategy)
-    figure.colorbar(lines, ax=axes[0].tolist(), location="bottom", shrink=0.4, aspect=40,
-                    label="expected uses of each edge")
-    sites = Line2D([], [], linestyle="none", marker="s", markersize=8, color="white",
-                   markeredgecolor="black", label="where the ambusher waits")
-    figure.legend(handles=[sites], loc="lower right")
+        titles = (
+            f"Nodes with alpha over {threshold:g} discarded: value {strategy.value:.2f}",
+            "around the goal",
+        )
+        for panel, title in zip(panels, titles, strict=True):
+            frame(panel, results.risk_map, title)
+            draw_risk_map(panel, results.risk_map)
+            lines = _draw_uses(panel, strategy)
+            _draw_sites(panel, strategy)
+            _draw_ends(panel, strategy)
+        panels[1].set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
+        figure.colorbar(lines, ax=panels, label="expected uses of each edge", shrink=0.9)
+    _sites_legend(figure)
     return figure
 
 
@@ -89,8 +102,8 @@ def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
     for (left, right), (title, strategy) in zip(axes, rows, strict=True):
         frame(left, risk_map, title)
         frame(right, risk_map, "mean direction")
-        lines = draw_edges(left, strategy.network, strategy.edge_probability, None, (0.4, 3.4))
-        draw_mean_direction(right, strategy, SPACING)
+        lines = _draw_uses(left, strategy)
+        draw_mean_direction(right, _without_two_way_traffic(strategy), SPACING)
         for panel in (left, right):
             risk = draw_risk_map(panel, risk_map)
             _draw_ends(panel, strategy)
@@ -104,6 +117,25 @@ def _panels(rows: int) -> tuple[Figure, np.ndarray]:
     return figure, figure.subplots(rows, 2, squeeze=False)
 
 
+def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
+    """Draw the edges on a linear scale that a few crowded edges do not stretch."""
+    p = strategy.edge_probability
+    most = float(np.quantile(p[p > 1e-3], 0.98))
+    return draw_edges(axes, strategy.network, p, Normalize(0.0, most, clip=True), (0.3, 3.2))
+
+
+def _without_two_way_traffic(strategy: Strategy) -> Strategy:
+    """Let traffic there and back on the same edge cancel out, for its mean direction.
+
+    Solutions of the linear programs drive most edges both ways; the mean of all that motion
+    shows the network's own asymmetry, what is left shows where the journey goes.
+    """
+    network, p = strategy.network, strategy.edge_probability
+    uses = csr_matrix((p, network.edges.T), shape=(len(network.points),) * 2)
+    back = np.asarray(uses[network.heads, network.tails]).ravel()
+    return replace(strategy, edge_probability=np.maximum(p - back, 0.0))
+
+
 def _draw_ends(axes: Axes, strategy: Strategy) -> None:
     network = strategy.network
     draw_ends(axes, *network.points[[network.source, network.target]])
@@ -113,7 +145,13 @@ def _draw_sites(axes: Axes, strategy: Strategy) -> None:
     """The paper's little white squares."""
     q = strategy.ambush_probability
     sites = strategy.network.points[q > 1e-3 * q.max()]
-    axes.scatter(*sites.T, s=55, marker="s", color="white", edgecolors="black", zorder=8)
+    axes.scatter(*sites.T, s=60, marker="s", color="white", edgecolors="black", zorder=9)
+
+
+def _sites_legend(figure: Figure) -> None:
+    sites = Line2D([], [], linestyle="none", marker="s", markersize=8, color="white",
+                   markeredgecolor="black", label="where the ambusher waits")
+    figure.legend(handles=[sites], loc="outside lower right")
 
 
 def _example(results: Results, solver: str, name: str) -> Figure:

@@ -1,4 +1,4 @@
-"""What ``ambush_paper`` prints: the tables, and the paper's statements beside what came out here."""
+"""What ``ambush_paper`` prints: tables, and the paper's statements beside what came out here."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def _ours(results: Results) -> Iterable[Comparison]:
 def table_2(results: Results) -> str:
     """Entropy by network and solver, as a Markdown table."""
     head = ("network", "solver", "value", "edge entropy", "paper's", "route entropy",
-            "E / shortest", f"routes of {DRAWS}")
+            "E / shortest", f"routes of {DRAWS}", f"at alpha > {HIGH_ALPHA:g}")
     return _table(head, [
         (
             row.network,
@@ -202,6 +202,7 @@ def table_2(results: Results) -> str:
             f"{row.route_entropy:.2f}",
             f"{row.expected_length / row.shortest_length:.2f}",
             f"{row.routes}",
+            "" if row.network == EXAMPLE else f"{row.high_alpha_share:.0%}",
         )
         for row in results.table_2
     ])
@@ -266,8 +267,8 @@ def _number(value: float | None) -> str:
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
-    lines = [head, ["-" * width for width in widths], *rows]
-    return "\n".join(
-        "| " + " | ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)) + " |"
-        for line in lines
-    )
+    lines = []
+    for row in (head, ["-" * width for width in widths], *rows):
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)

@@ -12,7 +12,7 @@ from ..core.game import GameOptions
 from ..core.network import Network
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy, StrategyOptions, solve
-from .paper_environment import EXAMPLE, HIGH_ALPHA, THRESHOLDS, make_networks
+from .paper_environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
 
 SOLVERS = ("interior_point", "simplex", "max_entropy")
 # The network of the paper's table III.
@@ -37,6 +37,7 @@ PAPER_ENTROPY = {
 }
 STOCHASTIC, SHORTEST, SAFEST = "stochastic", "energy efficient", "risk avoidance"
 WEIGHTED = "stochastic, 0.99 / 0.01"
+SECURED = f"ours, ends secured within {SECURED_RADIUS:g} m"
 # Expected length, P_1, P_inf, V_inf; of the weighted variant the text tells only the length.
 PAPER_MEASURES: dict[str, tuple[float | None, ...]] = {
     STOCHASTIC: (89.57, 0.33, 0.33, 1.09),
@@ -74,7 +75,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class PlannerRow:
-    """One planner's row of table III; ``paper`` holds the paper's four numbers, where it has them."""
+    """One planner's row of table III; ``paper`` holds the paper's own, as far as it has them."""
 
     planner: str
     expected_length: float
@@ -102,6 +103,7 @@ class Results:
     strategies: Mapping[tuple[str, str], Strategy]
     weighted: Strategy
     budgeted: Mapping[float, Strategy]
+    secured: Strategy
     thresholds: Mapping[float, Strategy]
     table_2: tuple[Spread, ...]
     table_3: tuple[PlannerRow, ...]
@@ -159,13 +161,19 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
                          _paper_options("interior_point"))
         for threshold in THRESHOLDS
     }
-    named = {WEIGHTED: weighted, **{budgeted_name(d): s for d, s in budgeted.items()}}
+    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS))
+    named = {
+        WEIGHTED: weighted,
+        **{budgeted_name(d): strategy for d, strategy in budgeted.items()},
+        SECURED: secured,
+    }
     return Results(
         risk_map,
         networks,
         strategies,
         weighted,
         budgeted,
+        secured,
         thresholds,
         tuple(table_2),
         _planner_rows(strategies[METHOD_3, "interior_point"], named),

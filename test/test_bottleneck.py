@@ -1,0 +1,53 @@
+"""The bottleneck report: which sites decide the value, and what securing the ends would leave."""
+
+import numpy as np
+import pytest
+
+from ambush_planner import GameOptions, Network, NetworkOptions, RiskMap, build_network, solve
+from ambush_planner.core.bottleneck import find_bottleneck
+
+
+def corridor_network() -> Network:
+    """s, a site of loss 2, harmless road, three sites abreast, harmless road, t; edges of 1 m."""
+    road = [[x, 0] for x in range(13)]
+    points = [*road[:6], [6, 0.5], *road[6:], [6, -0.5]]
+    alpha = np.zeros(len(points))
+    alpha[1] = 2.0
+    abreast = [6, 7, 14]
+    alpha[abreast] = 1.0
+    edges = [[k, k + 1] for k in (0, 1, 2, 3, 4)]
+    edges += [[5, k] for k in abreast] + [[k, 8] for k in abreast]
+    edges += [[k, k + 1] for k in (8, 9, 10, 11, 12)]
+    return Network(np.array(points, float), alpha, np.array(edges), 0, 13)
+
+
+def test_names_the_site_that_decides_and_where_it_is():
+    report = find_bottleneck(solve(corridor_network()))
+    assert report.sites.tolist() == [1]
+    assert (report.near_source, report.near_target, report.near_ends) == (1, 0, 1)
+    assert report.value == pytest.approx(2.0, rel=1e-6)
+    # With that site out of the game, the ambusher picks one of three.
+    assert report.secured_value == pytest.approx(1 / 3, rel=1e-9)
+
+
+def test_secured_value_is_what_a_secured_radius_gives():
+    alpha = np.ones((20, 20))
+    network = build_network(
+        RiskMap(alpha, alpha > 1, 1.0), (0.5, 10.5), (19.5, 10.5), NetworkOptions(spacing=1.0)
+    )
+    report = find_bottleneck(solve(network))
+    assert report.near_ends == len(report.sites) > 0
+    secured = solve(network, GameOptions(secured_radius=report.distance))
+    assert report.secured_value == pytest.approx(secured.value, rel=2e-6)
+    again = find_bottleneck(secured)
+    assert again.secured_value <= secured.value
+    if again.near_ends == 0:
+        assert again.secured_value == secured.value
+
+
+def test_nothing_decides_a_game_of_value_zero():
+    points = np.array([[0, 0], [1, 0], [2, 0.0]])
+    network = Network(points, np.zeros(3), np.array([[0, 1], [1, 2]]), 0, 2)
+    report = find_bottleneck(solve(network))
+    assert len(report.sites) == 0 and report.near_ends == 0
+    assert report.secured_value == report.value == 0.0
