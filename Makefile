@@ -13,10 +13,11 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo test lint clean
+.PHONY: help demo paper test lint clean
 
 help:
 	@echo 'make demo   eight departures on real terrain; results in out/demo'
+	@echo 'make paper  the tables and figures of the paper; results in out/paper'
 	@echo 'make test   linters, type checker and the whole test suite'
 	@echo 'make lint   linters and type checker only'
 	@echo 'make clean  remove .venv, out and all build results'
@@ -24,6 +25,9 @@ help:
 
 demo: $(VENV)/.demo
 	$(BIN)/ambush_demo
+
+paper: $(VENV)/.demo
+	$(BIN)/ambush_paper
 
 # pytest exits 5, and so fails this target, when it finds no test.
 test: lint

@@ -58,6 +58,7 @@ setup(
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.planner_node:main',
             'ambush_demo = ambush_planner.tools.demo:main',
+            'ambush_paper = ambush_planner.tools.paper:main',
         ],
     },
 )

@@ -123,6 +123,7 @@ def test_executables():
     modules = dict(re.split(r'\s*=\s*', script) for script in scripts)
     assert modules['ambush_planner'] == 'ambush_planner.ros.planner_node:main'
     assert modules['ambush_demo'] == 'ambush_planner.tools.demo:main'
+    assert modules['ambush_paper'] == 'ambush_planner.tools.paper:main'
     for name, target in modules.items():
         assert name.startswith('ambush_')
         module, function = target.split(':')

@@ -7,6 +7,7 @@ import signal
 import sys
 import traceback
 from collections.abc import Callable
+from threading import Event
 from typing import Any, TypeVar
 
 import rclpy
@@ -19,6 +20,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ..core.errors import AmbushPlannerError, InvalidOption
@@ -29,6 +31,7 @@ from .session import Session
 
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
+_LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
 # One for the planning services; the others keep subscriptions, parameters and timer running.
 _THREADS = 4
 
@@ -177,23 +180,26 @@ class PlannerNode(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
+    # Our own handlers, which only raise a flag: rclpy's end the context at once, wherever the
+    # threads are, which crashes a node that is just starting. They stay to the end, so that a
+    # second Ctrl-C does not cut the clean-up short.
+    stop = Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
     executor, node = None, None
     try:
-        rclpy.init(args=args)
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = PlannerNode()
         executor = MultiThreadedExecutor(num_threads=_THREADS)
         executor.add_node(node)
-        while rclpy.ok():
-            executor.spin_once(timeout_sec=0.5)
-    except (KeyboardInterrupt, ExternalShutdownException):
+        while rclpy.ok() and not stop.is_set():
+            executor.spin_once(timeout_sec=_LOOK_UP)
+    except ExternalShutdownException:
         pass
     except (InvalidOption, ParameterException) as error:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
     finally:
-        # A second Ctrl-C must not cut the clean-up short.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)
         if executor is not None:
             executor.shutdown(timeout_sec=2.0)
         if node is not None:

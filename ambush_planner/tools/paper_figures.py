@@ -26,7 +26,8 @@ from .figures import (
     frame,
 )
 from .paper_environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
-from .paper_results import METHOD_3, Results, Say
+from .paper_report import NAMES
+from .paper_results import METHOD_3, SOLVERS, Results, Say
 
 DOTS_PER_INCH = 100
 CONNECTIVITY = {
@@ -49,6 +50,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
         ("figure_7_threshold", _thresholds(results)),
         ("figure_ours", _methods(results, "max_entropy", "max_entropy")),
         ("figure_ours_secured", _secured(results)),
+        ("figure_solvers", _solvers(results)),
     ):
         say(f"drawing {name}.png")
         figure.savefig(folder / f"{name}.png")
@@ -59,6 +61,12 @@ def _methods(results: Results, solver: str, name: str) -> Figure:
         (f"{method}: {CONNECTIVITY[method]}; {name}", results.strategies[method, solver])
         for method in METHODS
     ]
+    return _rows(results.risk_map, rows)
+
+
+def _solvers(results: Results) -> Figure:
+    """Figure 3 c, figure 5 c and our own strategy below each other."""
+    rows = [(f"{METHOD_3}: {NAMES[s]}", results.strategies[METHOD_3, s]) for s in SOLVERS]
     return _rows(results.risk_map, rows)
 
 
