@@ -6,7 +6,7 @@ import clarabel
 import numpy as np
 import pytest
 from games import METHODS, PLAIN, examples, networks, paper_example, terrain_network
-from hypothesis import given
+from hypothesis import given, reject
 from hypothesis import strategies as st
 from scipy.sparse import csc_matrix, identity, vstack
 
@@ -16,8 +16,9 @@ DETOURS = (1.05, 1.2, 1.5, np.inf)
 
 
 def clarabel_entropy(network, edges, capacity, budget) -> float:
-    """Largest -sum p ln p of a unit flow p on ``edges`` with visits <= capacity (N,), length <= budget.
+    """Largest -sum p ln p of a unit flow p on ``edges``, visits <= capacity (N,), length <= budget.
 
+    NaN where Clarabel does not solve it to its own tolerances.
     Variables (p, t); (t_k, p_k, 1) in the exponential cone says t_k <= -p_k ln p_k.
     """
     n, m = len(network.points), len(edges)
@@ -48,8 +49,7 @@ def clarabel_entropy(network, edges, capacity, budget) -> float:
     found = clarabel.DefaultSolver(
         csc_matrix((2 * m, 2 * m)), cost, matrix, right, kinds, settings
     ).solve()
-    assert str(found.status) == "Solved", found.status
-    return float(-found.obj_val)
+    return float(-found.obj_val) if str(found.status) == "Solved" else np.nan
 
 
 def check_entropy(network, max_detour: float, risk_slack: float = 0.0) -> None:
@@ -61,6 +61,8 @@ def check_entropy(network, max_detour: float, risk_slack: float = 0.0) -> None:
     # What rounding lets the strategy exceed the budget by, Clarabel may use too: see test_strategy.
     budget = max(strategy.length_budget, strategy.expected_length)
     most = clarabel_entropy(network, edges, capacity, budget)
+    if np.isnan(most):
+        reject()  # Clarabel gives up now and then where the set has next to no interior
     assert strategy.edge_entropy == pytest.approx(most, rel=1e-5, abs=1e-6)
 
 

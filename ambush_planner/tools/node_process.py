@@ -17,6 +17,7 @@ from types import TracebackType
 # Fast DDS finds others in domain d on UDP port 7400 + 250 d. Above domain 101 these ports are ones
 # that Linux gives to anybody.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
+FIRST_UNICAST, PARTICIPANTS = 10, 8
 DOMAINS = range(1, 102)
 # The node promises to end within 2 s.
 STOP_TIMEOUT = 10.0
@@ -42,10 +43,20 @@ def free_domain() -> int:
 
 
 def is_free(domain: int) -> bool:
-    """Tell whether nobody on this machine listens where ROS domain ``domain`` meets."""
+    """Tell whether nobody on this machine listens where ROS domain ``domain`` meets.
+
+    By the DDS rules a domain has one port for discovery by multicast and, a pair a participant,
+    ports for discovery on this machine alone, where ``FIRST_UNICAST`` is the first.
+    """
+    base = FIRST_PORT + PORTS_PER_DOMAIN * domain
+    participants = range(FIRST_UNICAST, FIRST_UNICAST + 2 * PARTICIPANTS, 2)
+    return all(_can_bind(base + offset) for offset in (0, *participants))
+
+
+def _can_bind(port: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind(("", FIRST_PORT + PORTS_PER_DOMAIN * domain))
+            probe.bind(("", port))
         except OSError:
             return False
     return True

@@ -1,0 +1,322 @@
+"""Networks over maps: where nodes lie, who is joined, what is refused, and that it is repeatable."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+
+import numpy as np
+import pytest
+from games import METHODS, examples, random_map
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from ambush_planner import (
+    GoalBlocked,
+    InvalidNetwork,
+    InvalidOption,
+    NetworkOptions,
+    NoRoute,
+    RiskMap,
+    StartBlocked,
+    build_network,
+)
+from ambush_planner.core.errors import GoalOutsideMap, StartOutsideMap
+from ambush_planner.core.obstacles import ObstacleField
+
+
+def open_map(rows=6, columns=8, origin=(0.0, 0.0, 0.0)) -> RiskMap:
+    alpha = 1.0 + np.arange(rows * columns).reshape(rows, columns)
+    return RiskMap(alpha, np.zeros((rows, columns), bool), 1.0, origin)
+
+
+def build(risk_map, start, goal, method="uniform_delaunay", **options):
+    """Start and goal in map axes."""
+    ends = risk_map.to_world(np.array([start, goal], float))
+    return build_network(risk_map, *ends, NetworkOptions(method, **options))
+
+
+def joined(network) -> set[tuple[int, int]]:
+    return {tuple(sorted(edge)) for edge in network.edges.tolist()}
+
+
+def lattice_pairs(network) -> set:
+    """Pairs of nodes by (column, row) of a lattice of spacing 1, start and goal by their cells."""
+    place = [tuple(int(c) for c in np.floor(point)) for point in network.points]
+    return {frozenset((place[i], place[j])) for i, j in joined(network)}
+
+
+@st.composite
+def random_networks(draw):
+    """A map, the options and the network between two free points, on any of the methods."""
+    cells = draw(st.integers(4, 9))
+    risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.12, draw(st.floats(-4, 4)))
+    place = st.tuples(*[st.floats(0, cells, allow_subnormal=False)] * 2)
+    options = NetworkOptions(
+        draw(st.sampled_from(METHODS)),
+        draw(st.sampled_from((0.7, 1.0, 1.3, 2.0))),
+        draw(st.sampled_from((0.0, 0.3))),
+        draw(st.integers(0, 9)),
+    )
+    ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
+    try:
+        return risk_map, options, build_network(risk_map, *ends, options), ends
+    except (StartBlocked, GoalBlocked, NoRoute, InvalidNetwork):
+        assume(False)
+
+
+@examples(200)
+@given(random_networks())
+def test_laws(built):
+    risk_map, options, network, ends = built
+    s, t = network.source, network.target
+    assert np.array_equal(network.points[[s, t]], ends)
+    assert network.alpha[s] == network.alpha[t] == 0.0 and len(network.dropped_edges) == 0
+    assert s not in network.heads and t not in network.tails
+    uv = risk_map.to_map_axes(network.points)
+    cells = risk_map.cells(uv)
+    inner = np.setdiff1d(np.arange(len(uv)), (s, t))
+    assert np.array_equal(network.alpha[inner], risk_map.alpha[cells][inner])
+    assert not risk_map.obstacles[cells].any()
+    field = ObstacleField(risk_map)
+    assert field.clear_points(uv, options.clearance - 1e-9 if options.clearance else 0.0).all()
+    a, b = uv[network.tails], uv[network.heads]
+    assert field.clear_segments(a, b, max(options.clearance - 1e-9, 0.0)).all()
+    both = {tuple(edge) for edge in network.edges.tolist()}
+    assert all((j, i) in both for i, j in both if i != s and j != t)
+
+
+@examples(60)
+@given(random_networks())
+def test_equal_inputs_give_the_same_network_bit_for_bit(built):
+    risk_map, options, network, ends = built
+    again = build_network(risk_map, *ends, options)
+    assert network.points.tobytes() == again.points.tobytes()
+    assert network.edges.tobytes() == again.edges.tobytes()
+    assert network.alpha.tobytes() == again.alpha.tobytes()
+
+
+@pytest.mark.parametrize("method", METHODS[2:])
+def test_the_seed_decides_where_samples_lie(method):
+    risk_map = random_map(2, 12, 0.0)
+    one, two = (build(risk_map, (1, 1), (11, 11), method, spacing=1.0, seed=k) for k in (1, 2))
+    assert one.points.shape == two.points.shape == (144, 2)
+    assert not np.array_equal(one.points, two.points)
+
+
+@pytest.mark.parametrize("method", METHODS[:2])
+def test_lattice_nodes_lie_at_half_spacings_and_ends_replace_the_nearest(method):
+    network = build(open_map(), (0.6, 0.7), (7.2, 5.9), method, spacing=1.0)
+    expected = set(itertools.product(np.arange(8) + 0.5, np.arange(6) + 0.5))
+    expected -= {(0.5, 0.5), (7.5, 5.5)}
+    assert {tuple(point) for point in network.points[:-2].tolist()} == expected
+    assert network.points[-2:].tolist() == [[0.6, 0.7], [7.2, 5.9]]
+
+
+def test_a_rotated_map_gives_the_same_network_turned():
+    plain = build(open_map(), (0.6, 0.7), (7.2, 5.9), spacing=1.0)
+    turned_map = open_map(origin=(10.0, -4.0, 2.1))
+    turned = build(turned_map, (0.6, 0.7), (7.2, 5.9), spacing=1.0)
+    assert np.array_equal(plain.edges, turned.edges)
+    assert np.array_equal(plain.alpha, turned.alpha)
+    assert turned.points == pytest.approx(turned_map.to_world(plain.points), abs=1e-12)
+
+
+def test_herringbone_rising_in_even_rows_falling_in_odd_rows():
+    found = lattice_pairs(build(open_map(), (0.5, 0.5), (7.5, 5.5), spacing=1.0))
+    expected = set()
+    for c, r in itertools.product(range(8), range(6)):
+        expected.add(frozenset(((c, r), (c + 1, r))))
+        expected.add(frozenset(((c, r), (c, r + 1))))
+        rising = ((c, r), (c + 1, r + 1)) if r % 2 == 0 else ((c, r + 1), (c + 1, r))
+        expected.add(frozenset(rising))
+    inside = {pair for pair in expected if all(c < 8 and r < 6 for c, r in pair)}
+    assert found == inside
+
+
+def test_grid8_joins_each_node_to_its_eight_neighbours():
+    found = lattice_pairs(build(open_map(), (0.5, 0.5), (7.5, 5.5), "uniform_grid8", spacing=1.0))
+    cells = list(itertools.product(range(8), range(6)))
+    near = {
+        frozenset(pair)
+        for pair in itertools.combinations(cells, 2)
+        if max(abs(pair[0][0] - pair[1][0]), abs(pair[0][1] - pair[1][1])) == 1
+    }
+    assert found == near
+
+
+@examples(60)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from((METHODS[0], *METHODS[2:])),
+    st.sampled_from((0.0, 0.1, 0.25)),
+)
+def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
+    """Each edge is the chord of some circle without nodes inside; and no such edge is missing."""
+    risk_map = random_map(seed, 7, obstacles)
+    free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
+    try:
+        network = build(risk_map, *free, method, spacing=1.0, seed=seed)
+    except (NoRoute, InvalidNetwork, StartBlocked, GoalBlocked):
+        assume(False)
+    field, uv = ObstacleField(risk_map), risk_map.to_map_axes(network.points)
+    found = joined(network)
+    for i, j in itertools.combinations(range(len(uv)), 2):
+        room = empty_chord(uv, i, j)
+        if (i, j) in found:
+            assert room > -1e-5
+        elif room > 1e-5:
+            assert not field.clear_segments(uv[[i]], uv[[j]], 0.0)[0]
+
+
+def empty_chord(points, i, j) -> float:
+    """Room for the centre of an empty circle through i and j on their bisector; < 0: none."""
+    middle, half = (points[i] + points[j]) / 2, (points[j] - points[i]) / 2
+    normal = np.array([-half[1], half[0]]) / np.hypot(*half)
+    others = np.delete(points, (i, j), axis=0) - middle
+    side, power = others @ normal, (others**2).sum(axis=1) - half @ half
+    # Centre middle + c normal keeps a point out when 2 c side <= power.
+    on_line = np.abs(side) < 1e-12
+    if (power[on_line] < -1e-12).any():
+        return -np.inf
+    bound = power[~on_line] / (2 * side[~on_line])
+    above, below = side[~on_line] > 0, side[~on_line] < 0
+    return min(bound[above], default=np.inf) - max(bound[below], default=-np.inf)
+
+
+MOVING_AI = """
+..........@.....
+.@@@@@....@..@..
+.....@....@..@..
+.....@.......@..
+..@..@@@@@@..@..
+..@.............
+..@@@@@.@@@.@@@.
+........@.......
+.@@..@..@..@@@@.
+.....@.....@....
+"""
+
+
+def octile_lengths(free, start) -> dict:
+    """Dijkstra on cells: straight 1, diagonal sqrt(2), both flanking cells of a diagonal free."""
+    queue, done = [(0.0, start)], {}
+    while queue:
+        length, (row, column) = heapq.heappop(queue)
+        if (row, column) in done:
+            continue
+        done[row, column] = length
+        for dr, dc in itertools.product((-1, 0, 1), repeat=2):
+            r, c = row + dr, column + dc
+            if 0 <= r < free.shape[0] and 0 <= c < free.shape[1] and (dr or dc):
+                if free[r, c] and free[row, c] and free[r, column]:
+                    heapq.heappush(queue, (length + np.hypot(dr, dc), (r, c)))
+    return done
+
+
+@pytest.mark.parametrize("resolution", [1.0, 0.05, 0.1, 1 / 3])
+def test_grid8_meets_octile_lengths_without_corner_cutting(resolution):
+    free = np.array([list(line) for line in MOVING_AI.split()])[::-1] == "."
+    risk_map = RiskMap(np.ones(free.shape), ~free, resolution, (0.1, 0.2, 0.3))
+    start = (0, 0)
+    lengths = octile_lengths(free, start)
+    assert len(lengths) > 100
+    for goal in list(lengths)[1::9]:
+        ends = (np.array([start, goal])[:, ::-1] + 0.5) * resolution
+        network = build(risk_map, *ends, "uniform_grid8", spacing=resolution)
+        assert shortest(network) == pytest.approx(lengths[goal] * resolution, rel=1e-12)
+
+
+def shortest(network) -> float:
+    best = np.full(len(network.points), np.inf)
+    best[network.source] = 0.0
+    for _ in range(len(best)):  # Bellman and Ford
+        np.minimum.at(best, network.heads, best[network.tails] + network.lengths)
+    return best[network.target]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_start_and_goal_in_one_lattice_cell(method):
+    network = build(open_map(), (2.1, 2.1), (2.9, 2.8), method, spacing=1.0)
+    assert (network.source, network.target) in {tuple(e) for e in network.edges.tolist()}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_map_of_one_cell(method):
+    network = build(open_map(1, 1), (0.1, 0.1), (0.9, 0.8), method, spacing=1.0)
+    assert len(network.points) == 2 and network.edges.tolist() == [[0, 1]]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 9)])
+def test_narrow_maps(method, shape):
+    network = build(open_map(*shape), (0.5, 0.5), (shape[1] - 0.5, shape[0] - 0.5), method,
+                    spacing=1.0)
+    assert len(network.points) == shape[0] * shape[1]
+
+
+def blocked_map() -> RiskMap:
+    obstacles = np.zeros((5, 5), bool)
+    obstacles[:, 2] = True
+    return RiskMap(np.ones((5, 5)), obstacles, 2.0, (100.0, 50.0, 0.0))
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_route_names_both_ends_and_the_spacing(method):
+    with pytest.raises(NoRoute, match=r"\(101\.000, 51\.000\) to \(109\.000, 51\.000\).* 2 m"):
+        build_network(blocked_map(), (101, 51), (109, 51), NetworkOptions(method, 2.0))
+
+
+@pytest.mark.parametrize(
+    "start, goal, error, words",
+    [
+        ((105, 51), (109, 51), StartBlocked, r"start \(105\.000, 51\.000\) lies in an obstacle"),
+        ((101, 51), (105, 51), GoalBlocked, r"goal \(105\.000, 51\.000\) lies in an obstacle"),
+        ((104, 51), (101, 51), StartBlocked, r"start \(104\.000"),
+        ((99, 51), (101, 51), StartOutsideMap, r"start \(99\.000.* outside .*10 m x 10 m"),
+        ((101, 51), (101, 61), GoalOutsideMap, r"goal \(101\.000, 61\.000\) is outside"),
+        ((np.nan, 51), (101, 51), StartBlocked, "start must be finite"),
+        ((101, 51), (np.inf, 51), GoalBlocked, "goal must be finite"),
+        ((101, 51, 0), (101, 52), StartBlocked, r"start must be a position.*\(3,\)"),
+        ((101, 51), (101, 51), InvalidNetwork, "same position"),
+    ],
+)
+def test_ends_that_cannot_be(start, goal, error, words):
+    with pytest.raises(error, match=words):
+        build_network(blocked_map(), start, goal, NetworkOptions(spacing=2.0))
+
+
+def test_the_clearance_counts_for_the_ends():
+    with pytest.raises(StartBlocked, match=r"clearance 1 m"):
+        build_network(blocked_map(), (103.5, 51), (101, 59), NetworkOptions("uniform_grid8", 2.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"method": "hexagons"},
+        {"spacing": -1.0},
+        {"spacing": np.nan},
+        {"spacing": np.inf},
+        {"clearance": -0.1},
+        {"clearance": np.nan},
+        {"seed": -1},
+        {"target_nodes": 1},
+    ],
+)
+def test_options_out_of_range_are_named(options):
+    (name, value), = options.items()
+    with pytest.raises(InvalidOption, match=name) as caught:
+        NetworkOptions(**options)
+    assert str(value) in str(caught.value)
+
+
+def test_a_spacing_far_too_small_is_refused_before_it_fills_the_memory():
+    with pytest.raises(InvalidOption, match=r"spacing 1e-05 m on a map of 8 m x 6 m"):
+        build(open_map(), (0.5, 0.5), (7.5, 5.5), spacing=1e-5)
+
+
+def test_a_spacing_of_zero_aims_at_the_number_of_nodes_never_below_the_resolution():
+    network = build(random_map(0, 40, 0.0), (1, 1), (39, 39), target_nodes=400)
+    assert 350 <= len(network.points) <= 450
+    assert len(build(open_map(), (0.5, 0.5), (7.5, 5.5)).points) == 48
