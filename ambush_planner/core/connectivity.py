@@ -46,21 +46,36 @@ def lattice_delaunay_pairs(points: FloatArray, node_of: IndexArray, spacing: flo
     odd rows. No direction is preferred and every inner node has six neighbours. What lies between
     the full squares is triangulated on its own (Qhull), from the nodes on its rim: a triangle
     there can have no other corners.
+
+    The lattice is taken to go on for one node beyond its border. Otherwise two nodes that stand
+    off it near the same border would be joined along the whole border, past every site.
     """
+    count = len(points)
+    points, node_of = _with_frame(points, node_of, spacing)
     whole = np.stack(
         (node_of[:-1, :-1], node_of[:-1, 1:], node_of[1:, :-1], node_of[1:, 1:])
     )
-    full = np.asarray((whole >= 0).all(axis=0))
-    rising = full & (np.arange(full.shape[0]) % 2 == 0)[:, None]
+    full = (whole >= 0).all(axis=0)
+    rising = full & (np.arange(full.shape[0]) % 2 == 1)[:, None]  # row 0 is the frame's
     falling = full & ~rising
     sides = _full_square_sides(whole, full)
     diagonals = [
         _stack(whole[0][rising], whole[3][rising]),
         _stack(whole[1][falling], whole[2][falling]),
     ]
-    return _unique_pairs(
-        np.concatenate([sides, *diagonals, _gap_pairs(points, node_of, full, spacing)])
-    )
+    pairs = np.concatenate([sides, *diagonals, _gap_pairs(points, node_of, full, spacing)])
+    return _unique_pairs(pairs[(pairs < count).all(axis=1)])
+
+
+def _with_frame(
+    points: FloatArray, node_of: IndexArray, spacing: float
+) -> tuple[FloatArray, IndexArray]:
+    """Lay one more row or column of lattice nodes round the lattice, numbered after the others."""
+    framed = np.pad(node_of, 1, constant_values=-2)
+    row, column = np.nonzero(framed == -2)
+    framed[row, column] = len(points) + np.arange(len(row))
+    frame = (np.stack((column, row), axis=1) - 0.5) * spacing
+    return np.concatenate((points, frame)), framed
 
 
 def _full_square_sides(whole: IndexArray, full: BoolArray) -> IndexArray:
@@ -80,7 +95,7 @@ def _gap_pairs(
     surrounded = inner[:-1, :-1] & inner[:-1, 1:] & inner[1:, :-1] & inner[1:, 1:]
     rim[node_of[surrounded & (node_of >= 0)]] = False
     chosen = np.flatnonzero(rim)
-    units = points[chosen] / spacing - 0.5
+    units = points[chosen] / spacing + 0.5  # from the frame's first node
     triangles = _triangles(units)
     if triangles.shape[1] == 3:
         corners = units[triangles]

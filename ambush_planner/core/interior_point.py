@@ -31,8 +31,9 @@ MAX_ITERATIONS = 150
 ROW_TOLERANCE = 1e-10
 # Weighted dual residual and complementarity, relative to 1 + |objective|.
 GAP_TOLERANCE = 1e-9
-# Where rounding keeps it from these, tolerances so much larger will do after some iterations.
-ROUGH, PATIENCE = 100.0, 3
+# Where rounding keeps it from these, tolerances so much larger will do after some iterations, and
+# still larger ones at the very end: rows are polished afterwards, and the certificate decides.
+ROUGH, PATIENCE, LAST_RESORT = 100.0, 3, 1000.0
 # Afterwards the rows are met to this, in so many attempts at the most.
 POLISHED, POLISHING = 1e-14, 3
 # The last iterations aim at this share of the tolerated complementarity.
@@ -120,7 +121,8 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
     for iteration in range(MAX_ITERATIONS):
         residuals = _Residuals(program, point)
         nearly += residuals.small(ROUGH)
-        if residuals.small() or nearly > PATIENCE:
+        last = iteration == MAX_ITERATIONS - 1 and residuals.small(LAST_RESORT)
+        if residuals.small() or nearly > PATIENCE or last:
             f = _polished(program, point.f, normal)
             return Solution(f, point.y, point.price, iteration)
         if time.monotonic() > deadline:

@@ -21,6 +21,8 @@ from .risk_map import FloatArray
 # The later stages may miss the least value by this much, relative: without any room, the minimum
 # cut leaves their feasible sets no interior.
 ROOM = 4e-7
+# A part of the network suits a budget that is this much longer than the shortest strategy on it.
+WELL = 0.98
 # Nodes that an optimal strategy visits less often than this are left out.
 HOPELESS = 1e-8
 # Edges that an accepted strategy uses less than this can be left out where the budget binds.
@@ -101,7 +103,13 @@ def _least_risk(game: Game, budget: float, accept: float, deadline: float) -> _L
         return _LeastRisk(exact.value, _edges_around(lean, exact), exact.q)
     if exact.value == 0.0:
         return _by_program(game, budget, accept, deadline, 0.0)
-    least = shortest_flow(lean, _capacities(lean, (1.0 + ROOM) * exact.value), deadline)
+    # The flow is too long, but its acyclic part may hold shorter strategies of the same value. The
+    # part around the shortest of all is narrower, and comes second.
+    capacity = _capacities(lean, (1.0 + ROOM) * exact.value)
+    around = acyclic_edges(lean, exact.p)
+    if shortest_flow(replace(lean, playable=around), capacity, deadline).length < WELL * budget:
+        return _LeastRisk(exact.value, around, exact.q)
+    least = shortest_flow(lean, capacity, deadline)
     if least.length > budget:
         return _by_program(game, budget, accept, deadline, exact.value)
     return _LeastRisk(exact.value, forward_edges(lean, -least.potential), exact.q)

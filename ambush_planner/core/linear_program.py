@@ -22,13 +22,17 @@ from .paths import distances_from, on_some_route, shortest_path
 from .risk_map import FloatArray
 from .routes import route_edges
 
-LIMIT_REACHED, INFEASIBLE = 1, 2
+LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 1, 2, 4
+# The default of ipm_optimality_tolerance is 1e-8.
+OTHER_TOLERANCES = (1e-10, 1e-7)
 # HiGHS' own tolerances, far below the certificate's.
 TOLERANCE = 1e-9
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
 # A unit this near to the value or nearer serves; from far above it is lowered, so often at most.
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
+# Values in this range need no unit of their own.
+ORDINARY = (1e-2, 1e2)
 # The rows A p = b are met to this, in so many attempts at the most.
 CONSERVED, ATTEMPTS = 1e-13, 3
 
@@ -141,9 +145,13 @@ def _past_all_sites(game: Game, budget: float) -> Game | None:
 
 
 def _unit(game: Game) -> float:
-    """A loss near to the value: the value without a budget where a cut tells it."""
+    """A loss near to the value: 1, or where that is far off the value without a budget.
+
+    The optimum that an interior point method stops at depends on the unit; 1 is the paper's.
+    """
     value = solve_by_cut(game).value if game.ambush_radius == 0.0 else 0.0
-    return value or float(game.loss.max(initial=0.0)) or 1.0
+    value = value or float(game.loss.max(initial=0.0)) or 1.0
+    return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
 
 def _within_budget(
@@ -220,19 +228,9 @@ def _run(
     if np.isfinite(left):
         options["time_limit"] = left
     if solver == "interior_point":
-        options |= {"run_crossover": _no_crossover()}
-    with warnings.catch_warnings():
-        # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
-        warnings.simplefilter("ignore", OptimizeWarning)
-        result = linprog(
-            program.cost,
-            A_ub=program.inequalities if program.inequalities.shape[0] else None,
-            b_ub=program.limits if program.inequalities.shape[0] else None,
-            A_eq=program.equalities,
-            b_eq=program.rhs,
-            method="highs-ipm" if solver == "interior_point" else "highs-ds",
-            options=options,
-        )
+        result = _run_interior_point(program, options)
+    else:
+        result = _linprog(program, "highs-ds", options)
     if result.status == LIMIT_REACHED:
         raise TimeLimit(f"{solver}: time is up after {result.nit} iterations")
     if result.status == INFEASIBLE and np.isfinite(budget):
@@ -240,6 +238,32 @@ def _run(
     if result.x is None or result.status != 0:
         raise SolverFailed(f"{solver}: {result.message}")
     return result
+
+
+def _run_interior_point(program: LinearProgram, options: dict[str, Any]) -> OptimizeResult:
+    """Run without crossover; where HiGHS ends in an unknown state, another tolerance helps."""
+    options = {**options, "run_crossover": _no_crossover()}
+    result = _linprog(program, "highs-ipm", options)
+    for tolerance in OTHER_TOLERANCES:
+        if result.status != NUMERICAL_TROUBLE:
+            break
+        result = _linprog(program, "highs-ipm", options | {"ipm_optimality_tolerance": tolerance})
+    return result
+
+
+def _linprog(program: LinearProgram, method: str, options: dict[str, Any]) -> OptimizeResult:
+    with warnings.catch_warnings():
+        # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
+        warnings.simplefilter("ignore", OptimizeWarning)
+        return linprog(
+            program.cost,
+            A_ub=program.inequalities if program.inequalities.shape[0] else None,
+            b_ub=program.limits if program.inequalities.shape[0] else None,
+            A_eq=program.equalities,
+            b_eq=program.rhs,
+            method=method,
+            options=options,
+        )
 
 
 def _no_crossover() -> bool | str:

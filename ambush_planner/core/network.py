@@ -128,7 +128,10 @@ def _check_ends(alpha: FloatArray, source: int, target: int) -> None:
 
 
 def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
-    array = np.asarray(values)
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InvalidNetwork(f"edges must be an array of integers: {error}") from error
     if array.size == 0:
         return np.empty((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2:

@@ -169,7 +169,7 @@ def risk_map_from_occupancy(
     """
     options = options or OccupancyOptions()
     grid = np.asarray(values)
-    bad = (grid < -1) | (grid > 100)
+    bad = ~((grid >= -1) & (grid <= 100))  # NaN too
     if bad.any():
         where = tuple(int(k) for k in np.argwhere(bad)[0])
         raise InvalidRiskMap(

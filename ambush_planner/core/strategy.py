@@ -179,15 +179,20 @@ def solve(
         outcome = linear_program_strategy(
             prepared, options.solver, budget, options.length_weight, deadline
         )
-    return _certified(prepared, outcome, shortest, options.risk_slack)
+    # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
+    weighed = outcome.length_price * outcome.budget if options.length_weight > 0.0 else 0.0
+    return _certified(prepared, outcome, shortest, options.risk_slack, weighed)
 
 
-def _certified(game: Game, outcome: Outcome, shortest: float, risk_slack: float) -> Strategy:
+def _certified(
+    game: Game, outcome: Outcome, shortest: float, risk_slack: float, weighed: float
+) -> Strategy:
     """Compute what is published from p and q alone; refuse what is not near enough to optimal."""
     network, p = game.network, outcome.p
     value = game.upper_bound(p)
     bound = min(game.lower_bound(outcome.q, outcome.length_price, outcome.budget), value)
-    tolerance = CERTIFICATE_TOLERANCE * max(value, 1e-6 * float(game.loss.max(initial=0.0)))
+    least_scale = 1e-6 * float(game.loss.max(initial=0.0))
+    tolerance = CERTIFICATE_TOLERANCE * max(value + weighed, least_scale)
     if not value <= (1.0 + risk_slack) * bound + tolerance:
         raise SolverFailed(
             f"the strategy's certificate does not close: value {value:.9g}, "

@@ -1,0 +1,138 @@
+"""Run one solver on one map in a process of its own and print what came out as JSON.
+
+A process of its own, so that the peak of its memory is the solver's. `solver.py` starts these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import signal
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from maps import network_across
+from peers import Answer, EntropyProblem, clarabel_entropy, highs
+
+from ambush_planner import GameOptions, Network, solve
+from ambush_planner.core.game import make_game
+from ambush_planner.core.game_value import solve_by_cut
+
+# Short runs are repeated for this long [s].
+LONG_ENOUGH = 0.5
+# Nodes across the map with which our side loads what it loads at its first use.
+WARM_UP = 12
+
+
+def build(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The network from the map."""
+
+    def run() -> Answer:
+        started = time.perf_counter()
+        network = network_across(nodes)
+        seconds = time.perf_counter() - started
+        return {
+            "seconds": seconds, "nodes": len(network.points), "edges": len(network.edges),
+        }
+
+    return run
+
+
+def value(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The exact value without a length budget, by a minimum cut."""
+    game = make_game(network_across(nodes), GameOptions())
+
+    def run() -> Answer:
+        started = time.perf_counter()
+        found = solve_by_cut(game)
+        return {"seconds": time.perf_counter() - started, "value": found.value}
+
+    return run
+
+
+def strategy(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The default strategy, all stages; leaves its entropy problem in the file for others."""
+    network = network_across(nodes)
+
+    def run() -> Answer:
+        started = time.perf_counter()
+        found = solve(network)
+        seconds = time.perf_counter() - started
+        edges = np.flatnonzero(found.edge_probability > 0.0)
+        # Up to rounding the strategy uses its whole budget; the others may use what it used.
+        budget = max(found.length_budget, found.expected_length)
+        np.savez(file, edges=edges, value=found.value, budget=budget)
+        return {
+            "seconds": seconds,
+            "value": found.value,
+            "gap": found.gap,
+            "entropy": found.edge_entropy,
+            "route_entropy": found.route_entropy,
+            "iterations": found.iterations,
+            "acyclic_edges": len(edges),
+        }
+
+    return run
+
+
+def simplex(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The value by HiGHS' dual simplex method."""
+    network, problem = _left_by_strategy(nodes, file)
+    return highs(network, problem.budget, "simplex")
+
+
+def interior_point(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The value by HiGHS' interior point method without crossover."""
+    network, problem = _left_by_strategy(nodes, file)
+    return highs(network, problem.budget, "ipx")
+
+
+def conic(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The entropy problem by Clarabel."""
+    return clarabel_entropy(*_left_by_strategy(nodes, file))
+
+
+def _left_by_strategy(nodes: int, file: Path) -> tuple[Network, EntropyProblem]:
+    with np.load(file) as left:
+        problem = EntropyProblem(left["edges"], float(left["value"]), float(left["budget"]))
+    return network_across(nodes), problem
+
+
+TASKS = (build, value, strategy, simplex, interior_point, conic)
+
+
+def measure(run: Callable[[], Answer]) -> Answer:
+    """Run until it has taken ``LONG_ENOUGH``; the last answer with the median time."""
+    times: list[float] = []
+    while sum(times) < LONG_ENOUGH:
+        answer = run()
+        times.append(answer["seconds"])
+    return answer | {"seconds": statistics.median(times)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    tasks = {task.__name__: task for task in TASKS}
+    parser.add_argument("task", choices=tasks, help="what is measured")
+    parser.add_argument("nodes", type=int, help="lattice nodes across the map")
+    parser.add_argument("file", type=Path, help=".npz in which `strategy` leaves its problem")
+    parser.add_argument("--limit", type=int, default=0, help="seconds after which it is killed")
+    arguments = parser.parse_args()
+    task = tasks[arguments.task]
+    if task in (build, value, strategy):
+        task(WARM_UP, arguments.file)()
+    prepared = task(arguments.nodes, arguments.file)
+    # Native code does not look at Python's signals: SIGALRM's default ends the process.
+    signal.alarm(arguments.limit)
+    answer = measure(prepared)
+    signal.alarm(0)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(json.dumps(answer | {"peak": peak}))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,109 @@
+"""Compare the solver with HiGHS and Clarabel on maps of several sizes, in one run.
+
+Every run is a process of its own on as many threads for each solver. The tables go to the screen
+and into results.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import solver_tables
+from report import RESULTS, conditions, write_block
+
+ONE_RUN = Path(__file__).with_name("one_run.py")
+THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "RAYON")
+OURS = ("build", "value", "strategy")
+PEERS = ("simplex", "interior_point", "conic")
+# Lattice nodes across the map whose network has a million candidate points.
+MILLION = 1000
+
+Runs = dict[str, list[dict[str, Any]]]
+
+
+def one_run(task: str, nodes: int, file: Path, limit: int) -> dict[str, Any]:
+    """Answer of one process; ``{"limit": limit}`` if it was over its time."""
+    threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
+    command = [sys.executable, ONE_RUN, task, str(nodes), file, "--limit", str(limit)]
+    print(f"{nodes:5d} across  {task:15s}", end="", file=sys.stderr, flush=True)
+    done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
+    if done.returncode == -signal.SIGALRM:
+        print(f" > {limit} s", file=sys.stderr)
+        return {"limit": limit}
+    done.check_returncode()
+    answer: dict[str, Any] = json.loads(done.stdout)
+    print(f" {answer['seconds']:8.3f} s", file=sys.stderr)
+    return answer
+
+
+def runs_of_size(nodes: int, repeats: int, limit: int) -> Runs:
+    """Let all solvers take turns; who has used up ``limit`` seconds has no further turn."""
+    runs: Runs = {task: [] for task in (*OURS, *PEERS)}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(repeats):
+            for task, answers in runs.items():
+                if spent(answers) < limit:
+                    cap = limit if task in PEERS else 0
+                    answers.append(one_run(task, nodes, Path(folder, "problem.npz"), cap))
+    return runs
+
+
+def spent(answers: list[dict[str, Any]]) -> float:
+    """Seconds that these runs took."""
+    return float(sum(answer.get("seconds", answer.get("limit")) for answer in answers))
+
+
+def median(answers: list[dict[str, Any]]) -> dict[str, Any]:
+    """The answers' common content with median time and memory; a limit that was met stands."""
+    for answer in answers:
+        if "limit" in answer:
+            return answer
+    middle = {key: statistics.median(a[key] for a in answers) for key in ("seconds", "peak")}
+    return answers[-1] | middle
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument(
+        "--sizes", type=int, nargs="+", default=[30, 60, 100, 200], metavar="N",
+        help="lattice nodes across the map",
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="runs to take the median of")
+    parser.add_argument(
+        "--peer-limit", type=int, default=120, metavar="SECONDS",
+        help="stop another solver's run, and start no further one, after this time",
+    )
+    parser.add_argument(
+        "--million", type=int, default=MILLION, metavar="N",
+        help="nodes across the map whose network alone is timed",
+    )
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="file whose block `solver` is replaced"
+    )
+    options = parser.parse_args()
+    measured = {
+        nodes: {
+            task: median(answers)
+            for task, answers in runs_of_size(nodes, options.repeats, options.peer_limit).items()
+        }
+        for nodes in options.sizes
+    }
+    network = one_run("build", options.million, Path(os.devnull), 0)
+    text = solver_tables.report(measured, network, conditions("highspy", "clarabel"))
+    print(text)
+    write_block(options.results, "solver", text)
+
+
+if __name__ == "__main__":
+    main()

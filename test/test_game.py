@@ -1,0 +1,108 @@
+"""What the options do to the game: forbidden nodes, secured ground, and what is out of range."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import PLAIN, examples, networks, terrain_network
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
+from ambush_planner.core.game import make_game
+from ambush_planner.core.game_value import solve_by_cut
+
+
+def value(network, **options) -> float:
+    """Exact value; inf where no route is left."""
+    try:
+        return solve_by_cut(make_game(network, GameOptions(**options))).value
+    except NoRoute:
+        return np.inf
+
+
+@examples(200)
+@given(networks())
+def test_the_value_never_falls_as_the_threshold_falls(network):
+    values = [value(network, alpha_threshold=limit) for limit in (np.inf, 7, 3, 2, 1, 0.5, 0)]
+    for loose, tight in zip(values[:-1], values[1:], strict=True):
+        assert tight >= loose * (1 - 1e-12)
+
+
+@examples(200)
+@given(networks(alphas=PLAIN), st.floats(0, 8))
+def test_the_value_never_rises_as_more_ground_is_secured(network, radius):
+    assert value(network, secured_radius=radius) <= value(network) * (1 + 1e-12)
+
+
+@examples(100)
+@given(networks(), st.sampled_from((0.5, 2.0, 3.0)))
+def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
+    try:
+        strategy = solve(
+            network, GameOptions(alpha_threshold=limit), StrategyOptions(max_detour=np.inf)
+        )
+    except NoRoute:
+        return
+    assert network.alpha[strategy.visit_probability > 0.0].max() <= limit
+
+
+@examples(100)
+@given(networks(), st.floats(0, 8))
+def test_nobody_waits_on_secured_ground(network, radius):
+    game = make_game(network, GameOptions(secured_radius=radius))
+    ends = network.points[[network.source, network.target]]
+    near = np.linalg.norm(network.points[:, None] - ends, axis=2).min(axis=1) <= radius
+    assert (game.loss[near] == 0.0).all()
+    q = solve(network, GameOptions(secured_radius=radius)).ambush_probability
+    if len(game.sites):
+        assert (q[near] == 0.0).all()
+
+
+def test_an_ambush_at_the_place_of_the_source_counts_unless_it_is_secured():
+    # A network whose points do not matter: all at one place.
+    network = Network(np.zeros((3, 2)), [0, 5, 0], [(0, 1), (1, 2)], 0, 2)
+    assert solve(network).value == 5.0
+
+
+def test_secured_ground_by_hand():
+    points = [[0, 0], [1, 0], [2, 0], [3, 0], [4, 0]]
+    network = Network(points, [0, 9, 2, 7, 0], [(k, k + 1) for k in range(4)], 0, 4)
+    assert value(network) == 9.0
+    assert value(network, secured_radius=0.99) == 9.0
+    assert value(network, secured_radius=1.0) == 2.0
+    assert value(network, secured_radius=2.0) == 0.0
+
+
+def test_no_route_says_what_the_threshold_discards():
+    network = Network([[0, 0], [1, 0], [2, 0]], [0, 9, 0], [(0, 1), (1, 2)], 0, 2)
+    with pytest.raises(NoRoute, match="alpha_threshold 5 discards 1 nodes"):
+        solve(network, GameOptions(alpha_threshold=5.0))
+
+
+def test_the_literal_equations_on_two_way_edges_would_be_too_low():
+    """With edges into s and out of t left in, half of the flow need not leave at all."""
+    network = terrain_network(2, cells=8)
+    assert not np.isin(network.heads, network.source).any()
+    assert solve(network).visit_probability[[network.source, network.target]] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"ambush_radius": -1.0},
+        {"ambush_radius": np.nan},
+        {"ambush_radius": np.inf},
+        {"secured_radius": -0.1},
+        {"secured_radius": np.nan},
+        {"alpha_threshold": -1.0},
+        {"alpha_threshold": np.nan},
+        {"ambushers": 0},
+        {"ambushers": 2},
+    ],
+)
+def test_options_out_of_range_are_named(options):
+    (name, value), = options.items()
+    with pytest.raises(InvalidOption, match=name) as caught:
+        GameOptions(**options)
+    assert str(value) in str(caught.value)

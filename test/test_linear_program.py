@@ -1,0 +1,112 @@
+"""The paper's linear programs: its 8-node example, its observations, and length weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import (
+    METHODS,
+    PLAIN,
+    examples,
+    is_acyclic,
+    least_weight,
+    networks,
+    paper_example,
+    program_value,
+    terrain_network,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import Network, StrategyOptions, solve
+
+ANY = np.inf
+LINEAR = ("interior_point", "simplex")
+
+
+def solved(network, solver, length_weight=0.0, max_detour=ANY):
+    return solve(
+        network,
+        options=StrategyOptions(solver, max_detour, length_weight=length_weight),
+    )
+
+
+def test_the_papers_example_simplex_uses_three_routes():
+    strategy = solved(paper_example(), "simplex")
+    p = strategy.edge_probability
+    assert strategy.value == pytest.approx(1 / 3, rel=1e-9)
+    assert np.count_nonzero(p > 1e-9) == 9
+    assert p[p > 1e-9] == pytest.approx(1 / 3, rel=1e-9)
+    assert strategy.edge_entropy == pytest.approx(3.30, abs=5e-3)
+    assert strategy.route_entropy == pytest.approx(np.log(3), rel=1e-6)
+
+
+def test_the_papers_example_interior_point_uses_all_seven():
+    strategy = solved(paper_example(), "interior_point")
+    assert strategy.value == pytest.approx(1 / 3, rel=1e-6)
+    assert (strategy.edge_probability > 1e-3).all()
+    assert strategy.edge_entropy == pytest.approx(4.10, abs=5e-3)
+    assert strategy.route_entropy == pytest.approx(1.90, abs=5e-3)
+
+
+def test_the_papers_example_most_entropy():
+    strategy = solved(paper_example(), "max_entropy")
+    assert strategy.value == pytest.approx(1 / 3, rel=1e-6)
+    assert strategy.edge_entropy == pytest.approx(4.098, abs=5e-4)
+    assert strategy.edge_entropy >= solved(paper_example(), "interior_point").edge_entropy - 1e-5
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
+    network = terrain_network(seed, method, 14)
+    vertex, centre = solved(network, "simplex"), solved(network, "interior_point")
+    assert vertex.edge_entropy < centre.edge_entropy
+    assert np.count_nonzero(vertex.edge_probability > 1e-9) < np.count_nonzero(
+        centre.edge_probability > 1e-9
+    )
+
+
+def test_the_interior_point_solution_wanders_and_ours_does_not():
+    network = terrain_network(5, "uniform_delaunay", 20)
+    raw, ours = solved(network, "interior_point"), solved(network, "max_entropy")
+    assert not is_acyclic(network, raw.edge_probability)
+    assert is_acyclic(network, ours.edge_probability)
+    assert raw.expected_length > ours.expected_length
+
+
+@examples(100)
+@given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.3, 0.9)), st.sampled_from(LINEAR))
+def test_length_weight_minimises_the_weighted_sum(network, weight, solver):
+    """No budget gives a better (1 - w) z + w length; the bound holds for its own length."""
+    strategy = solved(network, solver, weight)
+    shortest = least_weight(network, network.lengths)
+
+    def weighted(value, length):
+        return (1 - weight) * value + weight * length
+
+    own = weighted(strategy.value, strategy.expected_length)
+    for detour in (1.0001, 1.1, 1.5, 3.0):
+        budget = detour * shortest
+        assert own <= weighted(program_value(network, None, budget), budget) * (1 + 1e-6) + 1e-7
+    assert strategy.lower_bound <= strategy.value
+
+
+def test_length_weight_by_hand():
+    # Straight: length 2, loss 4; round: length 4, loss 4. Half and half gains 2 in value and
+    # costs 1 m: worth it below w = 2 / 3.
+    points = [[0, 0], [1, 0], [1, np.sqrt(3)], [2, 0]]
+    network = Network(points, [0, 4, 4, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    for solver in LINEAR:
+        cautious, hasty = (solved(network, solver, w) for w in (0.6, 0.7))
+        assert (cautious.value, cautious.expected_length) == pytest.approx((2.0, 3.0), rel=1e-6)
+        assert (hasty.value, hasty.expected_length) == pytest.approx((4.0, 2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("solver", LINEAR)
+@pytest.mark.parametrize("weight", [0.01, 0.5])
+def test_length_weight_on_terrain_is_never_longer(solver, weight):
+    network = terrain_network(4, "uniform_delaunay", 16)
+    weighted, plain = solved(network, solver, weight), solved(network, solver)
+    assert weighted.expected_length <= plain.expected_length * (1 + 1e-6)
+    assert weighted.value >= plain.value * (1 - 1e-6)

@@ -1,0 +1,154 @@
+"""Axes, rotated origins, the reading of occupancy grids, and every bad input by name."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import InvalidOption, InvalidRiskMap, RiskMap
+from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
+
+origins = st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-7, 7))
+resolutions = st.floats(0.01, 100)
+
+
+def flat(rows=3, columns=4, resolution=0.5, origin=(0.0, 0.0, 0.0)) -> RiskMap:
+    return RiskMap(np.ones((rows, columns)), np.zeros((rows, columns), bool), resolution, origin)
+
+
+@examples(200)
+@given(origins, resolutions, st.integers(0, 10**6))
+def test_world_and_map_axes_round_trip(origin, resolution, seed):
+    risk_map = flat(resolution=resolution, origin=origin)
+    uv = np.random.default_rng(seed).random((5, 2)) * risk_map.size
+    back = risk_map.to_map_axes(risk_map.to_world(uv))
+    assert back == pytest.approx(uv, abs=1e-11 * (1 + np.hypot(*origin[:2]) + max(risk_map.size)))
+
+
+@examples(200)
+@given(origins, resolutions, st.integers(0, 2), st.integers(0, 3))
+def test_cell_centres_are_in_their_cells(origin, resolution, row, column):
+    risk_map = flat(resolution=resolution, origin=origin)
+    centre = risk_map.to_world([(column + 0.5) * resolution, (row + 0.5) * resolution])
+    assert risk_map.cells(risk_map.to_map_axes(centre)) == (row, column)
+    assert risk_map.contains(risk_map.to_map_axes(centre))
+
+
+def test_a_quarter_turn_by_hand():
+    risk_map = flat(origin=(10.0, 20.0, math.pi / 2))
+    assert risk_map.to_world([1.5, 0.5]) == pytest.approx([9.5, 21.5])
+    assert risk_map.to_map_axes([9.5, 21.5]) == pytest.approx([1.5, 0.5])
+
+
+def test_row_zero_is_the_lowest_and_the_border_belongs_to_the_map():
+    risk_map = flat()
+    assert risk_map.size == (2.0, 1.5)
+    assert risk_map.cells([[0.0, 0.0], [1.99, 0.01], [0.5, 0.0], [2.0, 1.5]]) == (
+        pytest.approx([0, 0, 0, 2]), pytest.approx([0, 3, 1, 3])
+    )
+    inside = risk_map.contains([[0, 0], [2, 1.5], [2.001, 1], [1, -0.001], [np.nan, 1]])
+    assert inside.tolist() == [True, True, False, False, False]
+
+
+def test_layers_are_private_and_read_only():
+    alpha = np.ones((2, 2))
+    risk_map = RiskMap(alpha, np.zeros((2, 2), bool), 1.0)
+    alpha[0, 0] = 7.0
+    assert risk_map.alpha[0, 0] == 1.0
+    for layer in (risk_map.alpha, risk_map.obstacles):
+        with pytest.raises(ValueError, match="read-only"):
+            layer[0, 0] = 1
+
+
+def one_bad(value) -> np.ndarray:
+    alpha = np.ones((2, 3))
+    alpha[1, 2] = value
+    return alpha
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"alpha": one_bad(np.nan)}, r"alpha .*got nan at row 1, column 2 \(1 such"),
+        ({"alpha": one_bad(np.inf)}, r"alpha .*got inf at row 1, column 2"),
+        ({"alpha": one_bad(-0.5)}, r"alpha .*got -0\.5 at row 1, column 2"),
+        ({"alpha": np.ones(3)}, r"alpha .*\(3,\)"),
+        ({"alpha": np.ones((0, 3))}, r"alpha .*\(0, 3\)"),
+        ({"alpha": "abc"}, "not numeric"),
+        ({"obstacles": np.zeros((3, 2), bool)}, r"obstacles .*\(2, 3\), got \(3, 2\)"),
+        ({"resolution": 0.0}, r"resolution .*0\.0"),
+        ({"resolution": -1.0}, r"resolution .*-1\.0"),
+        ({"resolution": np.nan}, "resolution .*nan"),
+        ({"resolution": np.inf}, "resolution .*inf"),
+        ({"resolution": None}, "not numeric"),
+        ({"origin": (0.0, 0.0)}, "origin .*three"),
+        ({"origin": (0.0, np.nan, 0.0)}, "origin .*nan"),
+        ({"origin": (0.0, 0.0, "north")}, "not numeric"),
+    ],
+)
+def test_malformed_maps_are_named(change, words):
+    good = {"alpha": np.ones((2, 3)), "obstacles": np.zeros((2, 3), bool), "resolution": 1.0}
+    with pytest.raises(InvalidRiskMap, match=words):
+        RiskMap(**{**good, **change})
+
+
+def test_occupancy_values_by_hand():
+    risk_map = risk_map_from_occupancy([[0, 50, 99], [100, -1, 10]], 0.05)
+    assert risk_map.alpha[0] == pytest.approx([1.0, 5.5, 9.91])
+    assert risk_map.obstacles.tolist() == [[False] * 3, [True, True, False]]
+
+
+def test_unknown_cells_can_have_a_loss_and_thresholds_move():
+    options = OccupancyOptions(2.0, 4.0, 50, 7.0)
+    risk_map = risk_map_from_occupancy([[0, 49, 50, -1]], 1.0, options=options)
+    assert risk_map.alpha[0, [0, 1, 3]] == pytest.approx([2.0, 2.98, 7.0])
+    assert risk_map.obstacles.tolist() == [[False, False, True, False]]
+
+
+def test_threshold_101_leaves_no_obstacle():
+    options = OccupancyOptions(obstacle_threshold=101, unknown_alpha=0.0)
+    assert not risk_map_from_occupancy([[100, -1]], 1.0, options=options).obstacles.any()
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.int64, np.float64])
+def test_every_value_in_range_is_read(dtype):
+    values = np.arange(-1, 101, dtype=dtype)[None]
+    risk_map = risk_map_from_occupancy(values, 1.0)
+    assert risk_map.alpha[0, 1:] == pytest.approx(1.0 + 0.09 * np.arange(101))
+    assert np.flatnonzero(risk_map.obstacles[0]).tolist() == [0, 101]
+
+
+@pytest.mark.parametrize("value", [-2, -128, 101, 127, np.nan, np.inf])
+def test_values_out_of_range_are_named(value):
+    with pytest.raises(InvalidRiskMap, match=rf"{value}.* \(0, 1\)"):
+        risk_map_from_occupancy([[0, value]], 1.0)
+
+
+@pytest.mark.parametrize("values", [[], [1, 2], [[[1]]]])
+def test_grids_of_other_shapes_are_refused(values):
+    with pytest.raises(InvalidRiskMap, match="shape"):
+        risk_map_from_occupancy(values, 1.0)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"alpha_min": -1.0},
+        {"alpha_min": np.nan},
+        {"alpha_max": np.inf},
+        {"alpha_max": 0.5},
+        {"obstacle_threshold": 0},
+        {"obstacle_threshold": 102},
+        {"unknown_alpha": np.nan},
+    ],
+)
+def test_options_out_of_range_are_named(options):
+    (name, value), = options.items()
+    with pytest.raises(InvalidOption, match=name) as caught:
+        OccupancyOptions(**options)
+    assert str(value) in str(caught.value)

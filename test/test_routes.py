@@ -1,0 +1,124 @@
+"""Drawn routes have the published probabilities; dense paths keep to their corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import examples, networks, paper_example, terrain_network
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from ambush_planner import Network, StrategyOptions, solve
+from ambush_planner.core.routes import RouteSampler, densify, route_edges
+
+# Chance that a correct sampler fails one of these suites: one in a million per test, seeds fixed.
+FALSE_ALARM = 1e-6
+SOLVERS = ("max_entropy", "interior_point", "simplex")
+
+
+def check_route(network, route) -> None:
+    assert route[0] == network.source and route[-1] == network.target
+    assert len(set(route.tolist())) == len(route)
+    edges = {tuple(edge) for edge in network.edges.tolist()}
+    assert all(pair in edges for pair in zip(route[:-1].tolist(), route[1:].tolist(), strict=True))
+
+
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_routes_are_simple_and_lead_from_source_to_target(solver):
+    network = terrain_network(5, "uniform_delaunay", 14)
+    strategy = solve(network, options=StrategyOptions(solver, np.inf))
+    rng = np.random.default_rng(1)
+    for _ in range(300):
+        check_route(network, strategy.sample_route(rng))
+
+
+@examples(200)
+@given(networks(), st.sampled_from(SOLVERS), st.integers(0, 9))
+def test_routes_of_any_network_are_simple_and_use_its_edges(network, solver, seed):
+    strategy = solve(network, options=StrategyOptions(solver))
+    route = strategy.sample_route(np.random.default_rng(seed))
+    check_route(network, route)
+    assert (strategy.edge_probability[route_edges(network, route)] > 0.0).all()
+
+
+@pytest.mark.parametrize(
+    "network", [paper_example(), terrain_network(3, cells=9)], ids=["paper", "terrain"]
+)
+def test_drawn_frequencies_are_the_published_probabilities(network):
+    """Every edge's count is binomial: normal approximation, Bonferroni over the edges."""
+    strategy, draws = solve(network), 20_000
+    sampler, rng = strategy, np.random.default_rng(42)
+    counts = np.zeros(len(network.edges))
+    for _ in range(draws):
+        counts[route_edges(network, sampler.sample_route(rng))] += 1
+    p = strategy.edge_probability
+    often = (p * draws > 30) & ((1 - p) * draws > 30)
+    z = (counts - draws * p)[often] / np.sqrt(draws * p * (1 - p))[often]
+    assert (z**2).max() < chi2.isf(FALSE_ALARM / often.sum(), df=1)
+    assert (counts[p == 0.0] == 0).all()
+    assert counts[p > 1 - 1e-9] == pytest.approx(draws)
+    rare = p * draws <= 30
+    assert counts[rare].sum() <= draws * p[rare].sum() + 6 * np.sqrt(draws * p[rare].sum()) + 15
+
+
+def test_whole_routes_are_as_likely_as_the_walk_says():
+    network, draws = paper_example(), 20_000
+    strategy, rng = solve(network), np.random.default_rng(7)
+    drawn: dict[tuple, int] = {}
+    for _ in range(draws):
+        route = tuple(strategy.sample_route(rng).tolist())
+        drawn[route] = drawn.get(route, 0) + 1
+    assert len(drawn) == 7
+    x, p = strategy.visit_probability, strategy.edge_probability
+    expected = {
+        route: draws * np.prod([p[k] / x[network.tails[k]] for k in edges])
+        for route in drawn
+        for edges in [route_edges(network, np.array(route))]
+    }
+    assert sum(expected.values()) == pytest.approx(draws, rel=1e-9)
+    statistic = sum((drawn[r] - expected[r]) ** 2 / expected[r] for r in drawn)
+    assert statistic < chi2.isf(FALSE_ALARM, df=6)
+
+
+def test_the_same_generator_state_gives_the_same_routes():
+    strategy = solve(terrain_network(3, cells=12))
+    one, two = (np.random.default_rng(5) for _ in range(2))
+    first = [strategy.sample_route(one).tolist() for _ in range(8)]
+    assert first == [strategy.sample_route(two).tolist() for _ in range(8)]
+    assert len({tuple(route) for route in first}) > 1
+
+
+def test_a_walk_that_circles_ten_thousand_times_is_still_simple():
+    points = [[0, 0], [1, 0], [1, 1], [2, 0]]
+    network = Network(points, [0, 1, 1, 0], [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)
+    sampler = RouteSampler(network, np.array([1.0, 9_999.0, 9_999.0, 1.0]))
+    assert sampler.draw(np.random.default_rng(0)).tolist() == [0, 1, 3]
+
+
+corners = st.lists(
+    st.tuples(*[st.integers(-50, 50)] * 2), min_size=2, max_size=6
+).filter(lambda route: all(a != b for a, b in zip(route[:-1], route[1:], strict=True)))
+
+
+@examples(300)
+@given(corners, st.floats(0.01, 200.0))
+def test_densify_laws(route, spacing):
+    points = np.array(route, float)
+    poses = densify(points, spacing)
+    assert np.array_equal(poses[0, :2], points[0]) and np.array_equal(poses[-1, :2], points[-1])
+    steps = np.diff(poses[:, :2], axis=0)
+    lengths = np.hypot(*steps.T)
+    assert lengths.max() <= spacing * (1 + 1e-6) and lengths.min() > 0.0
+    assert lengths.sum() == pytest.approx(np.hypot(*np.diff(points, axis=0).T).sum(), rel=1e-9)
+    assert np.cos(poses[:-1, 2] - np.arctan2(*steps.T[::-1])) == pytest.approx(1.0, abs=1e-9)
+    assert poses[-1, 2] == poses[-2, 2]
+    for corner in points:
+        assert (poses[:, :2] == corner).all(axis=1).any()
+
+
+def test_densify_by_hand():
+    poses = densify(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]), 2.0)
+    up = np.pi / 2
+    expected = [[0, 0, 0], [1.5, 0, 0], [3, 0, up], [3, 1, up]]
+    assert poses == pytest.approx(np.array(expected))
