@@ -13,14 +13,15 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo paper test lint clean
+.PHONY: help demo paper test lint benchmark clean
 
 help:
-	@echo 'make demo   eight departures on real terrain; results in out/demo'
-	@echo 'make paper  the tables and figures of the paper; results in out/paper'
-	@echo 'make test   linters, type checker and the whole test suite'
-	@echo 'make lint   linters and type checker only'
-	@echo 'make clean  remove .venv, out and all build results'
+	@echo 'make demo       eight departures on real terrain; results in out/demo'
+	@echo 'make paper      the tables and figures of the paper; results in out/paper'
+	@echo 'make test       linters, type checker and the whole test suite'
+	@echo 'make lint       linters and type checker only'
+	@echo 'make benchmark  speed beside HiGHS and Clarabel, in about 8 minutes; benchmarks/results.md'
+	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
 demo: $(VENV)/.demo
@@ -36,6 +37,10 @@ test: lint
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+benchmark: $(VENV)/.test
+	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python benchmarks/ambush_radius.py
 
 clean:
 	rm -rf $(VENV) out build install log dist *.egg-info

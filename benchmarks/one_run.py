@@ -1,6 +1,7 @@
 """Run one solver on one map in a process of its own and print what came out as JSON.
 
-A process of its own, so that the peak of its memory is the solver's. `solver.py` starts these.
+A process of its own, so that the peak of its memory is the solver's. Seconds are the processor's:
+on one thread they do not depend on what else the machine does. `solver.py` starts these.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from maps import network_across
+from maps import block_network
 from peers import Answer, EntropyProblem, clarabel_entropy, highs
 
-from ambush_planner import GameOptions, Network, solve
+from ambush_planner import GameOptions, solve
 from ambush_planner.core.game import make_game
 from ambush_planner.core.game_value import solve_by_cut
 
@@ -32,9 +33,9 @@ def build(nodes: int, file: Path) -> Callable[[], Answer]:
     """The network from the map."""
 
     def run() -> Answer:
-        started = time.perf_counter()
-        network = network_across(nodes)
-        seconds = time.perf_counter() - started
+        started = time.process_time()
+        network = block_network(nodes)
+        seconds = time.process_time() - started
         return {
             "seconds": seconds, "nodes": len(network.points), "edges": len(network.edges),
         }
@@ -44,28 +45,30 @@ def build(nodes: int, file: Path) -> Callable[[], Answer]:
 
 def value(nodes: int, file: Path) -> Callable[[], Answer]:
     """The exact value without a length budget, by a minimum cut."""
-    game = make_game(network_across(nodes), GameOptions())
+    game = make_game(block_network(nodes), GameOptions())
 
     def run() -> Answer:
-        started = time.perf_counter()
+        started = time.process_time()
         found = solve_by_cut(game)
-        return {"seconds": time.perf_counter() - started, "value": found.value}
+        return {"seconds": time.process_time() - started, "value": found.value}
 
     return run
 
 
 def strategy(nodes: int, file: Path) -> Callable[[], Answer]:
     """The default strategy, all stages; leaves its entropy problem in the file for others."""
-    network = network_across(nodes)
+    network = block_network(nodes)
 
     def run() -> Answer:
-        started = time.perf_counter()
+        started = time.process_time()
         found = solve(network)
-        seconds = time.perf_counter() - started
+        seconds = time.process_time() - started
         edges = np.flatnonzero(found.edge_probability > 0.0)
-        # Up to rounding the strategy uses its whole budget; the others may use what it used.
-        budget = max(found.length_budget, found.expected_length)
-        np.savez(file, edges=edges, value=found.value, budget=budget)
+        # Up to rounding the strategy uses its whole budget; Clarabel may use what it used.
+        length = max(found.length_budget, found.expected_length)
+        np.savez(
+            file, edges=edges, value=found.value, length=length, budget=found.length_budget
+        )
         return {
             "seconds": seconds,
             "value": found.value,
@@ -81,25 +84,21 @@ def strategy(nodes: int, file: Path) -> Callable[[], Answer]:
 
 def simplex(nodes: int, file: Path) -> Callable[[], Answer]:
     """The value by HiGHS' dual simplex method."""
-    network, problem = _left_by_strategy(nodes, file)
-    return highs(network, problem.budget, "simplex")
+    with np.load(file) as left:
+        return highs(block_network(nodes), float(left["budget"]), "simplex")
 
 
 def interior_point(nodes: int, file: Path) -> Callable[[], Answer]:
     """The value by HiGHS' interior point method without crossover."""
-    network, problem = _left_by_strategy(nodes, file)
-    return highs(network, problem.budget, "ipx")
+    with np.load(file) as left:
+        return highs(block_network(nodes), float(left["budget"]), "ipx")
 
 
 def conic(nodes: int, file: Path) -> Callable[[], Answer]:
     """The entropy problem by Clarabel."""
-    return clarabel_entropy(*_left_by_strategy(nodes, file))
-
-
-def _left_by_strategy(nodes: int, file: Path) -> tuple[Network, EntropyProblem]:
     with np.load(file) as left:
-        problem = EntropyProblem(left["edges"], float(left["value"]), float(left["budget"]))
-    return network_across(nodes), problem
+        problem = EntropyProblem(left["edges"], float(left["value"]), float(left["length"]))
+    return clarabel_entropy(block_network(nodes), problem)
 
 
 TASKS = (build, value, strategy, simplex, interior_point, conic)
@@ -120,16 +119,16 @@ def main() -> None:
     parser.add_argument("task", choices=tasks, help="what is measured")
     parser.add_argument("nodes", type=int, help="lattice nodes across the map")
     parser.add_argument("file", type=Path, help=".npz in which `strategy` leaves its problem")
-    parser.add_argument("--limit", type=int, default=0, help="seconds after which it is killed")
+    parser.add_argument("--limit", type=int, default=0, help="seconds after which it ends")
     arguments = parser.parse_args()
     task = tasks[arguments.task]
     if task in (build, value, strategy):
         task(WARM_UP, arguments.file)()
     prepared = task(arguments.nodes, arguments.file)
-    # Native code does not look at Python's signals: SIGALRM's default ends the process.
-    signal.alarm(arguments.limit)
+    # Native code does not look at Python's signals: SIGPROF's default ends the process.
+    signal.setitimer(signal.ITIMER_PROF, arguments.limit)
     answer = measure(prepared)
-    signal.alarm(0)
+    signal.setitimer(signal.ITIMER_PROF, 0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(answer | {"peak": peak}))
 

@@ -23,7 +23,8 @@ def clarabel_entropy(network, edges, capacity, budget) -> float:
     """
     n, m = len(network.points), len(edges)
     tail, head = network.edges[edges].T
-    out, into = (csc_matrix((np.ones(m), (end, np.arange(m))), shape=(n, m)) for end in (tail, head))
+    ones, each = np.ones(m), np.arange(m)
+    out, into = (csc_matrix((ones, (end, each)), shape=(n, m)) for end in (tail, head))
     touched = np.setdiff1d(np.union1d(tail, head), [network.target])
     supply = (touched == network.source).astype(float)
     capped = np.flatnonzero(np.isfinite(capacity) & (capacity < 1.0))

@@ -55,7 +55,7 @@ def lattice_delaunay_pairs(points: FloatArray, node_of: IndexArray, spacing: flo
     whole = np.stack(
         (node_of[:-1, :-1], node_of[:-1, 1:], node_of[1:, :-1], node_of[1:, 1:])
     )
-    full = (whole >= 0).all(axis=0)
+    full = np.asarray((whole >= 0).all(axis=0))
     rising = full & (np.arange(full.shape[0]) % 2 == 1)[:, None]  # row 0 is the frame's
     falling = full & ~rising
     sides = _full_square_sides(whole, full)

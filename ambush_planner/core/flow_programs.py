@@ -161,7 +161,7 @@ def most_entropy(
     """Unit flow p (M,) of maximal edge entropy on ``edges`` and the iterations it took."""
     rows = flow_rows(game, edges, capacity, 1.0)
     lengths = game.network.lengths[rows.edge]
-    scale = float(lengths.mean())
+    scale = float(lengths.mean()) or 1.0
     program = rows.program(0.0, True, lengths / scale, budget / scale)
     solution = minimise(program, rows.start(), deadline)
     p = np.zeros(len(edges))
@@ -187,7 +187,7 @@ def shortest_flow(game: Game, capacity: FloatArray, deadline: float) -> Shortest
     rows = flow_rows(game, game.playable, capacity, 1.0)
     m = len(rows.edge)
     lengths = game.network.lengths[rows.edge]
-    scale = float(lengths.mean())
+    scale = float(lengths.mean()) or 1.0
     program = rows.program(lengths / scale, False, np.zeros_like(lengths), np.inf)
     solution = minimise(program, rows.start(), deadline)
     reduced = np.zeros(len(game.network.edges))

@@ -185,5 +185,7 @@ def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     """Nodes (N,) where the ambusher can wait."""
     ends = network.points[[network.source, network.target]]
     gap = np.linalg.norm(network.points[:, None, :] - ends, axis=2).min(axis=1)
-    possible: BoolArray = (gap > options.secured_radius) & (gap > options.ambush_radius)
+    # A radius of 0 is none: nodes may share the place of the ends, as where places do not matter.
+    radius = max(options.secured_radius, options.ambush_radius)
+    possible: BoolArray = (gap > radius) | (radius == 0.0)
     return possible

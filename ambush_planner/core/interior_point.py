@@ -35,7 +35,7 @@ GAP_TOLERANCE = 1e-9
 # still larger ones at the very end: rows are polished afterwards, and the certificate decides.
 ROUGH, PATIENCE, LAST_RESORT = 100.0, 3, 1000.0
 # Afterwards the rows are met to this, in so many attempts at the most.
-POLISHED, POLISHING = 1e-14, 3
+POLISHED, POLISHING, POLISHING_CHANGE = 1e-14, 3, 3e-3
 # The last iterations aim at this share of the tolerated complementarity.
 LEAST_CENTRING = 0.1
 # Share of the way to the boundary that a step may go.
@@ -138,13 +138,25 @@ def minimise(program: Program, start: FloatArray, deadline: float = np.inf) -> S
 
 
 def _polished(program: Program, f: FloatArray, normal: NormalMatrix) -> FloatArray:
-    """Meet the rows to rounding by small relative changes of f."""
+    """Meet the rows and the budget to rounding by small relative changes of f."""
     for _ in range(POLISHING):
         missing = program.rhs - program.rows @ f
-        if np.abs(missing).max(initial=0.0) < POLISHED:
+        excess = float(program.dense @ f) - program.budget if program.has_budget else 0.0
+        if np.abs(missing).max(initial=0.0) < POLISHED and excess <= POLISHED * f.sum():
             break
-        change = program.rows.T @ normal.factorise(np.minimum(f, 1.0))(missing)
-        f = f + np.minimum(f, 1.0) * np.clip(change, -0.5, 0.5)
+        weight = np.minimum(f, 1.0)
+        solve = normal.factorise(weight)
+        change = program.rows.T @ solve(missing)
+        if excess > 0.0:
+            border = program.rows @ (weight * program.dense)
+            along = program.dense - program.rows.T @ solve(border)
+            pivot = float(program.dense @ (weight * along))
+            excess += float(program.dense @ (weight * change))
+            shorter = along * (excess / pivot if pivot > 0.0 else 0.0)
+            # Where the rows leave no shorter flow, they go first.
+            if np.abs(shorter).max() < POLISHING_CHANGE:
+                change -= shorter
+        f = f + weight * np.clip(change, -0.5, 0.5)
     return f
 
 

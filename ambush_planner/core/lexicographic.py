@@ -66,7 +66,7 @@ def max_entropy_strategy(
     p, iterations = most_entropy(left, risk.edges, capacity, limit, deadline)
     price = risk.length_price
     if left is not game:
-        price = risk.value / (NO_DETOUR * budget)
+        price = risk.value / (NO_DETOUR * budget) if budget > 0.0 else 0.0
     return Outcome(_as_walk(game, p), risk.q, budget, price, iterations)
 
 

@@ -23,8 +23,8 @@ from .risk_map import FloatArray
 from .routes import route_edges
 
 LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 1, 2, 4
-# The default of ipm_optimality_tolerance is 1e-8.
-OTHER_TOLERANCES = (1e-10, 1e-7)
+# ipm_optimality_tolerance, one after the other until HiGHS is content; its default is 1e-8.
+OPTIMALITY = (1e-11, 1e-8, 1e-7)
 # HiGHS' own tolerances, far below the certificate's.
 TOLERANCE = 1e-9
 # No node is visited this often; where a loss is so small, its row says this instead.
@@ -241,13 +241,17 @@ def _run(
 
 
 def _run_interior_point(program: LinearProgram, options: dict[str, Any]) -> OptimizeResult:
-    """Run without crossover; where HiGHS ends in an unknown state, another tolerance helps."""
+    """Run without crossover; where HiGHS ends in an unknown state, another tolerance may help.
+
+    HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing, or nothing feasible.
+    """
     options = {**options, "run_crossover": _no_crossover()}
-    result = _linprog(program, "highs-ipm", options)
-    for tolerance in OTHER_TOLERANCES:
-        if result.status != NUMERICAL_TROUBLE:
-            break
-        result = _linprog(program, "highs-ipm", options | {"ipm_optimality_tolerance": tolerance})
+    for presolve in (True, False):
+        for tolerance in OPTIMALITY:
+            tried = {"presolve": presolve, "ipm_optimality_tolerance": tolerance}
+            result = _linprog(program, "highs-ipm", options | tried)
+            if result.status != NUMERICAL_TROUBLE:
+                return result
     return result
 
 

@@ -22,6 +22,7 @@ from .routes import RouteSampler
 SOLVERS = ("max_entropy", "interior_point", "simplex")
 # A published strategy is this near to optimal, relative to its value.
 CERTIFICATE_TOLERANCE = 1e-6
+CONSERVATION_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ def solve(
             network.target
         ]
     )
-    budget = options.max_detour * shortest
+    budget = options.max_detour * shortest if math.isfinite(options.max_detour) else math.inf
     if options.solver == "max_entropy":
         outcome = max_entropy_strategy(prepared, budget, options.risk_slack, deadline)
     else:
@@ -191,13 +192,8 @@ def _certified(
     network, p = game.network, outcome.p
     value = game.upper_bound(p)
     bound = min(game.lower_bound(outcome.q, outcome.length_price, outcome.budget), value)
-    least_scale = 1e-6 * float(game.loss.max(initial=0.0))
-    tolerance = CERTIFICATE_TOLERANCE * max(value + weighed, least_scale)
-    if not value <= (1.0 + risk_slack) * bound + tolerance:
-        raise SolverFailed(
-            f"the strategy's certificate does not close: value {value:.9g}, "
-            f"lower bound {bound:.9g}"
-        )
+    length = float(p @ network.lengths)
+    _check(game, outcome, value / (1.0 + risk_slack) - bound, value + weighed, length)
     visits = game.visits(p)
     leaving = sums(network.tails, p, game.node_count)
     return Strategy(
@@ -210,13 +206,30 @@ def _certified(
         gap=value - bound,
         edge_entropy=_entropy(p, np.ones_like(p)),
         route_entropy=_entropy(p, leaving[network.tails]),
-        expected_length=float(p @ network.lengths),
+        expected_length=length,
         shortest_length=shortest,
         length_budget=outcome.budget,
         length_price=outcome.length_price,
         iterations=outcome.iterations,
         _sampler=RouteSampler(network, p),
     )
+
+
+def _check(game: Game, outcome: Outcome, gap: float, optimum: float, length: float) -> None:
+    """Refuse to publish what is not a strategy, not near enough to optimal, or too long."""
+    residual = game.conservation_residual(outcome.p)
+    if not residual <= CONSERVATION_TOLERANCE:
+        raise SolverFailed(f"the solver's strategy is no flow: residual {residual:.1e}")
+    if not length <= outcome.budget * (1.0 + CERTIFICATE_TOLERANCE):
+        raise SolverFailed(
+            f"the solver's strategy is {length:.9g} m long, over the budget of "
+            f"{outcome.budget:.9g} m"
+        )
+    scale = max(optimum, 1e-6 * float(game.loss.max(initial=0.0)))
+    if not gap <= CERTIFICATE_TOLERANCE * scale:
+        raise SolverFailed(
+            f"the strategy's certificate does not close: optimum {optimum:.9g}, gap {gap:.3g}"
+        )
 
 
 def _entropy(p: FloatArray, whole: FloatArray) -> float:

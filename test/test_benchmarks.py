@@ -1,0 +1,129 @@
+"""The benchmarks run, and their tables say what was measured; how fast is not tested here."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ambush_planner
+
+BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+SECTIONS = (
+    "How many times faster",
+    "Targets",
+    "Processor seconds (peak memory of the process in MB)",
+    "Sizes and iterations",
+    "The answers agree",
+)
+
+
+def run(script: str, *arguments) -> str:
+    command = [sys.executable, BENCHMARKS / script, *map(str, arguments)]
+    package = Path(ambush_planner.__file__).parent.parent  # the one under test
+    path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=100
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """First cell of each table row -> the other cells."""
+    lines = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("|")]
+    return {first.strip(): [cell.strip() for cell in cells] for first, *cells in lines}
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import solver_tables
+
+    return solver_tables
+
+
+@pytest.fixture
+def report(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import report
+
+    return report
+
+
+@pytest.mark.slow
+def test_all_solvers_agree_on_the_smallest_size(tmp_path):
+    results = tmp_path / "results.md"
+    text = run(
+        "solver.py", "--sizes", 12, "--repeats", 1, "--million", 40, "--results", results
+    )
+    assert re.findall("^### (.*)$", text, re.MULTILINE) == list(SECTIONS)
+    assert text.strip() in results.read_text()
+    cells = {title: row[0] for title, row in rows(text).items()}
+    assert cells["nodes"] == "140"
+    value = float(cells["value by cut"])
+    for who in (" of the strategy", ": HiGHS dual simplex", ": HiGHS interior point"):
+        assert float(cells[f"value{who}"]) == pytest.approx(value, rel=1e-6)
+    entropy = float(cells["edge entropy of the strategy [nats]"])
+    assert float(cells["edge entropy: Clarabel [nats]"]) == pytest.approx(entropy, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_ambush_radius_on_coarse_meshes(tmp_path):
+    results = tmp_path / "results.md"
+    text = run("ambush_radius.py", "--sizes", 10, 14, "--results", results)
+    assert re.findall("^### (.*)$", text, re.MULTILINE) == ["Map `hills`", "Map `block`"]
+    assert text.count("Without a radius the value falls on every mesh") == 2
+    assert text.strip() in results.read_text()
+
+
+@pytest.mark.parametrize("script", ["solver.py", "ambush_radius.py", "one_run.py"])
+def test_help(script):
+    assert "usage" in run(script, "--help")
+
+
+def test_the_kept_results_hold_every_block():
+    text = (BENCHMARKS / "results.md").read_text()
+    for name in ("solver", "ambush_radius"):
+        block = re.search(rf"<!-- {name}: begin -->\n(.+)\n<!-- {name}: end -->", text, re.DOTALL)
+        assert block and rows(block[1])
+
+
+def test_a_block_is_replaced_and_the_rest_stays(tmp_path, report):
+    path = tmp_path / "results.md"
+    path.write_text("above\n<!-- a: begin -->\nold\n<!-- a: end -->\nbelow\n")
+    report.write_block(path, "a", "new")
+    report.write_block(path, "b", "other")
+    assert path.read_text() == (
+        "above\n<!-- a: begin -->\nnew\n<!-- a: end -->\nbelow\n"
+        "\n<!-- b: begin -->\nother\n<!-- b: end -->\n"
+    )
+
+
+def measured(seconds: float, interior_point: dict) -> dict:
+    """200 across; all took ``seconds`` but HiGHS' interior point method."""
+    others = ("build", "value", "strategy", "simplex", "conic")
+    answers = dict.fromkeys(others, {"seconds": seconds, "peak": 100.0})
+    return {200: answers | {"interior_point": interior_point}}
+
+
+def test_a_solver_over_its_limit_is_called_so(tables):
+    network = {"seconds": 11.0, "nodes": 5, "edges": 7}
+    cells = rows(tables.report(measured(2.0, {"limit": 120}), network, "here"))
+    title = "strategy : HiGHS interior point, value alone"
+    assert cells[f"{title}, 200 across"] == ["8x", "> 60x", "yes"]
+    assert cells["HiGHS interior point without crossover, value"] == ["> 120"]
+    cells = rows(tables.report(measured(20.0, {"limit": 120}), network, "here"))
+    assert cells[f"{title}, 200 across"] == ["8x", "> 6.0x", "not known: over the limit"]
+
+
+def test_targets_that_are_missed_are_called_so(tables):
+    network = {"seconds": 11.0, "nodes": 5, "edges": 7}
+    cells = rows(tables.targets(measured(2.0, {"seconds": 4.0, "peak": 1.0}), network))
+    assert cells["strategy : HiGHS interior point, value alone, 200 across"][1:] == [
+        "2.0x", "**no**"
+    ]
+    million = next(row for title, row in cells.items() if title.startswith("network of a million"))
+    assert million[1:] == ["11.0 s", "**no**"]
