@@ -20,8 +20,9 @@ COMPARISONS = (
 # Seconds for the network of a million candidate points.
 NETWORK_TARGET = 10.0
 
-# What the others call an answer that is as good as they were asked for.
+# What the others call an answer that is as good as they were asked for, and one nearly so.
 SOLVED = ("Optimal", "Solved")
+NEARLY = ("AlmostSolved",)
 
 TASK_TITLES = {
     "build": "network",
@@ -64,7 +65,7 @@ def targets(measured: Measured, network: dict[str, Any]) -> str:
             reached = _least(size[other]) / size[ours]["seconds"]
             rows.append(
                 [f"{title}, {nodes} across", f"{wanted[nodes]:g}x", _ratio(size[ours], size[other]),
-                 _met(reached >= wanted[nodes], "limit" in size[other])]
+                 _met(reached >= wanted[nodes], _unfinished(size[other]))]
             )
     points = f"{network['nodes']} nodes, {network['edges']} edges left"
     rows.append(
@@ -136,9 +137,14 @@ def _least(answer: dict[str, Any]) -> float:
     return float(answer.get("seconds", answer.get("limit")))
 
 
+def _unfinished(answer: dict[str, Any]) -> bool:
+    """Whether a run ended without an answer: over its limit, or given up by the solver."""
+    return "limit" in answer or answer.get("status", SOLVED[0]) not in SOLVED + NEARLY
+
+
 def _ratio(ours: dict[str, Any], other: dict[str, Any]) -> str:
     ratio = _least(other) / ours["seconds"]
-    return ("> " if "limit" in other else "") + (f"{ratio:.1f}x" if ratio < 20 else f"{ratio:.0f}x")
+    return ("> " if _unfinished(other) else "") + (f"{ratio:.1f}x" if ratio < 20 else f"{ratio:.0f}x")
 
 
 def _time_and_memory(answer: dict[str, Any]) -> str:
@@ -152,4 +158,4 @@ def _time_and_memory(answer: dict[str, Any]) -> str:
 def _met(reached: bool, at_least: bool) -> str:
     if reached:
         return "yes"
-    return "not known: over the limit" if at_least else "**no**"
+    return "not known: the other gave no answer" if at_least else "**no**"

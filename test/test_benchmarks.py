@@ -116,7 +116,7 @@ def test_a_solver_over_its_limit_is_called_so(tables):
     assert cells[f"{title}, 200 across"] == ["8x", "> 60x", "yes"]
     assert cells["HiGHS interior point without crossover, value"] == ["> 120"]
     cells = rows(tables.report(measured(20.0, {"limit": 120}), network, "here"))
-    assert cells[f"{title}, 200 across"] == ["8x", "> 6.0x", "not known: over the limit"]
+    assert cells[f"{title}, 200 across"] == ["8x", "> 6.0x", "not known: the other gave no answer"]
 
 
 def test_targets_that_are_missed_are_called_so(tables):
