@@ -8,9 +8,9 @@ import numpy as np
 
 from .game import Game
 from .network import IndexArray
-from .paths import distances_from, shortest_path
+from .paths import distances_from
 from .risk_map import FloatArray
-from .routes import route_edges
+from .routes import always, shortest_route
 from .strategy import Strategy
 
 # Sums of alpha this near to each other, relative, are ties.
@@ -55,8 +55,7 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
 
 def energy_efficient_route(game: Game) -> IndexArray:
     """Nodes (K,) of a shortest route."""
-    edges = np.flatnonzero(game.playable)
-    return _route(game, edges, game.network.lengths[edges])
+    return shortest_route(game.network, np.flatnonzero(game.playable))
 
 
 def risk_avoiding_route(game: Game) -> IndexArray:
@@ -69,14 +68,7 @@ def risk_avoiding_route(game: Game) -> IndexArray:
     behind = distances_from(network.edges[edges][:, ::-1], risk, game.node_count, network.target)
     least = ahead[network.target]
     tied = ahead[tail] + risk + behind[head] <= least * (1.0 + TIE)
-    return _route(game, edges[tied], network.lengths[edges[tied]])
-
-
-def _route(game: Game, edges: IndexArray, weights: FloatArray) -> IndexArray:
-    network = game.network
-    return shortest_path(
-        network.edges[edges], weights, game.node_count, network.source, network.target
-    )
+    return shortest_route(network, edges[tied])
 
 
 def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
@@ -85,8 +77,7 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
-    p = np.zeros(len(game.network.edges))
-    p[route_edges(game.network, route)] = 1.0
+    p = always(game.network, route)
     worst = game.upper_bound(p)
     return Measures(
         planner,

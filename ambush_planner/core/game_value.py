@@ -19,9 +19,9 @@ from .cycles import without_cycles
 from .errors import SolverFailed
 from .game import BoolArray, Game
 from .network import IndexArray
-from .paths import distances_from, reachable_from, shortest_path
+from .paths import distances_from, reachable_from
 from .risk_map import FloatArray
-from .routes import route_edges
+from .routes import always, shortest_route
 
 # scipy's maximum flow counts in int32. Capacities are scaled so that the flow that is still
 # missing stays below this; several rounds on the residual network give the digits of a double.
@@ -66,15 +66,7 @@ def _worthless_game(game: Game, harmless: BoolArray) -> GameValue:
     """Value 0: a shortest route past every ambush; the ambusher is indifferent."""
     network = game.network
     edges = np.flatnonzero(game.playable & harmless[network.tails] & harmless[network.heads])
-    route = shortest_path(
-        network.edges[edges],
-        network.lengths[edges],
-        game.node_count,
-        network.source,
-        network.target,
-    )
-    p = np.zeros(len(network.edges))
-    p[route_edges(network, route)] = 1.0
+    p = always(network, shortest_route(network, edges))
     return GameValue(0.0, p, indifferent_ambusher(game), np.empty(0, dtype=np.int64))
 
 

@@ -18,9 +18,9 @@ from .game import Game
 from .game_value import indifferent_ambusher, solve_by_cut
 from .network import IndexArray
 from .outcome import Outcome
-from .paths import distances_from, on_some_route, shortest_path
+from .paths import distances_from, on_some_route
 from .risk_map import FloatArray
-from .routes import route_edges
+from .routes import always, shortest_route
 
 LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 1, 2, 4
 # ipm_optimality_tolerance, one after the other until HiGHS is content; its default is 1e-8.
@@ -171,17 +171,8 @@ def _within_budget(
 
 def _shortest_route_loss(game: Game) -> float:
     """What the best ambush costs against always driving the shortest route."""
-    network, edges = game.network, np.flatnonzero(game.playable)
-    route = shortest_path(
-        network.edges[edges],
-        network.lengths[edges],
-        game.node_count,
-        network.source,
-        network.target,
-    )
-    p = np.zeros(len(network.edges))
-    p[route_edges(network, route)] = 1.0
-    return game.upper_bound(p)
+    route = shortest_route(game.network, np.flatnonzero(game.playable))
+    return game.upper_bound(always(game.network, route))
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:

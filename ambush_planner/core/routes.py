@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .network import IndexArray, Network
+from .paths import shortest_path
 from .risk_map import FloatArray
 
 
@@ -52,6 +53,24 @@ def route_edges(network: Network, route: IndexArray) -> IndexArray:
     order = np.argsort(keys)
     found: IndexArray = order[np.searchsorted(keys, route[:-1] * count + route[1:], sorter=order)]
     return found
+
+
+def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
+    """Nodes (K,) of a shortest route that uses only the edges with indices ``edge``."""
+    return shortest_path(
+        network.edges[edge],
+        network.lengths[edge],
+        len(network.points),
+        network.source,
+        network.target,
+    )
+
+
+def always(network: Network, route: IndexArray) -> FloatArray:
+    """The strategy p (M,) of always driving ``route`` (K,)."""
+    p = np.zeros(len(network.edges))
+    p[route_edges(network, route)] = 1.0
+    return p
 
 
 def densify(points: FloatArray, spacing: float) -> FloatArray:
