@@ -83,13 +83,18 @@ def strategy(nodes: int, file: Path) -> Callable[[], Answer]:
 
 
 def simplex(nodes: int, file: Path) -> Callable[[], Answer]:
-    """The value by HiGHS' dual simplex method."""
+    """The value with the length budget by HiGHS' dual simplex method."""
     with np.load(file) as left:
         return highs(block_network(nodes), float(left["budget"]), "simplex")
 
 
 def interior_point(nodes: int, file: Path) -> Callable[[], Answer]:
-    """The value by HiGHS' interior point method without crossover."""
+    """The value without a length budget by HiGHS' interior point method without crossover."""
+    return highs(block_network(nodes), np.inf, "ipx")
+
+
+def interior_point_budget(nodes: int, file: Path) -> Callable[[], Answer]:
+    """The same with the length budget."""
     with np.load(file) as left:
         return highs(block_network(nodes), float(left["budget"]), "ipx")
 
@@ -101,7 +106,7 @@ def conic(nodes: int, file: Path) -> Callable[[], Answer]:
     return clarabel_entropy(block_network(nodes), problem)
 
 
-TASKS = (build, value, strategy, simplex, interior_point, conic)
+TASKS = (build, value, strategy, simplex, interior_point, interior_point_budget, conic)
 
 
 def measure(run: Callable[[], Answer]) -> Answer:

@@ -1,7 +1,7 @@
 """The same problems in the form that other solvers take.
 
-HiGHS (Huangfu and Hall, 2018) gets the linear program for the value, under the same length budget
-as the strategy; Clarabel (Goulart and Chen, 2024), a conic interior point method, gets the entropy
+HiGHS (Huangfu and Hall, 2018) gets the linear program for the value, with or without the strategy's
+length budget; Clarabel (Goulart and Chen, 2024), a conic interior point method, gets the entropy
 problem on the strategy's own edges. Both run on one thread with their default tolerances. What is
 timed is the solver alone, not the making of its matrices.
 """
@@ -24,6 +24,8 @@ from ambush_planner.core.linear_program import linear_program
 from ambush_planner.core.network import IndexArray
 
 Answer = dict[str, Any]
+# What they call an answer that they stand by.
+SOLVED = ("Optimal", "Solved", "AlmostSolved")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,17 @@ class EntropyProblem:
     length: float
 
 
+def _answer(status: str, seconds: float, iterations: int, **result: float) -> Answer:
+    """The result only of a solver that stands by it; of another that it failed."""
+    answer = {"seconds": seconds, "iterations": iterations, "status": status}
+    return answer | (result if status in SOLVED else {"failed": True})
+
+
 def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
-    """Prepare the linear program for HiGHS; ``solver`` 'simplex' (dual) or 'ipx' (no crossover)."""
+    """Prepare the linear program for HiGHS; ``solver`` 'simplex' (dual) or 'ipx' (no crossover).
+
+    An infinite ``budget`` leaves the row of the expected length [m] out.
+    """
     program = linear_program(make_game(network, GameOptions()), 0.0, budget, unit=1.0)
     matrix = vstack((program.inequalities, program.equalities)).tocsc()
     model = highspy.HighsLp()
@@ -68,12 +79,12 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
         engine.run()
         seconds = time.process_time() - started
         status, info = engine.getModelStatus(), engine.getInfo()
-        return {
-            "seconds": seconds,
-            "value": info.objective_function_value,
-            "iterations": max(info.simplex_iteration_count, info.ipm_iteration_count),
-            "status": engine.modelStatusToString(status),
-        }
+        return _answer(
+            engine.modelStatusToString(status),
+            seconds,
+            max(info.simplex_iteration_count, info.ipm_iteration_count),
+            value=info.objective_function_value,
+        )
 
     return run
 
@@ -112,11 +123,8 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
         started = time.process_time()
         found = clarabel.DefaultSolver(nothing, cost, matrix, right, kinds, settings).solve()
         seconds = time.process_time() - started
-        return {
-            "seconds": seconds,
-            "entropy": -found.obj_val,
-            "iterations": found.iterations,
-            "status": str(found.status),
-        }
+        return _answer(
+            str(found.status), seconds, found.iterations, entropy=-found.obj_val
+        )
 
     return run

@@ -22,7 +22,7 @@ from report import RESULTS, conditions, write_block
 ONE_RUN = Path(__file__).with_name("one_run.py")
 THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "RAYON")
 OURS = ("build", "value", "strategy")
-PEERS = ("simplex", "interior_point", "conic")
+PEERS = ("simplex", "interior_point", "interior_point_budget", "conic")
 # Lattice nodes across the map whose network has a million candidate points.
 MILLION = 1000
 
@@ -33,32 +33,32 @@ def one_run(task: str, nodes: int, file: Path, limit: int) -> dict[str, Any]:
     """Answer of one process; ``{"limit": limit}`` if it was over its time."""
     threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
     command = [sys.executable, ONE_RUN, task, str(nodes), file, "--limit", str(limit)]
-    print(f"{nodes:5d} across  {task:15s}", end="", file=sys.stderr, flush=True)
+    print(f"{nodes:5d} across  {task:22s}", end="", file=sys.stderr, flush=True)
     done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
     if done.returncode == -signal.SIGPROF:
         print(f" > {limit} s", file=sys.stderr)
         return {"limit": limit}
     done.check_returncode()
     answer: dict[str, Any] = json.loads(done.stdout)
-    print(f" {answer['seconds']:8.3f} s", file=sys.stderr)
+    print(f" {answer['seconds']:8.3f} s  {answer.get('status', '')}", file=sys.stderr)
     return answer
 
 
 def runs_of_size(nodes: int, repeats: int, limit: int) -> Runs:
-    """Let all solvers take turns; who has used up ``limit`` seconds has no further turn."""
+    """Let all solvers take turns; who would go over ``limit`` seconds has no further turn."""
     runs: Runs = {task: [] for task in (*OURS, *PEERS)}
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(repeats):
             for task, answers in runs.items():
-                if spent(answers) < limit:
+                if not answers or (len(answers) + 1) * longest(answers) <= limit:
                     cap = limit if task in PEERS else 0
                     answers.append(one_run(task, nodes, Path(folder, "problem.npz"), cap))
     return runs
 
 
-def spent(answers: list[dict[str, Any]]) -> float:
-    """Seconds that these runs took."""
-    return float(sum(answer.get("seconds", answer.get("limit")) for answer in answers))
+def longest(answers: list[dict[str, Any]]) -> float:
+    """Most seconds that one of these runs took."""
+    return max(float(answer.get("seconds", answer.get("limit"))) for answer in answers)
 
 
 def median(answers: list[dict[str, Any]]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="runs to take the median of")
     parser.add_argument(
         "--peer-limit", type=int, default=120, metavar="SECONDS",
-        help="stop another solver's run, and start no further one, after this time",
+        help="processor seconds that all runs of one solver on one size may take",
     )
     parser.add_argument(
         "--million", type=int, default=MILLION, metavar="N",

@@ -64,7 +64,8 @@ def test_all_solvers_agree_on_the_smallest_size(tmp_path):
     cells = {title: row[0] for title, row in rows(text).items()}
     assert cells["nodes"] == "140"
     value = float(cells["value by cut"])
-    for who in (" of the strategy", ": HiGHS dual simplex", ": HiGHS interior point"):
+    for who in (" of the strategy", ": HiGHS dual simplex", ": HiGHS interior point",
+                ": the same, within the length budget"):
         assert float(cells[f"value{who}"]) == pytest.approx(value, rel=1e-6)
     entropy = float(cells["edge entropy of the strategy [nats]"])
     assert float(cells["edge entropy: Clarabel [nats]"]) == pytest.approx(entropy, rel=1e-5)
@@ -104,7 +105,7 @@ def test_a_block_is_replaced_and_the_rest_stays(tmp_path, report):
 
 def measured(seconds: float, interior_point: dict) -> dict:
     """200 across; all took ``seconds`` but HiGHS' interior point method."""
-    others = ("build", "value", "strategy", "simplex", "conic")
+    others = ("build", "value", "strategy", "simplex", "interior_point_budget", "conic")
     answers = dict.fromkeys(others, {"seconds": seconds, "peak": 100.0})
     return {200: answers | {"interior_point": interior_point}}
 
@@ -117,6 +118,15 @@ def test_a_solver_over_its_limit_is_called_so(tables):
     assert cells["HiGHS interior point without crossover, value"] == ["> 120"]
     cells = rows(tables.report(measured(20.0, {"limit": 120}), network, "here"))
     assert cells[f"{title}, 200 across"] == ["8x", "> 6.0x", "not known: the other gave no answer"]
+
+
+def test_a_solver_that_fails_has_no_ratio(tables):
+    network = {"seconds": 1.0, "nodes": 5, "edges": 7}
+    failed = {"seconds": 200.0, "peak": 1.0, "iterations": 3, "status": "Unknown", "failed": True}
+    cells = rows(tables.report(measured(2.0, failed), network, "here"))
+    title = "strategy : HiGHS interior point, value alone"
+    assert cells[title] == ["**failed**"]
+    assert cells[f"{title}, 200 across"] == ["8x", "failed", "not known: the other gave no answer"]
 
 
 def test_targets_that_are_missed_are_called_so(tables):
