@@ -118,7 +118,9 @@ class _SplitNetwork:
         self.game = game
         self.edge = np.flatnonzero(game.playable)
         tail, head = network.edges[self.edge].T
-        used = np.unique(np.concatenate((tail, head)))
+        on_route = np.zeros(n, dtype=bool)
+        on_route[tail] = on_route[head] = True
+        used = np.flatnonzero(on_route)
         self.node = used
         forward = np.concatenate((n + tail, used)), np.concatenate((head, n + used))
         self._rows = np.concatenate((forward[0], forward[1])).astype(np.int32)
@@ -128,7 +130,8 @@ class _SplitNetwork:
         pattern = csr_matrix(
             (np.arange(1, size + 1), (self._rows, self._columns)), shape=(2 * n, 2 * n)
         )
-        self._place = np.argsort(pattern.data)
+        self._place = np.empty(size, dtype=np.int64)
+        self._place[pattern.data - 1] = np.arange(size)
         self._pattern = pattern
         self._heads, self._tails = head, tail
         with np.errstate(divide="ignore"):
