@@ -27,15 +27,11 @@ class GoalBlocked(AmbushPlannerError):
     """The goal lies in an obstacle, nearer to one than the clearance, or off the map."""
 
 
-class OutsideMap(AmbushPlannerError):
-    """Mixed into StartBlocked or GoalBlocked when the position is not on the map at all."""
-
-
-class StartOutsideMap(StartBlocked, OutsideMap):
+class StartOutsideMap(StartBlocked):
     """The start is not on the map."""
 
 
-class GoalOutsideMap(GoalBlocked, OutsideMap):
+class GoalOutsideMap(GoalBlocked):
     """The goal is not on the map."""
 
 
