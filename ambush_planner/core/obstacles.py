@@ -125,3 +125,38 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
         t = np.clip(((corner - a) * along).sum(axis=1) / squared, 0.0, 1.0)
         best = np.minimum(best, np.hypot(*(a + t[:, None] * along - corner).T))
     return best
+
+
+def nearest_free_cell(
+    risk_map: RiskMap, xy: tuple[float, float], tolerance: float, clearance: float
+) -> tuple[float, float]:
+    """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
+
+    A cell is free if its centre keeps the clearance from obstacles. Where none is within
+    ``tolerance`` [m] of ``xy``, or ``xy`` is not on the map, it comes back as it is.
+    """
+    if tolerance == 0.0:
+        return xy
+    uv = risk_map.to_map_axes(xy)
+    field = ObstacleField(risk_map)
+    if not risk_map.contains(uv) or field.clear_points(uv[None], clearance)[0]:
+        return xy
+    centres = _cell_centres(risk_map, uv, tolerance)
+    distance = np.hypot(*(centres - uv).T)
+    near = np.argsort(distance, kind="stable")[: int((distance <= tolerance).sum())]
+    free = near[field.clear_points(centres[near], clearance)]
+    if len(free) == 0:
+        return xy
+    x, y = risk_map.to_world(centres[free[0]]).tolist()
+    return x, y
+
+
+def _cell_centres(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
+    """Centres (K, 2) in map axes of the free cells of the square within ``reach`` of ``uv``."""
+    size = risk_map.size
+    low_row, low_column = risk_map.cells(np.clip(uv - reach, 0.0, size))
+    high_row, high_column = risk_map.cells(np.clip(uv + reach, 0.0, size))
+    part = risk_map.obstacles[low_row:high_row + 1, low_column:high_column + 1]
+    rows, columns = np.nonzero(~part)
+    cells = np.stack((columns + low_column, rows + low_row), axis=1)
+    return (cells + 0.5) * risk_map.resolution

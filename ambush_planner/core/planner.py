@@ -10,10 +10,11 @@ import numpy.typing as npt
 
 from .arrays import frozen_array
 from .bottleneck import Bottleneck, find_bottleneck
-from .construction import NetworkOptions, build_network
+from .construction import NetworkOptions, build_network, chosen_spacing
 from .game import GameOptions
 from .network import IndexArray, Network
-from .risk_map import FloatArray, RiskMap
+from .obstacles import nearest_free_cell
+from .risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
 from .strategy import Strategy, StrategyOptions, solve
 
 
@@ -27,17 +28,52 @@ class PlanningOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class PlanRequest:
+    """Everything that a plan follows from.
+
+    Parameters
+    ----------
+    values : (H, W) int8, resolution, origin
+        An occupancy grid, as ``risk_map_from_occupancy`` takes it.
+    occupancy
+        How its values are read as losses.
+    start_xy, goal_xy
+        World positions [m].
+    goal_tolerance
+        How far a goal in an obstacle may be moved [m].
+    options
+        Network, game and strategy.
+    """
+
+    values: npt.NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
+    occupancy: OccupancyOptions
+    start_xy: tuple[float, float]
+    goal_xy: tuple[float, float]
+    goal_tolerance: float
+    options: PlanningOptions
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took.
 
-    ``bottleneck`` tells which sites decide the strategy's value.
+    ``bottleneck`` tells which sites decide the strategy's value. ``spacing`` is the distance of
+    nodes that the network was made with, but no less than the map's resolution [m].
     """
 
-    risk_map: RiskMap
     network: Network
     strategy: Strategy
     bottleneck: Bottleneck
+    spacing: float
     seconds: float
+
+    @property
+    def goal_xy(self) -> tuple[float, float]:
+        """Where the routes end [m]: the goal that was asked for, or where it was moved to."""
+        x, y = self.network.points[self.network.target].tolist()
+        return x, y
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +96,24 @@ def plan(
     network = build_network(risk_map, start_xy, goal_xy, options.network)
     strategy = solve(network, options.game, options.strategy)
     bottleneck = find_bottleneck(strategy)
-    return Plan(risk_map, network, strategy, bottleneck, time.monotonic() - begin)
+    spacing = max(risk_map.resolution, chosen_spacing(risk_map, options.network))
+    return Plan(network, strategy, bottleneck, spacing, time.monotonic() - begin)
+
+
+def plan_from_request(request: PlanRequest) -> Plan:
+    """Read the map, move a blocked goal as far as it may be, and plan.
+
+    Raises
+    ------
+    InvalidRiskMap
+        The map is malformed. All else as ``plan`` raises it.
+    """
+    risk_map = risk_map_from_occupancy(
+        request.values, request.resolution, request.origin, request.occupancy
+    )
+    clearance = request.options.network.clearance
+    goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance, clearance)
+    return plan(risk_map, request.start_xy, goal_xy, request.options)
 
 
 def depart(a_plan: Plan, rng: np.random.Generator) -> Route:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -55,10 +56,7 @@ class RiskMap:
         except (TypeError, ValueError) as error:
             raise InvalidRiskMap(f"risk map: not numeric: {error}") from error
         _check_layers(alpha, obstacles)
-        if not (math.isfinite(resolution) and resolution > 0):
-            raise InvalidRiskMap(f"resolution must be positive and finite, got {resolution}")
-        if len(origin) != 3 or not all(map(math.isfinite, origin)):
-            raise InvalidRiskMap(f"origin must be three finite numbers (x, y, yaw), got {origin}")
+        _check_place(resolution, origin)
         for name, value in (("alpha", alpha), ("obstacles", obstacles)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "resolution", resolution)
@@ -101,6 +99,13 @@ class RiskMap:
 def _rotation(yaw: float) -> FloatArray:
     """Matrix whose columns are the map's axes in the world."""
     return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def _check_place(resolution: float, origin: tuple[float, ...]) -> None:
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise InvalidRiskMap(f"resolution must be positive and finite, got {resolution}")
+    if len(origin) != 3 or not all(map(math.isfinite, origin)):
+        raise InvalidRiskMap(f"origin must be three finite numbers (x, y, yaw), got {origin}")
 
 
 def _check_layers(alpha: FloatArray, obstacles: npt.NDArray[np.bool_]) -> None:
@@ -169,13 +174,7 @@ def risk_map_from_occupancy(
     """
     options = options or OccupancyOptions()
     grid = np.asarray(values)
-    bad = ~((grid >= -1) & (grid <= 100))  # NaN too
-    if bad.any():
-        where = tuple(int(k) for k in np.argwhere(bad)[0])
-        raise InvalidRiskMap(
-            f"cell values must be in -1..100, got {grid[where]} at (row, column) {where} "
-            f"({int(bad.sum())} such cells)"
-        )
+    check_occupancy(grid, resolution, origin)
     unknown = grid == -1
     span = options.alpha_max - options.alpha_min
     alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
@@ -185,3 +184,23 @@ def risk_map_from_occupancy(
     else:
         obstacles = obstacles | unknown
     return RiskMap(alpha, obstacles, resolution, origin)
+
+
+def check_occupancy(
+    values: npt.NDArray[np.number[Any]], resolution: float, origin: tuple[float, float, float]
+) -> None:
+    """Check an occupancy grid without making a risk map of it, which takes far longer.
+
+    Raises
+    ------
+    InvalidRiskMap
+        A value is outside -1..100, or the map is malformed.
+    """
+    _check_place(resolution, origin)
+    bad = ~((values >= -1) & (values <= 100))  # NaN too
+    if bad.any():
+        where = tuple(int(k) for k in np.argwhere(bad)[0])
+        raise InvalidRiskMap(
+            f"cell values must be in -1..100, got {values[where]} at (row, column) {where} "
+            f"({int(bad.sum())} such cells)"
+        )
