@@ -1,0 +1,1 @@
+"""Solves in a process of their own, so that nothing else waits for them."""

@@ -1,0 +1,74 @@
+"""What the worker process does: read a request, work the plan out, send it back, again.
+
+Requests and plans travel as pickles of protocol 5, in which an array is its raw bytes and comes
+out as it went in: read-only arrays stay read-only.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import pickle
+import signal
+import socket
+import sys
+from contextlib import suppress
+from io import BufferedRWPair
+from pathlib import Path
+
+from ..core.errors import AmbushPlannerError
+from ..core.planner import Plan, PlanRequest, plan_from_request
+from .errors import WorkerFailed, unexpected
+
+PICKLE_PROTOCOL = 5
+READY = 'ready'
+_PR_SET_PDEATHSIG = 1  # Linux' prctl.h
+_NICENESS = 5
+_FIRST_OUT_OF_MEMORY = '500'
+
+
+def main() -> None:
+    """Serve on the socket whose descriptor is the first argument, until it is closed."""
+    _be_a_worker()
+    with socket.socket(fileno=int(sys.argv[1])) as connection, connection.makefile('rwb') as stream:
+        # The other side may be gone at any time; then there is nobody left to work for.
+        with suppress(EOFError, ConnectionError):
+            serve(stream)
+
+
+def serve(stream: BufferedRWPair) -> None:
+    """Answer one request after the other; raises EOFError when there are no more."""
+    _send(READY, stream)
+    while True:
+        _send(_answer(pickle.load(stream)), stream)
+
+
+def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
+    try:
+        return plan_from_request(request)
+    except AmbushPlannerError as error:
+        return error
+    except MemoryError:
+        return WorkerFailed('not enough memory to plan; choose a larger network.spacing')
+    except Exception as error:
+        return unexpected(error)
+
+
+def _send(answer: object, stream: BufferedRWPair) -> None:
+    pickle.dump(answer, stream, PICKLE_PROTOCOL)
+    stream.flush()
+
+
+def _be_a_worker() -> None:
+    # The node's callbacks go first.
+    os.nice(_NICENESS)
+    if sys.platform == 'linux':
+        # Whatever happens to the node, nobody is left behind, also in the middle of a solve.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        # When memory runs out, it is the solve that goes, and not the node.
+        with suppress(OSError):
+            Path('/proc/self/oom_score_adj').write_text(_FIRST_OUT_OF_MEMORY)
+
+
+if __name__ == '__main__':
+    main()

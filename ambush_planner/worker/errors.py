@@ -1,0 +1,40 @@
+"""How a solve can end without an answer of the planner's own."""
+
+from __future__ import annotations
+
+import traceback
+
+from ..core.errors import AmbushPlannerError
+
+
+class SolveCancelled(AmbushPlannerError):
+    """Somebody ended the solve, or the planner was closed."""
+
+
+class WorkerFailed(AmbushPlannerError):
+    """The worker process ended, or could not be started."""
+
+
+class Unexpected(AmbushPlannerError):
+    """An error that the planner does not know.
+
+    ``frames`` says where in the code, as text of the traceback; never what the values were.
+    """
+
+    def __init__(self, message: str, frames: str) -> None:
+        super().__init__(message, frames)
+        self.frames = frames
+
+    def __str__(self) -> str:
+        return str(self.args[0])
+
+
+def unexpected(error: Exception) -> Unexpected:
+    """Tell where an error came from, but not its own words: they may be about routes."""
+    frames = ''.join(traceback.format_tb(error.__traceback__))
+    return Unexpected(f'internal error ({type(error).__name__}); the log says where', frames)
+
+
+def for_the_log(error: Exception) -> str:
+    """The message, and where it came from if that is not known otherwise."""
+    return f'{error}, at\n{error.frames}' if isinstance(error, Unexpected) else str(error)
