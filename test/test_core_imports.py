@@ -14,6 +14,7 @@ import ambush_planner.core
 
 CORE = Path(ambush_planner.core.__file__).parent
 FILES = sorted(CORE.glob("*.py"))
+WORKER = sorted((CORE.parent / "worker").glob("*.py"))
 ALLOWED = {"numpy", "scipy"} | set(sys.stdlib_module_names)
 
 BLOCKED = """
@@ -53,6 +54,12 @@ def imported_modules(path: Path) -> set[str]:
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.name)
 def test_a_core_file_imports_only_numpy_scipy_and_the_core(path):
     assert imported_modules(path) <= ALLOWED
+
+
+@pytest.mark.parametrize("path", WORKER, ids=lambda path: path.name)
+def test_the_worker_process_knows_the_core_only(path):
+    inside = {name for name in imported_modules(path) if name.startswith("ambush_planner.core.")}
+    assert imported_modules(path) - inside <= ALLOWED
 
 
 def test_the_core_imports_and_solves_with_ros_blocked():

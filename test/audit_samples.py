@@ -1,0 +1,139 @@
+"""Recordings of departures for the tests of the tools, written as the format says."""
+
+import hashlib
+import io
+from dataclasses import replace
+
+import numpy as np
+import yaml
+from geometry_msgs.msg import PoseStamped
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+
+from ambush_planner.core.construction import NetworkOptions
+from ambush_planner.core.game import GameOptions
+from ambush_planner.core.planner import PlanningOptions, plan
+from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.core.strategy import StrategyOptions
+from ambush_planner.recording import Attachment, RecordedMessage, Recorder
+from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
+from ambush_planner.ros.parameters import PARAMETERS
+
+START_NS = 1_700_000_000_000_000_000
+DAY_NS = 86_400_000_000_000
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+HEADER = Header(frame_id='map')
+START, GOAL = (12.5, 147.5), (387.5, 152.5)
+SPACING, SECURED = 20.0, 40.0
+NUMBERS = ('value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
+           'expected_length', 'edge_entropy', 'route_entropy')
+
+
+def occupancy(hill=60):
+    """A hill in the middle that cannot be crossed, bad ground around it, 40 x 60 cells of 5 m."""
+    row, column = np.mgrid[:60, :80]
+    away = np.hypot(row - 30, column - 40)
+    values = np.clip(95 - 3 * away, 0, 95) + 2 * ((row + column) % 3)
+    values[away < 8] = 100
+    values[(row > 45) & (column > 30)] += hill // 10
+    return np.clip(values, 0, 100).astype(np.int8)
+
+
+def parameters(**changes):
+    values = {name: declaration.default for name, declaration in PARAMETERS.items()}
+    values |= {'network.spacing': SPACING, 'game.secured_radius': SECURED}
+    return values | changes
+
+
+def sample_plan(solver='max_entropy', hill=60):
+    risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
+    options = PlanningOptions(
+        NetworkOptions(spacing=SPACING), GameOptions(secured_radius=SECURED),
+        StrategyOptions(solver),
+    )
+    return plan(risk_map, START, GOAL, options)
+
+
+def strategy_arrays(strategy):
+    network = strategy.network
+    return {
+        'points': network.points, 'alpha': network.alpha, 'edges': network.edges,
+        'source': network.source, 'target': network.target,
+        'edge_probability': strategy.edge_probability,
+        'ambush_probability': strategy.ambush_probability,
+        **{name: getattr(strategy, name) for name in NUMBERS},
+    }
+
+
+def npz(arrays):
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
+
+
+def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_ns=None):
+    """Messages, metadata and attachments of one departure; ``texts`` replace metadata entries.
+
+    Hashes are those of what is recorded, changed entries too; those of ``texts`` come last.
+    """
+    strategy = npz(strategy_arrays(a_plan.strategy)) if strategy is None else strategy
+    stamp = START_NS + number * DAY_NS if stamp_ns is None else stamp_ns
+    poses = np.column_stack((a_plan.network.points[route], np.zeros(len(route))))
+    ends = [PoseStamped(header=HEADER, pose=pose_to_ros(*xy)) for xy in (START, GOAL)]
+    roles = {
+        'map': ('/alpha_map', occupancy_to_ros(occupancy(hill), 5.0, (0.0, 0.0, 0.0), HEADER)),
+        'start': ('/start_pose', ends[0]),
+        'goal': ('/goal_pose', ends[1]),
+        'path': ('/path', path_to_ros(poses, ends[0].pose, ends[1].pose, HEADER)),
+    }
+    messages = {
+        role: RecordedMessage(topic, _type(message), serialize_message(message), LATCHED, stamp)
+        for role, (topic, message) in roles.items()
+    }
+    event = Trigger.Event(request=[Trigger.Request()])
+    call = RecordedMessage('/planner/new_route/_service_event', 'std_srvs/srv/Trigger_Event',
+                           serialize_message(event), LATCHED, stamp)
+    metadata = {
+        'format': '2', 'planner_version': '0.1.0', 'service': 'new_route',
+        'versions': yaml.safe_dump({'python': '3.12.3', 'numpy': '1.26.4'}),
+        'departure': str(number), 'departure_id': f'00000000-0000-4000-8000-{number:012d}',
+        'frame': 'map', 'parameters': yaml.safe_dump(parameters()),
+        'route_entropy_source': f'[{number}]', 'route': str([int(node) for node in route]),
+        'inputs': yaml.safe_dump({role: roles[role][0] for role in roles}),
+        'trip': yaml.safe_dump({'start': list(START), 'goal': list(GOAL), 'tolerance': 0.0}),
+    } | dict(texts)
+    contents = {role: message.data for role, message in messages.items()} | {
+        name: metadata[name].encode()
+        for name in ('parameters', 'route_entropy_source', 'route', 'trip') if name in metadata
+    } | {'strategy': strategy}
+    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+    metadata = {'sha256': yaml.safe_dump(hashes)} | metadata
+    return [*messages.values(), call], metadata, [
+        Attachment('strategy.npz', 'application/zip', strategy)
+    ]
+
+
+def record(folder, departures):
+    """Record departures in one session and return their files."""
+    recorder = Recorder(folder)
+    return [recorder.record_departure(*each) for each in departures]
+
+
+def drawn(a_plan, count, seed=1):
+    rng = np.random.default_rng(seed)
+    return [a_plan.strategy.sample_route(rng) for _ in range(count)]
+
+
+def without(messages, topic):
+    return [message for message in messages if message.topic != topic]
+
+
+def restamped(messages, stamp_ns):
+    return [replace(message, stamp_ns=stamp_ns) for message in messages]
+
+
+def _type(message):
+    package, kind = type(message).__module__.split('.')[:2]
+    return f'{package}/{kind}/{type(message).__name__}'
