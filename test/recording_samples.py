@@ -1,25 +1,45 @@
 """A departure with every kind of message, and independent readers to compare it with."""
 
 import array
+from functools import cache
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped
 from mcap.reader import make_reader
+from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rosbags.highlevel import AnyReader
+from rclpy.serialization import deserialize_message, serialize_message
+from rosbags.highlevel import AnyReader, anyreader
+from service_msgs.msg import ServiceEventInfo
 from std_msgs.msg import ColorRGBA, Header
+from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recording import RecordedMessage
+from ambush_planner.recording import Attachment, RecordedMessage, type_name
+from ambush_planner.recording.qos import qos_to_yaml
+from ambush_planner.recording.schemas import load_definition
+
+# Its parsers are slow, and the tests' files all hold the same definitions.
+for _parser in ('get_types_from_idl', 'get_types_from_msg'):
+    setattr(anyreader, _parser, cache(getattr(anyreader, _parser)))
 
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 VOLATILE = QoSProfile(depth=10)
-METADATA = {'planner_version': '0.1.0', 'seed': '7', 'input_sha256': 'ab' * 32}
+METADATA = {
+    'format': '2',
+    'planner_version': '0.1.0',
+    'input_sha256': 'ab' * 32,
+    'inputs': '{map: /alpha_map, start: /start_pose, goal: /goal_pose, path: /path}',
+}
+STRATEGY = Attachment('strategy.npz', 'application/zip', bytes(range(256)) * 8)
+TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray, Trigger.Event,
+         GetPlan.Event)
 
 
 def pose(x, y):
@@ -49,23 +69,72 @@ def diagnostics():
     return DiagnosticArray(status=[status])
 
 
+def path_message():
+    poses = [pose(i / 3, -float(i)) for i in range(5)]
+    return PathMessage(header=Header(frame_id='map'), poses=poses)
+
+
+def service_events(service, request, response):
+    """What a service publishes about one call: the request received, the response sent."""
+    return [
+        service.Event(info=ServiceEventInfo(event_type=1, sequence_number=7), request=[request]),
+        service.Event(info=ServiceEventInfo(event_type=2, sequence_number=7), response=[response]),
+    ]
+
+
+def trigger_events():
+    return service_events(
+        Trigger, Trigger.Request(), Trigger.Response(success=True, message='route 1')
+    )
+
+
+def get_plan_events():
+    request = GetPlan.Request(start=pose(1.0, 2.0), goal=pose(3.0, 4.0), tolerance=0.5)
+    return service_events(GetPlan, request, GetPlan.Response(plan=path_message()))
+
+
+def recorded(topic, message, qos=VOLATILE, stamp_ns=START_NS):
+    """A message of rclpy as a recording takes it."""
+    return RecordedMessage(topic, type_name(message), serialize_message(message), qos, stamp_ns)
+
+
 def departure(start_ns=START_NS):
     """Every kind of message that a departure has, a millisecond apart."""
-    path = PathMessage(
-        header=Header(frame_id='map'), poses=[pose(i / 3, -float(i)) for i in range(5)]
-    )
     rows = [
         ('/alpha_map', risk_map(), LATCHED),
         ('/start_pose', pose(1.5, 2.5), VOLATILE),
         ('/goal_pose', pose(-7.25, 1e-9), VOLATILE),
         ('/edge_probabilities', markers(), LATCHED),
-        ('/path', path, LATCHED),
+        ('/path', path_message(), LATCHED),
         ('/diagnostics', diagnostics(), VOLATILE),
     ]
     return [
-        RecordedMessage(topic, message, qos, start_ns + i * 1_000_000)
+        recorded(topic, message, qos, start_ns + i * 1_000_000)
         for i, (topic, message, qos) in enumerate(rows)
     ]
+
+
+def small_departure(start_ns=START_NS):
+    """A departure whose file has a few kB, for faults at each of its bytes."""
+    rows = [
+        ('/alpha_map', risk_map(6, 8)),
+        ('/start_pose', pose(1.5, 2.5)),
+        ('/goal_pose', pose(3.0, 4.0)),
+        ('/path', path_message()),
+    ]
+    return [recorded(topic, message, LATCHED, start_ns + i) for i, (topic, message) in
+            enumerate(rows)]
+
+
+def message_of(recorded):
+    """The message of rclpy that was recorded."""
+    (class_,) = [type_ for type_ in TYPES if type_name(type_) == recorded.type]
+    return deserialize_message(recorded.data, class_)
+
+
+def fields(message):
+    """What of a recorded message comes back from a file."""
+    return (message.topic, message.type, message.data, qos_to_yaml(message.qos), message.stamp_ns)
 
 
 def assert_same(sent, read):
@@ -73,7 +142,7 @@ def assert_same(sent, read):
     if hasattr(sent, 'get_fields_and_field_types'):
         for field in sent.get_fields_and_field_types():
             assert_same(getattr(sent, field), getattr(read, field))
-    elif isinstance(sent, (list, tuple, array.array)):
+    elif isinstance(sent, (list, tuple, array.array, np.ndarray)):
         assert len(sent) == len(read)
         for one, other in zip(sent, read, strict=True):
             assert_same(one, other)
@@ -87,7 +156,7 @@ def assert_departure(sent, read):
     """``read`` holds (topic, time, message) of the same departure."""
     assert [(m.topic, m.stamp_ns) for m in sent] == [row[:2] for row in read]
     for message, row in zip(sent, read, strict=True):
-        assert_same(message.message, row[2])
+        assert_same(message_of(message), row[2])
 
 
 def read_with_rosbags(path):
@@ -98,9 +167,52 @@ def read_with_rosbags(path):
         ]
 
 
+class EventDecoderFactory(DecoderFactory):
+    """mcap_ros2's decoder, also for service events.
+
+    It knows neither IDL nor names like ``Trigger_Event``; the definitions are written out here,
+    independently of those in the file.
+    """
+
+    FIELDS = {
+        'std_srvs/srv/Trigger_Event': [
+            ('std_srvs/Trigger_Request', ''),
+            ('std_srvs/Trigger_Response', 'bool success\nstring message\n'),
+        ],
+        'nav_msgs/srv/GetPlan_Event': [
+            (
+                'nav_msgs/GetPlan_Request',
+                'geometry_msgs/PoseStamped start\ngeometry_msgs/PoseStamped goal\n'
+                'float32 tolerance\n',
+            ),
+            ('nav_msgs/GetPlan_Response', 'nav_msgs/Path plan\n'),
+        ],
+    }
+
+    def decoder_for(self, message_encoding, schema):
+        if schema is None or schema.name not in self.FIELDS:
+            return super().decoder_for(message_encoding, schema)
+        text = self._text(schema.name).encode()
+        return super().decoder_for(
+            message_encoding, Schema(schema.id, text, 'ros2msg', 'ambush_planner/msg/Event')
+        )
+
+    def _text(self, name):
+        (request, _), (response, _) = self.FIELDS[name]
+        line = '=' * 80
+        known = ('service_msgs/msg/ServiceEventInfo', 'nav_msgs/msg/Path')
+        parts = [(type_.replace('/msg', ''), load_definition(type_).text) for type_ in known]
+        return '\n'.join([
+            'service_msgs/ServiceEventInfo info',
+            f'{request}[<=1] request',
+            f'{response}[<=1] response',
+            *(f'{line}\nMSG: {type_}\n{text}' for type_, text in parts + self.FIELDS[name]),
+        ])
+
+
 def read_with_mcap_ros2(path):
     with path.open('rb') as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[EventDecoderFactory()])
         return [
             (channel.topic, message.log_time, decoded)
             for _, channel, message, decoded in reader.iter_decoded_messages()

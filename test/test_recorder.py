@@ -17,10 +17,11 @@ from recording_samples import (
     departure,
     pose,
     read_with_rosbags,
+    recorded,
 )
 
 from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
-from ambush_planner.recording import RecordedMessage, Recorder, RecordingFailed
+from ambush_planner.recording import Recorder, RecordingFailed
 
 
 def mode(path):
@@ -101,7 +102,7 @@ def test_metadata_yaml_has_every_key_of_version_9(tmp_path):
 def test_a_topic_whose_qos_changes_stays_readable_in_the_folder(tmp_path):
     recorder = Recorder(tmp_path)
     sent = [
-        RecordedMessage('/start_pose', pose(1.0, 2.0), qos, START_NS + i)
+        recorded('/start_pose', pose(1.0, 2.0), qos, START_NS + i)
         for i, qos in enumerate((VOLATILE, LATCHED))
     ]
     for message in sent:
@@ -157,7 +158,7 @@ def test_a_full_disk_leaves_nothing_half_written_and_recording_resumes(tmp_path)
 
 def test_a_full_disk_at_the_metadata_keeps_the_file_and_the_old_metadata(tmp_path):
     recorder = Recorder(tmp_path)
-    message = RecordedMessage('/start_pose', pose(1.0, 2.0), VOLATILE, START_NS)
+    message = recorded('/start_pose', pose(1.0, 2.0), VOLATILE, START_NS)
     first = recorder.record_departure([message], METADATA)
     session = first.parent
     for _ in range(20):  # until the metadata alone is longer than a departure

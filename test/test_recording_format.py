@@ -1,5 +1,6 @@
 """What is in a recorded file: read back equal by independent readers, complete for rosbag2."""
 
+import json
 from io import BytesIO
 
 import pytest
@@ -11,19 +12,33 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from recording_samples import (
     METADATA,
     START_NS,
+    STRATEGY,
     VOLATILE,
     assert_departure,
     departure,
+    get_plan_events,
     pose,
     read_with_mcap_ros2,
     read_with_rosbags,
+    recorded,
+    trigger_events,
 )
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
-from ambush_planner.recording import RecordedMessage, Recorder, RecordingFailed
+from ambush_planner.recording import Recorder, RecordingFailed, schemas
 from ambush_planner.recording.schemas import load_definition
+
+
+def service_calls():
+    """The events of a call to each service, as rosbag2 names their topics."""
+    calls = {'/new_route': trigger_events(), '/get_plan': get_plan_events()}
+    return [
+        recorded(f'/ambush_planner{name}/_service_event', event, stamp_ns=START_NS + number)
+        for name, events in calls.items()
+        for number, event in enumerate(events)
+    ]
 
 
 def summary_of(path):
@@ -39,6 +54,61 @@ def test_a_file_reads_back_equal_in_independent_readers(tmp_path, compression):
     assert_departure(sent, read_with_rosbags(path))
     chunks = summary_of(path).chunk_indexes
     assert {chunk.compression for chunk in chunks} == {compression.replace('none', '')}
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
+def test_service_events_read_back_equal_in_independent_readers(tmp_path, compression):
+    sent = departure() + service_calls()
+    path = Recorder(tmp_path, compression).record_departure(sent, METADATA, [STRATEGY])
+    in_order = sorted(sent, key=lambda message: message.stamp_ns)
+    for read in (read_with_mcap_ros2(path), read_with_rosbags(path)):
+        def order(row):
+            return row[1], [message.topic for message in in_order].index(row[0])
+
+        assert_departure(in_order, sorted(read, key=order))
+
+
+def test_service_events_have_type_and_hash_of_the_installed_interface(tmp_path):
+    path = Recorder(tmp_path).record_departure(service_calls(), METADATA)
+    summary = summary_of(path)
+    stored = {
+        summary.schemas[channel.schema_id].name: (
+            channel.topic, summary.schemas[channel.schema_id].encoding,
+            channel.metadata['topic_type_hash'],
+        )
+        for channel in summary.channels.values()
+    }
+    installed = {
+        type_: next(
+            entry['hash_string']
+            for entry in json.loads(schemas._read_interface(type_[:-6], 'json'))['type_hashes']
+            if entry['type_name'] == type_
+        )
+        for type_ in stored
+    }
+    assert stored == {
+        'std_srvs/srv/Trigger_Event': (
+            '/ambush_planner/new_route/_service_event', 'ros2idl',
+            installed['std_srvs/srv/Trigger_Event'],
+        ),
+        'nav_msgs/srv/GetPlan_Event': (
+            '/ambush_planner/get_plan/_service_event', 'ros2idl',
+            installed['nav_msgs/srv/GetPlan_Event'],
+        ),
+    }
+
+
+def test_attachments_are_read_by_mcap_and_do_no_harm_to_others(tmp_path):
+    sent = departure()
+    path = Recorder(tmp_path).record_departure(sent, METADATA, [STRATEGY])
+    with path.open('rb') as file:
+        (found,) = make_reader(file).iter_attachments()
+    assert (found.name, found.media_type, found.data) == (
+        STRATEGY.name, STRATEGY.media_type, STRATEGY.data,
+    )
+    assert found.log_time == START_NS
+    for bag in (path, path.parent):
+        assert_departure(sent, read_with_rosbags(bag))
 
 
 def test_every_checksum_holds_and_covers_the_metadata_record(tmp_path):
@@ -71,7 +141,7 @@ def test_header_and_metadata_record(tmp_path):
 
 def test_schemas_and_channels_are_written_once(tmp_path):
     sent = departure()
-    again = RecordedMessage('/start_pose', pose(0.0, 0.0), VOLATILE, START_NS)
+    again = recorded('/start_pose', pose(0.0, 0.0), VOLATILE, START_NS)
     summary = summary_of(Recorder(tmp_path).record_departure([*sent, again], METADATA))
     assert sorted(schema.name for schema in summary.schemas.values()) == [
         'diagnostic_msgs/msg/DiagnosticArray',
@@ -88,13 +158,13 @@ def test_schemas_and_channels_are_written_once(tmp_path):
 def test_type_hashes_are_those_that_rosbags_computes_from_the_recorded_schemas(tmp_path):
     path = Recorder(tmp_path).record_departure(departure(), METADATA)
     summary = summary_of(path)
-    recorded = {
+    stored = {
         summary.schemas[channel.schema_id].name: channel.metadata['topic_type_hash']
         for channel in summary.channels.values()
     }
     with AnyReader([path]) as reader:
-        computed = {name: reader.typestore.hash_rihs01(name) for name in recorded}
-    assert recorded == computed
+        computed = {name: reader.typestore.hash_rihs01(name) for name in stored}
+    assert stored == computed
 
 
 def test_definitions_have_each_dependency_once_depth_first():
@@ -114,8 +184,10 @@ def test_definitions_have_each_dependency_once_depth_first():
 
 
 def test_a_definition_that_is_not_installed_is_named():
-    with pytest.raises(RecordingFailed, match='no_such_msgs/msg/Thing.*install the package'):
-        load_definition('no_such_msgs/msg/Thing')
+    for name in ('no_such_msgs/msg/Thing', 'no_such_msgs/srv/Thing', 'nav_msgs/srv/Thing'):
+        event = f'{name}_Event' if '/srv/' in name else name
+        with pytest.raises(RecordingFailed, match=f'{name}.*install the package'):
+            load_definition(event)
 
 
 def test_qos_profiles_are_complete(tmp_path):
@@ -126,7 +198,7 @@ def test_qos_profiles_are_complete(tmp_path):
         liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
         deadline=Duration(seconds=1, nanoseconds=5),
     )
-    message = RecordedMessage('/start_pose', pose(0.0, 0.0), qos, START_NS)
+    message = recorded('/start_pose', pose(0.0, 0.0), qos, START_NS)
     path = Recorder(tmp_path).record_departure([message], METADATA)
     (channel,) = summary_of(path).channels.values()
     (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])

@@ -1,6 +1,19 @@
-"""Recordings of departures: MCAP files as rosbag2 writes them."""
+"""Recordings of departures: MCAP files as rosbag2 writes them, and back from them."""
 
-from .errors import RecordingFailed
-from .recorder import RecordedMessage, Recorder
+from .departure import RecordedDeparture
+from .errors import RecordingFailed, UnreadableRecording
+from .messages import Attachment, RecordedMessage, type_name
+from .reader import read_departure, recordings_in
+from .recorder import Recorder
 
-__all__ = ['RecordedMessage', 'Recorder', 'RecordingFailed']
+__all__ = [
+    'Attachment',
+    'RecordedDeparture',
+    'RecordedMessage',
+    'Recorder',
+    'RecordingFailed',
+    'UnreadableRecording',
+    'read_departure',
+    'recordings_in',
+    'type_name',
+]

@@ -31,6 +31,24 @@ def write_durably(path: Path, data: bytes) -> None:
     flush_folder(path.parent)
 
 
+def create_durably(path: Path, data: bytes) -> None:
+    """Put ``data`` in a new file ``path`` (mode 0600); what is there already is left alone.
+
+    Raises:
+        FileExistsError: Something of this name is already there.
+        OSError: Nothing is left at ``path``.
+    """
+    try:
+        _write_new_file(path, data)
+    except FileExistsError:
+        raise
+    except BaseException:
+        with suppress(OSError):
+            path.unlink(missing_ok=True)
+        raise
+    flush_folder(path.parent)
+
+
 def make_private_folder(path: Path) -> None:
     """Make the folder ``path`` with mode 0700 and flush its parent to the disk.
 

@@ -1,4 +1,4 @@
-"""The one error of the recording: it says which file or folder, why, and what to do."""
+"""The errors of the recording: each says which file or folder, why, and what to do."""
 
 from __future__ import annotations
 
@@ -23,6 +23,20 @@ class RecordingFailed(AmbushPlannerError):
         self.reason = reason
 
 
+class UnreadableRecording(AmbushPlannerError):
+    """A file or folder is not a whole recording of a departure.
+
+    Attributes:
+        path: The file or folder.
+        reason: What is wrong with it, and what to do.
+    """
+
+    def __init__(self, path: Path, reason: str) -> None:
+        super().__init__(f'{path} is not readable as a recording: {reason}')
+        self.path = path
+        self.reason = reason
+
+
 @contextmanager
 def recording_to(path: Path) -> Iterator[None]:
     """Turn an OSError met while writing ``path`` into RecordingFailed."""
@@ -34,3 +48,12 @@ def recording_to(path: Path) -> Iterator[None]:
             f'{error.strerror or error}; check that recording.directory is a folder '
             'that this user may write to, on a disk with space left',
         ) from error
+
+
+@contextmanager
+def reading_from(path: Path) -> Iterator[None]:
+    """Turn an OSError met while reading ``path`` into UnreadableRecording."""
+    try:
+        yield
+    except OSError as error:
+        raise UnreadableRecording(path, f'{error.strerror or error}') from error

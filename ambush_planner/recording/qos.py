@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import yaml
 from rclpy.duration import Duration, Infinite
-from rclpy.qos import LivelinessPolicy, QoSProfile
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
+
+from .yaml_text import BadYaml, load_yaml
 
 
 def qos_to_yaml(profile: QoSProfile) -> str:
@@ -15,34 +24,77 @@ def qos_to_yaml(profile: QoSProfile) -> str:
     Policies that the profile leaves to the middleware and that have one default in DDS
     (durations, liveliness) are written as that default: what the publisher really offered.
     """
-    return yaml.safe_dump([_profile_fields(profile)], sort_keys=False)
+    return _yaml_of(
+        profile.history,
+        profile.depth,
+        profile.reliability,
+        profile.durability,
+        profile.deadline.nanoseconds,
+        profile.lifespan.nanoseconds,
+        profile.liveliness,
+        profile.liveliness_lease_duration.nanoseconds,
+        bool(profile.avoid_ros_namespace_conventions),
+    )
 
 
-def qos_from_yaml(text: str) -> list[dict[str, Any]]:
-    """Return the profiles of a channel's ``offered_qos_profiles`` as plain mappings."""
-    return yaml.safe_load(text)
+def qos_from_yaml(text: str) -> QoSProfile:
+    """Return the first profile of a channel's ``offered_qos_profiles``.
+
+    Raises:
+        BadYaml: The text does not list complete profiles.
+    """
+    profiles = load_yaml(text)
+    try:
+        fields = profiles[0]
+        return QoSProfile(
+            history=HistoryPolicy.get_from_short_key(fields['history']),
+            depth=fields['depth'],
+            reliability=ReliabilityPolicy.get_from_short_key(fields['reliability']),
+            durability=DurabilityPolicy.get_from_short_key(fields['durability']),
+            deadline=_duration(fields['deadline']),
+            lifespan=_duration(fields['lifespan']),
+            liveliness=LivelinessPolicy.get_from_short_key(fields['liveliness']),
+            liveliness_lease_duration=_duration(fields['liveliness_lease_duration']),
+            avoid_ros_namespace_conventions=fields['avoid_ros_namespace_conventions'],
+        )
+    except (LookupError, TypeError, ValueError, AttributeError, AssertionError) as error:
+        raise BadYaml('no complete quality-of-service profile') from error
 
 
-def _profile_fields(profile: QoSProfile) -> dict[str, Any]:
+@lru_cache(maxsize=256)
+def _yaml_of(
+    history: HistoryPolicy,
+    depth: int,
+    reliability: ReliabilityPolicy,
+    durability: DurabilityPolicy,
+    deadline_ns: int,
+    lifespan_ns: int,
+    liveliness: LivelinessPolicy,
+    lease_ns: int,
+    avoid_ros_namespace_conventions: bool,
+) -> str:
     """All nine fields: rosbag2 refuses a bag where one is missing."""
-    liveliness = profile.liveliness
     if liveliness == LivelinessPolicy.SYSTEM_DEFAULT:
         liveliness = LivelinessPolicy.AUTOMATIC
-    return {
-        'history': profile.history.short_key,
-        'depth': profile.depth,
-        'reliability': profile.reliability.short_key,
-        'durability': profile.durability.short_key,
-        'deadline': _duration_fields(profile.deadline),
-        'lifespan': _duration_fields(profile.lifespan),
+    fields = {
+        'history': history.short_key,
+        'depth': depth,
+        'reliability': reliability.short_key,
+        'durability': durability.short_key,
+        'deadline': _duration_fields(deadline_ns),
+        'lifespan': _duration_fields(lifespan_ns),
         'liveliness': liveliness.short_key,
-        'liveliness_lease_duration': _duration_fields(profile.liveliness_lease_duration),
-        'avoid_ros_namespace_conventions': bool(profile.avoid_ros_namespace_conventions),
+        'liveliness_lease_duration': _duration_fields(lease_ns),
+        'avoid_ros_namespace_conventions': avoid_ros_namespace_conventions,
     }
+    return yaml.safe_dump([fields], sort_keys=False)
 
 
-def _duration_fields(duration: Duration) -> dict[str, int]:
+def _duration_fields(nanoseconds: int) -> dict[str, int]:
     # rmw reads a duration of 0 as "unspecified", for which DDS has infinity.
-    nanoseconds = duration.nanoseconds or Infinite.nanoseconds
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    seconds, rest = divmod(nanoseconds or Infinite.nanoseconds, 1_000_000_000)
     return {'sec': seconds, 'nsec': rest}
+
+
+def _duration(fields: Any) -> Duration:
+    return Duration(seconds=fields['sec'], nanoseconds=fields['nsec'])

@@ -9,56 +9,36 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from datetime import datetime
-from io import BytesIO
 from itertools import count
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
-from mcap.writer import CompressionType, Writer
-from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
+from mcap.writer import CompressionType
 
 from ..core.errors import InvalidOption
-from .bag_metadata import FILE_NAME, BagFile, bag_metadata, describe_file
+from .bag_metadata import FILE_NAME, BagMetadata, describe_file
 from .durable import make_private_folder, write_durably
+from .encoding import encode_departure
 from .errors import recording_to
-from .qos import qos_to_yaml
-from .schemas import load_definition, type_name
+from .folder_lock import FolderLock
+from .messages import Attachment, RecordedMessage
 
-METADATA_RECORD = 'ambush_planner'
+SESSION_PREFIX = 'ambush_planner_'
 
-_COMPRESSIONS = {
+COMPRESSIONS = {
     'zstd': CompressionType.ZSTD,
     'lz4': CompressionType.LZ4,
     'none': CompressionType.NONE,
 }
 
 
-@dataclass(frozen=True)
-class RecordedMessage:
-    """A message as it was received or published.
-
-    Attributes:
-        topic: Its full name, with a leading slash.
-        message: The ROS message instance itself.
-        qos: The profile that it was offered with.
-        stamp_ns: When, in nanoseconds of the node's clock; players keep these distances.
-    """
-
-    topic: str
-    message: Any
-    qos: QoSProfile
-    stamp_ns: int
-
-
 class Recorder:
     """Records departures below ``directory``, one session folder a recorder.
 
-    The folder is made at the first departure, and a new one when it has been taken away.
-    Safe to be used from several threads.
+    The folder is made at the first departure, and a new one when it has been taken away. It is
+    locked (``flock``) until ``close`` or the end of the process, so that ``repair`` leaves it
+    alone. Safe to be used from several threads; also a context manager.
 
     Args:
         directory: Where session folders are made; made itself, with mode 0700, if missing.
@@ -69,22 +49,26 @@ class Recorder:
     """
 
     def __init__(self, directory: Path, compression: str = 'zstd') -> None:
-        if compression not in _COMPRESSIONS:
-            names = ', '.join(_COMPRESSIONS)
+        if compression not in COMPRESSIONS:
+            names = ', '.join(COMPRESSIONS)
             raise InvalidOption(f'compression {compression!r} is none of {names}')
         self._directory = Path(directory).expanduser()
-        self._compression = _COMPRESSIONS[compression]
+        self._compression = COMPRESSIONS[compression]
         self._session: _Session | None = None
         self._lock = Lock()
 
     def record_departure(
-        self, messages: Sequence[RecordedMessage], metadata: Mapping[str, str]
+        self,
+        messages: Sequence[RecordedMessage],
+        metadata: Mapping[str, str],
+        attachments: Sequence[Attachment] = (),
     ) -> Path:
         """Write one departure to a file of its own and list it in the folder's metadata.yaml.
 
         Args:
             messages: At least one, in any order; the file has them in the order of time.
             metadata: Kept in the file as the metadata record ``ambush_planner``.
+            attachments: Files that are kept in the recording.
 
         Returns:
             The finished file, safe on the disk.
@@ -96,28 +80,51 @@ class Recorder:
         """
         if not messages:
             raise ValueError('a departure without messages cannot be recorded')
-        data = _encode(messages, metadata, self._compression)
+        data = encode_departure(messages, metadata, attachments, self._compression)
         with self._lock:
-            if self._session is None or not os.path.isdir(self._session.folder):
+            if self._session is not None and not self._session.is_there():
+                self._end_session()
+            if self._session is None:
                 self._session = _Session.begin(self._directory)
             return self._session.add(data)
 
+    def close(self) -> None:
+        """End the session: its folder is free for others. A later departure begins a new one."""
+        with self._lock:
+            self._end_session()
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _end_session(self) -> None:
+        if self._session is not None:
+            self._session.end()
+            self._session = None
+
 
 class _Session:
-    """A bag folder that grows by a file a departure."""
+    """A bag folder that grows by a file a departure, locked as long as it does."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._files: list[BagFile] = []
+        self._lock = FolderLock(folder)
+        self._metadata = BagMetadata()
         self._numbers = count()
 
     @classmethod
     def begin(cls, directory: Path) -> _Session:
         """Make a folder for a new session, with a name that no other one has."""
-        stamp = datetime.now().strftime('ambush_planner_%Y_%m_%d-%H_%M_%S')
+        stamp = datetime.now().strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
         with recording_to(directory):
             directory.mkdir(mode=0o700, parents=True, exist_ok=True)
             return cls(_make_session_folder(directory / stamp))
+
+    def is_there(self) -> bool:
+        """Whether the folder of this session still stands under its name."""
+        return self._lock.is_of(self.folder)
 
     def add(self, data: bytes) -> Path:
         """Write the finished MCAP file ``data`` and the metadata that now holds."""
@@ -126,12 +133,16 @@ class _Session:
         file = describe_file(path.name, data)
         with recording_to(path):
             write_durably(path, data)
-        self._files.append(file)
+        self._metadata.add(file)
         with recording_to(self.folder / FILE_NAME):
             # Readers refuse a folder whose metadata lists a file that was taken away.
-            self._files = [file for file in self._files if (self.folder / file.name).exists()]
-            write_durably(self.folder / FILE_NAME, bag_metadata(self._files))
+            self._metadata.keep(os.listdir(self.folder))
+            write_durably(self.folder / FILE_NAME, self._metadata.text())
         return path
+
+    def end(self) -> None:
+        """Let others work on the folder."""
+        self._lock.release()
 
 
 def _make_session_folder(wanted: Path) -> Path:
@@ -144,51 +155,3 @@ def _make_session_folder(wanted: Path) -> Path:
         except FileExistsError:
             folder = wanted.with_name(f'{wanted.name}-{number}')
     return folder
-
-
-def _encode(
-    messages: Sequence[RecordedMessage],
-    metadata: Mapping[str, str],
-    compression: CompressionType,
-) -> bytes:
-    """Return a whole MCAP file of the profile ``ros2``."""
-    stream = BytesIO()
-    # The checksum over the data section covers the metadata record; those of chunks do not.
-    writer = Writer(stream, compression=compression, enable_data_crcs=True)
-    writer.start(profile='ros2')
-    writer.add_metadata(METADATA_RECORD, dict(metadata))
-    channels = _Channels(writer)
-    for recorded in sorted(messages, key=lambda recorded: recorded.stamp_ns):
-        writer.add_message(
-            channel_id=channels.of(recorded),
-            log_time=recorded.stamp_ns,
-            publish_time=recorded.stamp_ns,
-            data=serialize_message(recorded.message),
-        )
-    writer.finish()
-    return stream.getvalue()
-
-
-class _Channels:
-    """Registers each schema and each channel with the writer once."""
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[tuple[str, str, str], int] = {}
-
-    def of(self, recorded: RecordedMessage) -> int:
-        """Return the channel's id for a message, after registering what is new."""
-        key = (recorded.topic, type_name(recorded.message), qos_to_yaml(recorded.qos))
-        if key not in self._channels:
-            self._channels[key] = self._register(*key)
-        return self._channels[key]
-
-    def _register(self, topic: str, type_: str, qos: str) -> int:
-        definition = load_definition(type_)
-        if type_ not in self._schemas:
-            self._schemas[type_] = self._writer.register_schema(
-                type_, 'ros2msg', definition.text.encode()
-            )
-        metadata = {'offered_qos_profiles': qos, 'topic_type_hash': definition.type_hash}
-        return self._writer.register_channel(topic, 'cdr', self._schemas[type_], metadata)

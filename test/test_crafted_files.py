@@ -1,0 +1,198 @@
+"""Files made to crash or to stall the tools, with checksums that hold."""
+
+import os
+import time
+
+import pytest
+from forging import NEW_ROUTE, Forger, record_runs
+from mcap.writer import CompressionType
+from recording_samples import METADATA, STRATEGY, small_departure
+
+from ambush_planner.recording import UnreadableRecording, encoding, read_departure, recordings_in
+from ambush_planner.recording import repair as repairing
+from ambush_planner.recording.repair import repair
+from ambush_planner.recording.salvage import salvage
+from ambush_planner.recording.yaml_text import BadYaml, dump_yaml, load_yaml
+from ambush_planner.tools import audit, recover, replay, report, verify
+
+PATIENCE = 30.0  # seconds, for what takes a few at most
+BOMB = 'a: &a [1, 1, 1]\n' + ''.join(
+    f'{new}: &{new} [*{old}, *{old}, *{old}, *{old}, *{old}, *{old}, *{old}, *{old}]\n'
+    for old, new in zip('abcdefghij', 'bcdefghijk', strict=True)
+)
+MERGES = 'a: &a {x: 1}\n' + ''.join(
+    f'{new}: &{new} {{<<: [*{old}, *{old}, *{old}, *{old}, *{old}, *{old}, *{old}, *{old}]}}\n'
+    for old, new in zip('abcdefghij', 'bcdefghijk', strict=True)
+)
+TEXTS_OF_ALL_KINDS = {
+    'sexagesimal float': '1:' + ':'.join(['59'] * 200) + ':1.0',
+    'sexagesimal number': '1' + ':59' * 300_000,
+    'huge number': '0x' + 'f' * 10_000,
+    'huge decimal': '9' * 1000,
+    'aliases': BOMB,
+    'merges': MERGES,
+    'nested': '[' * 10_000,
+    'tagged': '!!int "' + '1: ' * 100_000 + '1"',
+    'many entries': '{' + ','.join(f'k{i}' for i in range(100_000)) + '}',
+    'long': 'a' * 2**21,
+    'no date': '2001-99-99',
+}
+HARMLESS = {'many numbers': '[' + '1, ' * 200_000 + '1]'}
+
+
+class InTime:
+    """Fails where what is in it takes long."""
+
+    def __enter__(self):
+        self._start = time.monotonic()
+
+    def __exit__(self, *error):
+        assert time.monotonic() - self._start < PATIENCE
+
+
+@pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)
+def test_crafted_yaml_is_refused_in_time(kind):
+    with InTime(), pytest.raises(BadYaml):
+        load_yaml(TEXTS_OF_ALL_KINDS[kind])
+
+
+def test_long_routes_load_quickly():
+    with InTime():
+        for _ in range(20):
+            assert len(load_yaml(HARMLESS['many numbers'])) == 200_001
+    assert load_yaml('[1, 2,]') == [1, 2]
+    assert load_yaml('[010]') == [8]
+
+
+def test_what_is_written_has_no_aliases():
+    shared = [1, 2]
+    text = dump_yaml({'a': shared, 'b': shared})
+    assert '&' not in text
+    assert load_yaml(text) == {'a': shared, 'b': shared}
+
+
+def crafted(path, **metadata):
+    """A recording whose metadata says other things."""
+    data = encoding.encode_departure(
+        small_departure(), {**METADATA, **metadata}, [STRATEGY], CompressionType.ZSTD
+    )
+    path.write_bytes(data)
+    return path
+
+
+def run(main, arguments):
+    with InTime():
+        try:
+            return main([str(each) for each in arguments])
+        except SystemExit as stop:
+            return stop.code
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """A session of crafted recordings, with a metadata.yaml like them.
+
+    All but one entry of each are as a node recorded them, and its checksums are corrected.
+    """
+    whole = record_runs(tmp_path_factory.mktemp('whole'))[NEW_ROUTE]
+    folder = tmp_path_factory.mktemp('runs')
+    for number, text in enumerate({**TEXTS_OF_ALL_KINDS, **HARMLESS}.values()):
+        for key in ('inputs', 'versions', 'trip', 'parameters', 'sha256', 'route', 'departure'):
+            forger = Forger(whole)
+            if key not in ('inputs', 'sha256'):
+                forger.metadata[key] = text
+                forger.correct()
+            forger.metadata[key] = text
+            forger.save(folder / f'run_{number}_{key}.mcap')
+    (folder / 'metadata.yaml').write_text(BOMB)
+    return folder
+
+
+def test_verify(folder):
+    assert run(verify.main, [folder]) == 1
+
+
+def test_report(folder, tmp_path):
+    assert run(report.main, [folder, '-o', tmp_path / 'report']) in (0, 1, 2)
+
+
+def test_audit(folder, tmp_path):
+    assert run(audit.main, [folder, '-o', tmp_path / 'audit']) in (0, 1, 2)
+
+
+def test_recover(folder, tmp_path):
+    assert run(recover.main, [folder, '-o', tmp_path / 'saved']) == 0
+
+
+def test_replay(folder):
+    assert run(replay.main, [folder, '--rate', '1000']) in (0, 1, 2)
+
+
+@pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)
+def test_crafted_quality_of_service(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(encoding, 'qos_to_yaml', lambda qos: TEXTS_OF_ALL_KINDS[kind])
+    path = crafted(tmp_path / 'x.mcap')
+    with InTime(), pytest.raises(UnreadableRecording):
+        read_departure(path)
+
+
+@pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)
+def test_a_crafted_listing(tmp_path, kind):
+    session = tmp_path / 'ambush_1'
+    session.mkdir()
+    path = crafted(session / 'run_0.mcap')
+    (session / 'metadata.yaml').write_text(
+        f'rosbag2_bagfile_information:\n  relative_file_paths: {TEXTS_OF_ALL_KINDS[kind]}\n'
+    )
+    with InTime():
+        assert recordings_in(session) == [path]
+        repair(tmp_path)
+
+
+def test_fifos_are_not_waited_for(tmp_path):
+    session = tmp_path / f'{repairing.SESSION_PREFIX}1'
+    session.mkdir()
+    path = crafted(session / 'run_0.mcap')
+    os.mkfifo(session / 'metadata.yaml')
+    with InTime():
+        assert recordings_in(session) == [path]
+        assert [each.action for each in repair(tmp_path)] == ['listed']
+    os.mkfifo(session / 'run_1.mcap')
+    with InTime():
+        assert [each.action for each in repair(tmp_path)] == ['listed']
+        with pytest.raises(UnreadableRecording, match='not a file'):
+            read_departure(session / 'run_1.mcap')
+
+
+def test_a_folder_on_which_repair_fails_stops_no_other_one(tmp_path, monkeypatch):
+    for number in (1, 2):
+        session = tmp_path / f'{repairing.SESSION_PREFIX}{number}'
+        session.mkdir()
+        crafted(session / 'run_0.mcap')
+    listed = repairing.list_files
+
+    def fails_on_the_first(folder, done):
+        if folder.name.endswith('1'):
+            raise RuntimeError
+        listed(folder, done)
+
+    monkeypatch.setattr(repairing, 'list_files', fails_on_the_first)
+    assert [each.action for each in repair(tmp_path)] == ['failed', 'listed']
+
+
+def test_copies_that_were_recovered_are_not_counted_again(tmp_path):
+    for name in ('run_1', 'run_1.recovered'):
+        (tmp_path / name).mkdir()
+        crafted(tmp_path / name / 'x.mcap')
+    copy = tmp_path / 'run_1.recovered' / 'x.mcap'
+    assert recordings_in(tmp_path) == [tmp_path / 'run_1' / 'x.mcap']
+    assert recordings_in(copy.parent) == [copy]
+
+
+@pytest.mark.parametrize('kind', [3, 6, 9, 12])
+def test_headers_everywhere_take_no_time_of_the_square(kind):
+    data = bytearray(b'\x89MCAP0\r\n' + b'\xff' * 50)
+    while len(data) < 2**20:
+        data += bytes([kind]) + max(0, 2**20 - len(data) - 100).to_bytes(8, 'little') + bytes(20)
+    with InTime():
+        assert salvage(bytes(data)).losses
