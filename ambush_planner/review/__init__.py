@@ -1,0 +1,1 @@
+"""What recorded departures say, read back and held against the planner."""

@@ -1,0 +1,235 @@
+"""What was published at a departure and what was answered, compared with what has to be in it."""
+
+from __future__ import annotations
+
+import array
+import math
+from collections import Counter
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import Pose
+from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
+from rclpy.serialization import deserialize_message
+from service_msgs.msg import ServiceEventInfo
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from ..core.planner import Plan
+from ..core.strategy import Strategy
+from ..recording.departure import RecordedDeparture
+from ..recording.messages import type_name
+from ..ros import markers
+from ..ros.diagnostics import Status, status_to_ros
+from ..ros.errors import OK_CODE
+from ..ros.paths import departure_path
+from .departures import ROLES, DepartureRecord
+from .verify_strategy import PROBABILITY_TOLERANCE
+from .verify_trip import PosedTrip
+
+# Of numbers in messages [m, or parts of a unit quaternion]: what rounding can make of them.
+_TOLERANCE = 1e-9
+_MARKERS, _DIAGNOSTICS = type_name(MarkerArray), type_name(DiagnosticArray)
+_SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
+_EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
+# What the diagnostics say beside the strategy and the departure.
+_UNFORESEEN = ('state', 'code', 'message', 'recording', 'solve_seconds')
+
+
+def message_faults(recorded: RecordedDeparture) -> list[str]:
+    """Check that there is each message that the node records, and no other."""
+    topics = {recorded.recorded(role).topic for role in ROLES}
+    kinds = Counter(
+        'service event' if each.type in _EVENTS else each.type
+        for each in recorded.messages
+        if each.topic not in topics
+    )
+    expected = {_MARKERS: 4, _DIAGNOSTICS: 1, 'service event': 2}
+    faults = [
+        f'messages: there are {kinds[kind]} of the kind {kind}, not {count}'
+        for kind, count in expected.items()
+        if kinds[kind] != count
+    ]
+    others = sum(kinds.values()) - sum(kinds[kind] for kind in expected)
+    return [*faults, f'messages: {others} are of kinds that are not recorded'] if others else faults
+
+
+def path_faults(
+    recorded: RecordedDeparture,
+    record: DepartureRecord,
+    strategy: Strategy,
+    spacing: float,
+    trip: PosedTrip,
+) -> list[str]:
+    """Make the path of the recorded route again, and compare it pose for pose.
+
+    Args:
+        recorded, record: The departure.
+        strategy: The recorded one; its network has the route's nodes.
+        spacing: Of poses where the parameter route.path_spacing leaves it open [m].
+        trip: Start and goal pose; where one is not known, what the path has instead is believed.
+    """
+    path, points = recorded.message('path'), strategy.network.points
+    if record.route.max() >= len(points):
+        return ['route: it leaves the network']
+    points, spacing = points[record.route], record.parameters.path_spacing or spacing
+    # No more than there are can be asked for: a tiny spacing must not fill the memory.
+    length = float(np.hypot(*np.diff(points, axis=0).T).sum())
+    if not 0.0 < length / spacing <= len(path.poses):
+        return [f'path: it has {len(path.poses)} poses for a route that needs others']
+    first, last = path.poses[0].pose, path.poses[-1].pose
+    again = departure_path(
+        points, spacing, trip.start or _at(first, trip.start_xy), trip.goal or last, path.header
+    )
+    return _differences(path, again.to_message())
+
+
+def service_faults(recorded: RecordedDeparture, record: DepartureRecord) -> list[str]:
+    """Compare the recorded call, its request and its response, with the departure."""
+    messages = [each for each in recorded.messages if each.type in _EVENTS]
+    faults = []
+    events = {}
+    for message in messages:
+        event = recorded.decode(message)
+        if message.topic.split('/')[-2:] != [record.service, '_service_event']:
+            faults.append('service: the recorded call is of another one')
+        if event.info.sequence_number != record.number:
+            faults.append('departure: its number is not that of the recorded call')
+        if _nanoseconds(event.info.stamp) != message.stamp_ns:
+            faults.append('service: the recorded call was at another time')
+        events[event.info.event_type] = _EVENTS[message.type], event
+    kind, asked = events.get(ServiceEventInfo.REQUEST_RECEIVED, (None, None))
+    if asked is None or len(asked.request) != 1 or asked.response:
+        return [*faults, 'request: it is missing']
+    answering, answered = events.get(ServiceEventInfo.RESPONSE_SENT, (None, None))
+    if answering is not kind or len(answered.response) != 1 or answered.request:
+        return [*faults, 'response: it is missing']
+    check = _trigger_faults if kind is Trigger else _get_plan_faults
+    return [*faults, *check(recorded, record, asked.request[0], answered.response[0])]
+
+
+def status_faults(recorded: RecordedDeparture, record: DepartureRecord, plan: Plan) -> list[str]:
+    """Compare the recorded diagnostics with the departure and with the plan."""
+    messages = [recorded.decode(each) for each in recorded.messages if each.type == _DIAGNOSTICS]
+    if len(messages) != 1 or len(messages[0].status) != 1:
+        return ['diagnostics: there is not one status']
+    shown = messages[0].status[0]
+    told = {each.key: each.value for each in shown.values}
+    status = Status(plan=plan, departures=record.number, departure_id=record.id)
+    tolerance = PROBABILITY_TOLERANCE * plan.strategy.value
+    failing = shown.level in (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
+    faults = []
+    if failing != (told.get('code') != OK_CODE) or shown.message != told.get('message'):
+        faults.append('diagnostics: level, code and message do not agree')
+    return faults + [
+        f'diagnostics: {each.key} is not that of the departure'
+        for each in status_to_ros(status, '', Time()).status[0].values
+        if each.key not in _UNFORESEEN
+        and not _same_text(told.get(each.key), each.value, tolerance)
+    ]
+
+
+def marker_faults(recorded: RecordedDeparture, frame: str, strategy: Strategy) -> list[str]:
+    """Draw the recorded strategy again, and compare the markers."""
+    shown, faults = {}, []
+    for message in recorded.messages:
+        if message.type == _MARKERS and (each := recorded.decode(message)).markers:
+            name = each.markers[0].ns
+            shown[name] = each
+            # A topic may have been remapped, but not to another one's name.
+            if (topic := message.topic.rpartition('/')[2]) != name and topic in _SHOWN:
+                faults.append(f'markers: those of {name[:60]!r} are on the topic of {topic}')
+    for name, content, draw in (
+        ('network', strategy.network, markers.network_lines),
+        ('edge_probabilities', strategy, markers.edge_probabilities),
+        ('mean_direction', strategy, markers.mean_direction),
+        ('ambush_sites', strategy, markers.ambush_sites),
+    ):
+        if name not in shown:
+            faults.append(f'markers: {name} is missing')
+            continue
+        header = shown[name].markers[0].header
+        again = deserialize_message(draw(content, header), MarkerArray)
+        if header.frame_id != frame or not same(shown[name], again):
+            faults.append(f'markers: {name} does not show the recorded strategy')
+    return faults
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether messages, or fields of them, are the same up to the rounding of numbers."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if one == other:
+        return True
+    if isinstance(one, float):
+        return abs(one - other) <= _TOLERANCE
+    if isinstance(one, (list, array.array)):
+        return len(one) == len(other) and all(map(same, one, other))
+    names = getattr(one, 'get_fields_and_field_types', dict)()
+    return bool(names) and all(same(getattr(one, n), getattr(other, n)) for n in names)
+
+
+def _trigger_faults(
+    recorded: RecordedDeparture, record: DepartureRecord, request: Any, response: Any
+) -> list[str]:
+    topic = recorded.recorded('path').topic
+    told = f'departure {record.number} ({record.id}) is published on {topic}'
+    faults = []
+    if record.trip.tolerance != 0.0:
+        faults.append('trip: new_route has no tolerance')
+    if not response.success or not response.message.startswith(told):
+        faults.append('response: it does not tell this departure_id, departure and topic')
+    return faults
+
+
+def _get_plan_faults(
+    recorded: RecordedDeparture, record: DepartureRecord, request: Any, response: Any
+) -> list[str]:
+    faults = [
+        f'request: its {role} is not the recorded {role} pose'
+        for role in ('start', 'goal')
+        if not same(getattr(request, role), recorded.message(role))
+    ]
+    if request.tolerance != record.trip.tolerance:
+        faults.append("trip: its tolerance is not the request's")
+    if not same(response.plan, recorded.message('path')):
+        faults.append('response: its plan is not the recorded path')
+    return faults
+
+
+def _differences(path: PathMessage, again: PathMessage) -> list[str]:
+    count = len(again.poses)
+    if len(path.poses) != count:
+        return [f'path: it has {len(path.poses)} poses, the recorded route gives {count}']
+    for k, (one, other) in enumerate(zip(path.poses, again.poses, strict=True), start=1):
+        if not same(one, other):
+            name = {1: 'its first pose', count: 'its last pose'}.get(k, f'pose {k} of {count}')
+            return [f'path: {name} is not what start, route and goal give']
+    return []
+
+
+def _at(pose: Pose, xy: tuple[float, float]) -> Pose:
+    moved = deepcopy(pose)
+    moved.position.x, moved.position.y = xy
+    return moved
+
+
+def _nanoseconds(stamp: Time) -> int:
+    return stamp.sec * 1_000_000_000 + stamp.nanosec
+
+
+def _same_text(told: str | None, expected: str, tolerance: float) -> bool:
+    """Whether the diagnostics tell the expected; numbers are the same up to a tolerance."""
+    if told == expected:
+        return True
+    try:
+        one, other = float(told or ''), float(expected)
+    except ValueError:
+        return False
+    return math.isclose(one, other, rel_tol=PROBABILITY_TOLERANCE, abs_tol=tolerance)

@@ -1,0 +1,139 @@
+"""A recorded strategy: its certificate, the one planned again, and the route drawn from it."""
+
+from __future__ import annotations
+
+import math
+from io import BytesIO
+
+import numpy as np
+
+from ..core.cycles import is_acyclic
+from ..core.network import Network
+from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions
+from ..recording.strategy_file import NUMBERS
+from .departures import DepartureRecord
+
+# Of numbers that have to be the same but for rounding, relative.
+VALUE_TOLERANCE = 1e-9
+# Of probabilities and of what follows from them: another release of numpy or scipy, another
+# processor or number of threads rounds otherwise on the way to the optimum.
+PROBABILITY_TOLERANCE = 1e-6
+_TOLERANCES = {
+    'value': VALUE_TOLERANCE,
+    'lower_bound': VALUE_TOLERANCE,
+    'length_budget': VALUE_TOLERANCE,
+    'shortest_length': VALUE_TOLERANCE,
+    'expected_length': PROBABILITY_TOLERANCE,
+    'edge_entropy': PROBABILITY_TOLERANCE,
+    'route_entropy': PROBABILITY_TOLERANCE,
+}
+_ENTROPY_BITS = 256
+
+
+def certificate_faults(strategy: Strategy, options: StrategyOptions) -> list[str]:
+    """Check what ``solve`` promises of every strategy, from this one alone."""
+    faults = []
+    if options.solver == 'max_entropy' and not is_acyclic(
+        strategy.network, strategy.edge_probability
+    ):
+        faults.append('strategy: it goes round in cycles')
+    length, budget = strategy.expected_length, strategy.length_budget
+    if not length <= budget * (1.0 + CERTIFICATE_TOLERANCE):
+        faults.append(f'strategy: it is {length:.9g} m long, over its budget of {budget:.9g} m')
+    # With a length weight it is the weighted sum that is minimal.
+    weighed = strategy.length_price * budget if options.length_weight > 0.0 else 0.0
+    gap = strategy.value / (1.0 + options.risk_slack) - strategy.lower_bound
+    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
+    if not gap <= CERTIFICATE_TOLERANCE * scale:
+        faults.append(f'strategy: its certificate does not close: gap {gap:.3g}')
+    return faults
+
+
+def network_faults(recorded: Network, planned: Network) -> list[str]:
+    """Compare the recorded network with that planned again, bit for bit."""
+    for name in ('points', 'edges', 'alpha'):
+        one, other = getattr(recorded, name), getattr(planned, name)
+        if len(one) != len(other):
+            found = f'it has {len(one)} {name}, planned again {len(other)}'
+        elif not np.array_equal(one, other):
+            rows = (one != other).reshape(len(one), -1).any(axis=1)
+            found = f'{np.count_nonzero(rows)} of {len(one)} {name} are others'
+        else:
+            continue
+        return [f'network: it does not follow from map, trip and parameters: {found}']
+    if (recorded.source, recorded.target) != (planned.source, planned.target):
+        return ['network: its source or its target is another node']
+    return []
+
+
+def strategy_faults(
+    data: bytes, recorded: Strategy, planned: Strategy
+) -> tuple[list[str], list[str]]:
+    """Compare a strategy with that planned again on the same network.
+
+    Args:
+        data: The recorded file, for the numbers that it states.
+        recorded: What its probabilities give.
+        planned: What the solver finds now.
+
+    Returns:
+        (faults, notes)
+    """
+    faults = [*_stated_faults(data, recorded), *_number_faults(recorded, planned)]
+    apart = max(
+        float(np.abs(getattr(recorded, name) - getattr(planned, name)).max(initial=0.0))
+        for name in ('edge_probability', 'ambush_probability')
+    )
+    if apart > PROBABILITY_TOLERANCE:
+        faults.append(
+            f'strategy: its probabilities differ by up to {apart:.1e} from those planned again'
+        )
+        return faults, []
+    return faults, [f'the strategy is the same to within {apart:.0e}'] if apart else []
+
+
+def _stated_faults(data: bytes, recorded: Strategy) -> list[str]:
+    """Compare what the file states with what follows from its probabilities."""
+    with np.load(BytesIO(data), allow_pickle=False) as archive:
+        stated = {name: float(archive[name]) for name in NUMBERS}
+    # The route entropy is a difference of two numbers of the edge entropy's size.
+    rounding = VALUE_TOLERANCE * abs(recorded.edge_entropy)
+    return [
+        f'strategy: {name} is stated as {stated[name]:.12g}, its probabilities give {again:.12g}'
+        for name in NUMBERS
+        if not math.isclose(
+            stated[name], again := getattr(recorded, name), rel_tol=VALUE_TOLERANCE,
+            abs_tol=rounding if name == 'route_entropy' else 1e-12,
+        )
+    ]
+
+
+def _number_faults(recorded: Strategy, planned: Strategy) -> list[str]:
+    faults = []
+    for name, tolerance in _TOLERANCES.items():
+        one, other = getattr(recorded, name), getattr(planned, name)
+        if not math.isclose(one, other, rel_tol=tolerance, abs_tol=1e-12):
+            faults.append(f'strategy: {name} is {one:.12g}, planned again {other:.12g}')
+    return faults
+
+
+def source_faults(record: DepartureRecord) -> list[str]:
+    """Check that the generator was made from the seed as the node makes it."""
+    seed, source = record.parameters.seed, record.route_entropy_source
+    if seed < 0:
+        if len(source) != 1 or source[0] >= 2**_ENTROPY_BITS:
+            return [f'route_entropy_source: it is not one number of {_ENTROPY_BITS} bits']
+    elif source != [seed, record.number]:
+        return [
+            'route_entropy_source: it is not what the parameter seed and the number of the '
+            'departure give'
+        ]
+    return []
+
+
+def route_faults(record: DepartureRecord, strategy: Strategy) -> list[str]:
+    """Draw the route again from the recorded strategy, and compare it node for node."""
+    drawn = strategy.sample_route(np.random.default_rng(record.route_entropy_source))
+    if np.array_equal(drawn, record.route):
+        return []
+    return ['route: it is not what route_entropy_source draws from the strategy']
