@@ -17,8 +17,14 @@ from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
 from ..core.errors import InvalidRiskMap
-from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
-from .errors import FrameMismatch, InvalidPose
+from ..core.risk_map import (
+    FloatArray,
+    OccupancyOptions,
+    RiskMap,
+    check_occupancy,
+    risk_map_from_occupancy,
+)
+from .errors import InvalidPose
 
 # Of the squared norm, as Nav2 checks quaternions; covers rounding to float32.
 _UNIT_TOLERANCE = 1e-4
@@ -56,13 +62,13 @@ def occupancy_to_ros(
 def occupancy_from_ros(
     message: OccupancyGrid,
 ) -> tuple[npt.NDArray[np.int8], float, tuple[float, float, float]]:
-    """Return cell values (H, W), the resolution [m] and the origin (x, y, yaw).
+    """Return cell values (H, W), the resolution [m] and the origin (x, y, yaw), all checked.
 
     Raises
     ------
     InvalidRiskMap
-        The map has no frame or no cells, its data is not width * height long, or its origin is
-        not a pose in the plane.
+        The map has no frame or no cells, its data is not width * height long, its resolution is
+        not positive, its origin not a pose in the plane, or a cell's value outside -1..100.
     """
     info = message.info
     if not message.header.frame_id:
@@ -78,7 +84,9 @@ def occupancy_from_ros(
     if fault := _pose_fault(origin) or _tilt_fault(origin.orientation):
         raise InvalidRiskMap(f"the map's origin: {fault}")
     values = np.frombuffer(message.data, dtype=np.int8).reshape(info.height, info.width)
-    return values, float(info.resolution), pose_from_ros(origin)
+    grid = values, float(info.resolution), pose_from_ros(origin)
+    check_occupancy(*grid)
+    return grid
 
 
 def risk_map_from_ros(message: OccupancyGrid, options: OccupancyOptions) -> RiskMap:
@@ -92,21 +100,14 @@ def risk_map_from_ros(message: OccupancyGrid, options: OccupancyOptions) -> Risk
     return risk_map_from_occupancy(*occupancy_from_ros(message), options)
 
 
-def position_from_ros(pose: PoseStamped, name: str, frame: str) -> tuple[float, float]:
-    """Return (x, y) [m] of the pose called ``name``, which must be given in ``frame``.
+def position_from_ros(pose: PoseStamped, name: str) -> tuple[float, float]:
+    """Return (x, y) [m] of the pose called ``name``.
 
     Raises
     ------
-    FrameMismatch
-        The pose is given in another frame, or in none.
     InvalidPose
         A number is not finite, or the orientation is not a unit quaternion.
     """
-    if pose.header.frame_id != frame:
-        raise FrameMismatch(
-            f"{name} is given in the frame {pose.header.frame_id!r}, the map in {frame!r}; give "
-            "it in the map's frame"
-        )
     if fault := _pose_fault(pose.pose):
         raise InvalidPose(f'{name}: {fault}')
     return pose.pose.position.x, pose.pose.position.y
@@ -115,10 +116,10 @@ def position_from_ros(pose: PoseStamped, name: str, frame: str) -> tuple[float, 
 def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> PathMessage:
     """Return the path along ``poses`` (L, 3) = (x, y, yaw).
 
-    The first pose has the start's position as it was given, the last one is the goal pose.
+    The first pose is the start's and the last one the goal's, as they were given.
     """
     result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
-    result[0].pose.position = start.position
+    result[0].pose = start
     result[-1].pose = goal
     return PathMessage(header=header, poses=result)
 
@@ -127,17 +128,6 @@ def path_from_ros(path: PathMessage) -> FloatArray:
     """Return the poses (L, 3) = (x, y, yaw) of a path."""
     rows = [pose_from_ros(stamped.pose) for stamped in path.poses]
     return np.array(rows, dtype=np.float64).reshape(-1, 3)
-
-
-def points_to_ros(points: FloatArray) -> list[Point]:
-    """Return the positions (K, 2) [m] as points at height 0."""
-    return [Point(x=x, y=y) for x, y in points.tolist()]
-
-
-def points_from_ros(points: list[Point]) -> FloatArray:
-    """Return the positions (K, 2) [m] of points."""
-    rows = [(point.x, point.y) for point in points]
-    return np.array(rows, dtype=np.float64).reshape(-1, 2)
 
 
 def _pose_fault(pose: Pose) -> str | None:

@@ -10,6 +10,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
+from ..core.bottleneck import Bottleneck
 from ..core.planner import Plan
 from .errors import OK_CODE, code_of
 
@@ -30,6 +31,7 @@ class Status:
     problems: Mapping[str, Problem] = field(default_factory=dict)
     plan: Plan | None = None
     departures: int = 0
+    departure_id: str = ''
     recording: str = 'off'
 
     @property
@@ -59,6 +61,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'message': message,
         **_strategy_values(status.plan),
         'departures': str(status.departures),
+        'departure_id': status.departure_id,
         'recording': status.recording,
     }
     entry = DiagnosticStatus(
@@ -80,7 +83,21 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         return DiagnosticStatus.ERROR, problems[0].code, message
     if status.missing:
         return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
+    if status.plan is not None and (warning := _bottleneck_warning(status.plan.bottleneck)):
+        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
+
+
+def _bottleneck_warning(bottleneck: Bottleneck) -> str:
+    """Say so where the minimum cut hugs the start or the goal."""
+    if not bottleneck.near_ends:
+        return ''
+    return (
+        f'{len(bottleneck.sites)} nodes decide the value {bottleneck.value:.4g}, '
+        f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; if '
+        f'that ground were secured (game.secured_radius), it would be '
+        f'{bottleneck.secured_value:.4g}'
+    )
 
 
 def _strategy_values(plan: Plan | None) -> dict[str, str]:

@@ -20,6 +20,7 @@ from ..core.errors import (
     TimeLimit,
 )
 from ..recording import RecordingFailed
+from ..worker.errors import SolveCancelled, WorkerFailed
 
 
 class NoMap(AmbushPlannerError):
@@ -42,6 +43,10 @@ class FrameMismatch(AmbushPlannerError):
     """A pose is not given in the map's frame."""
 
 
+class UnreadableMessage(AmbushPlannerError):
+    """What came on a topic is no message of the topic's type."""
+
+
 OK_CODE = 'NONE'
 
 # The first row that fits counts: children stand above their parents.
@@ -50,6 +55,7 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (NoStart, 'NO_START'),
     (NoGoal, 'NO_GOAL'),
     (InvalidPose, 'INVALID_POSE'),
+    (UnreadableMessage, 'INVALID_MESSAGE'),
     (FrameMismatch, 'TF_ERROR'),
     (StartOutsideMap, 'START_OUTSIDE_MAP'),
     (GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
@@ -62,6 +68,8 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (InvalidNetwork, 'INVALID_NETWORK'),
     (InvalidOption, 'INVALID_OPTION'),
     (SolverFailed, 'SOLVER_FAILED'),
+    (SolveCancelled, 'CANCELLED'),
+    (WorkerFailed, 'WORKER_FAILED'),
     (RecordingFailed, 'RECORDING_FAILED'),
 )
 

@@ -6,45 +6,48 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 
 from ..core.errors import InvalidRiskMap
-from ..core.obstacles import ObstacleField
-from ..core.risk_map import OccupancyOptions, RiskMap
-from .conversions import position_from_ros, risk_map_from_ros
+from .conversions import occupancy_from_ros, position_from_ros
 from .errors import NoGoal, NoMap, NoStart
+from .transforms import FrameTransforms
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A message as it came in; ``topic`` is the full name."""
+    """A message as it came in; ``topic`` is the full name, ``data`` the message serialised."""
 
     topic: str
     message: Any
+    data: bytes
     qos: QoSProfile
 
 
 @dataclass(frozen=True, eq=False)
 class MapInForce:
-    """A map that was accepted, and the risk map that was read from it."""
+    """A map that was accepted: its cells (H, W), resolution [m] and origin (x, y, yaw)."""
 
     received: Received
-    risk_map: RiskMap
+    values: npt.NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float]
 
     @property
     def frame(self) -> str:
-        """The frame that all poses have to be given in."""
+        """The frame of positions on the map."""
         return self.received.message.header.frame_id
 
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """From where to where, on which map; positions [m] in the map's frame.
+    """From where to where, on which map; poses and positions [m] in the map's frame.
 
-    ``start`` and ``goal`` are what was received as such; where a goal was moved, ``goal_pose``
-    differs from it.
+    ``start`` and ``goal`` are what was received as such. The goal may be moved by
+    ``goal_tolerance`` [m] where it is blocked.
     """
 
     map: MapInForce
@@ -54,30 +57,7 @@ class Trip:
     goal_pose: PoseStamped
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
-
-
-def make_trip(
-    map_in_force: MapInForce,
-    start: tuple[Received, PoseStamped],
-    goal: tuple[Received, PoseStamped],
-) -> Trip:
-    """Check both poses against the map's frame.
-
-    Raises
-    ------
-    FrameMismatch, InvalidPose
-        A pose is not given in the map's frame, or its numbers are no pose.
-    """
-    frame = map_in_force.frame
-    return Trip(
-        map=map_in_force,
-        start=start[0],
-        goal=goal[0],
-        start_pose=start[1],
-        goal_pose=goal[1],
-        start_xy=position_from_ros(start[1], 'start', frame),
-        goal_xy=position_from_ros(goal[1], 'goal', frame),
-    )
+    goal_tolerance: float = 0.0
 
 
 class Inputs:
@@ -88,15 +68,15 @@ class Inputs:
     one, so that nobody departs for a goal that has been given up.
     """
 
-    def __init__(self, occupancy: OccupancyOptions) -> None:
-        self._occupancy = occupancy
+    def __init__(self, transforms: FrameTransforms) -> None:
+        self._transforms = transforms
         self._map: MapInForce | None = None
         self._refused: InvalidRiskMap | None = None
         self._start: tuple[Received, PoseStamped] | None = None
         self._goal: tuple[Received, PoseStamped] | None = None
 
-    def accept_map(self, received: Received) -> None:
-        """Put a map in force; one that equals the present one changes nothing.
+    def accept_map(self, received: Received) -> MapInForce:
+        """Put a map in force and return it; one that equals the present one changes nothing.
 
         Raises
         ------
@@ -106,20 +86,13 @@ class Inputs:
         present = self._map
         if present is None or not _same_map(present.received.message, received.message):
             try:
-                risk_map = risk_map_from_ros(received.message, self._occupancy)
+                values, resolution, origin = occupancy_from_ros(received.message)
             except InvalidRiskMap as error:
                 self._refused = error
                 raise
-            self._map = MapInForce(received, risk_map)
+            present = self._map = MapInForce(received, values, resolution, origin)
         self._refused = None
-
-    def set_occupancy(self, occupancy: OccupancyOptions) -> None:
-        """Read the map in force anew if its cells now mean something else."""
-        if occupancy != self._occupancy:
-            self._occupancy = occupancy
-            if self._map is not None:
-                received = self._map.received
-                self._map = MapInForce(received, risk_map_from_ros(received.message, occupancy))
+        return present
 
     def set_start(self, received: Received, pose: PoseStamped) -> None:
         """Depart from here from now on."""
@@ -140,21 +113,22 @@ class Inputs:
 
         Raises
         ------
-        NoMap, NoStart, NoGoal, FrameMismatch, InvalidPose
-            Something has not arrived, or is not usable.
+        NoMap, NoStart, NoGoal
+            Something has not arrived.
+        FrameMismatch, InvalidPose
+            A pose cannot be brought into the map's frame, or its numbers are no pose.
         """
         present = self._map_in_force()
         if self._start is None:
             raise NoStart('no start yet: publish one on start_pose or initialpose')
         if self._goal is None:
             raise NoGoal('no goal yet: publish one on goal_pose')
-        return make_trip(present, self._start, self._goal)
+        return self._trip(present, *self._start, *self._goal)
 
-    def trip_between(
-        self, start: tuple[Received, PoseStamped], goal: tuple[Received, PoseStamped]
-    ) -> Trip:
+    def trip_between(self, start: Received, goal: Received, goal_tolerance: float) -> Trip:
         """Return the trip between two given poses; raises as ``trip`` does."""
-        return make_trip(self._map_in_force(), start, goal)
+        present = self._map_in_force()
+        return self._trip(present, start, start.message, goal, goal.message, goal_tolerance)
 
     def _map_in_force(self) -> MapInForce:
         if self._map is None:
@@ -162,38 +136,28 @@ class Inputs:
             raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
         return self._map
 
-
-def nearest_free_cell(
-    risk_map: RiskMap, xy: tuple[float, float], tolerance: float, clearance: float
-) -> tuple[float, float]:
-    """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
-
-    A cell is free if its centre keeps the clearance from obstacles. Where none is within
-    ``tolerance`` [m] of ``xy``, or ``xy`` is not on the map, it comes back as it is.
-    """
-    uv = risk_map.to_map_axes(xy)
-    field = ObstacleField(risk_map)
-    if not risk_map.contains(uv) or field.clear_points(uv[None], clearance)[0]:
-        return xy
-    centres = _cell_centres(risk_map, uv, tolerance)
-    distance = np.hypot(*(centres - uv).T)
-    near = np.argsort(distance, kind='stable')[: int((distance <= tolerance).sum())]
-    free = near[field.clear_points(centres[near], clearance)]
-    if len(free) == 0:
-        return xy
-    x, y = risk_map.to_world(centres[free[0]]).tolist()
-    return x, y
-
-
-def _cell_centres(risk_map: RiskMap, uv: np.ndarray, reach: float) -> np.ndarray:
-    """Centres (K, 2) in map axes of the free cells of the square within ``reach`` of ``uv``."""
-    size = risk_map.size
-    low_row, low_column = risk_map.cells(np.clip(uv - reach, 0.0, size))
-    high_row, high_column = risk_map.cells(np.clip(uv + reach, 0.0, size))
-    part = risk_map.obstacles[low_row:high_row + 1, low_column:high_column + 1]
-    rows, columns = np.nonzero(~part)
-    cells = np.stack((columns + low_column, rows + low_row), axis=1)
-    return (cells + 0.5) * risk_map.resolution
+    def _trip(
+        self,
+        map_in_force: MapInForce,
+        start: Received,
+        start_pose: PoseStamped,
+        goal: Received,
+        goal_pose: PoseStamped,
+        goal_tolerance: float = 0.0,
+    ) -> Trip:
+        frame = map_in_force.frame
+        start_pose = self._transforms.to_frame(start_pose, 'start', frame)
+        goal_pose = self._transforms.to_frame(goal_pose, 'goal', frame)
+        return Trip(
+            map=map_in_force,
+            start=start,
+            goal=goal,
+            start_pose=start_pose,
+            goal_pose=goal_pose,
+            start_xy=position_from_ros(start_pose, 'start'),
+            goal_xy=position_from_ros(goal_pose, 'goal'),
+            goal_tolerance=goal_tolerance,
+        )
 
 
 def _same_map(one: OccupancyGrid, other: OccupancyGrid) -> bool:
@@ -203,5 +167,5 @@ def _same_map(one: OccupancyGrid, other: OccupancyGrid) -> bool:
         (a.width, a.height, a.resolution) == (b.width, b.height, b.resolution)
         and one.header.frame_id == other.header.frame_id
         and a.origin == b.origin
-        and bytes(one.data) == bytes(other.data)
+        and np.array_equal(np.frombuffer(one.data, np.int8), np.frombuffer(other.data, np.int8))
     )

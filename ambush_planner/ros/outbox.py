@@ -8,9 +8,10 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
-from ..recording import RecordedMessage
+from ..recording import RecordedMessage, type_name
 
 # Late joiners get the last message.
 LATCHED = QoSProfile(
@@ -19,6 +20,8 @@ LATCHED = QoSProfile(
     durability=DurabilityPolicy.TRANSIENT_LOCAL,
 )
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# Many may ask at once while a solve runs: none of them is to go without an answer.
+REQUESTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 _DIAGNOSTICS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 
 _TOPICS = {
@@ -42,13 +45,16 @@ class Outbox:
         }
 
     def publish(self, topic: str, message: Any) -> RecordedMessage:
-        """Publish on one of the node's topics, by the name that it has in the code."""
+        """Publish on one of the node's topics, by the name that it has in the code.
+
+        ``message`` may be serialised already; it is serialised once in any case.
+        """
+        data = message if isinstance(message, bytes) else serialize_message(message)
         publisher = self._publishers[topic]
-        publisher.publish(message)
-        _, qos = _TOPICS[topic]
-        return RecordedMessage(
-            publisher.topic_name, message, qos, self._clock.now().nanoseconds
-        )
+        publisher.publish(data)
+        kind, qos = _TOPICS[topic]
+        stamp = self._clock.now().nanoseconds
+        return RecordedMessage(publisher.topic_name, type_name(kind), data, qos, stamp)
 
     def topic_name(self, topic: str) -> str:
         """Return the full name after namespaces and remapping."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -23,12 +25,14 @@ from ..core.game import GameOptions
 from ..core.planner import PlanningOptions
 from ..core.risk_map import OccupancyOptions
 from ..core.strategy import SOLVERS, StrategyOptions
+from ..recording.recorder import COMPRESSIONS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (
     OccupancyOptions(), NetworkOptions(), GameOptions(), StrategyOptions()
 )
 _INT64_MAX = 2**63 - 1
-COMPRESSIONS = ('zstd', 'lz4', 'none')
+
+_Options = TypeVar('_Options')
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'recording.directory': Declaration(
         '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
     'recording.compression': Declaration(
-        'zstd', 'Compression of the recordings.', choices=COMPRESSIONS),
+        'zstd', 'Compression of the recordings.', choices=tuple(COMPRESSIONS)),
     'seed': Declaration(
         -1,
         "-1: routes are drawn with the operating system's entropy. From 0: always the same "
@@ -139,11 +143,14 @@ class RecordingOptions:
 
     def __post_init__(self) -> None:
         if not self.directory.strip():
-            raise InvalidOption('recording.directory must not be empty')
+            raise InvalidOption('directory must not be empty')
+        try:
+            Path(self.directory).expanduser()
+        except RuntimeError as error:
+            raise InvalidOption(f'directory {self.directory!r}: {error}') from error
         if self.compression not in COMPRESSIONS:
             raise InvalidOption(
-                f'recording.compression must be one of {", ".join(COMPRESSIONS)}, '
-                f'got {self.compression!r}'
+                f'compression must be one of {", ".join(COMPRESSIONS)}, got {self.compression!r}'
             )
 
 
@@ -171,18 +178,16 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
         raise InvalidOption(
             f'route.path_spacing must be finite [m], got {values["route.path_spacing"]}'
         )
-    strategy = StrategyOptions(
-        **_group(values, 'strategy'), time_limit=values['max_planning_time']
-    )
+    limit = values['max_planning_time']
     return NodeParameters(
-        occupancy=OccupancyOptions(**_group(values, 'map')),
+        occupancy=_options(OccupancyOptions, 'map', values),
         planning=PlanningOptions(
-            NetworkOptions(**_group(values, 'network')),
-            GameOptions(**_group(values, 'game')),
-            strategy,
+            _options(NetworkOptions, 'network', values),
+            _options(GameOptions, 'game', values),
+            _options(StrategyOptions, 'strategy', values, time_limit=limit),
         ),
         path_spacing=values['route.path_spacing'],
-        recording=RecordingOptions(**_group(values, 'recording')),
+        recording=_options(RecordingOptions, 'recording', values),
         seed=values['seed'],
         values=MappingProxyType(dict(values)),
     )
@@ -211,11 +216,19 @@ def declare_parameters(
     return parameters
 
 
-def _group(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    start = f'{prefix}.'
-    return {
-        name.removeprefix(start): value for name, value in values.items() if name.startswith(start)
-    }
+def _options(
+    kind: Callable[..., _Options], group: str, values: Mapping[str, Any], **others: Any
+) -> _Options:
+    """Make the options that ``group`` holds; errors call them by their parameters' names."""
+    start = f'{group}.'
+    options = {name.removeprefix(start): values[name] for name in values if name.startswith(start)}
+    try:
+        return kind(**options, **others)
+    except InvalidOption as error:
+        text = str(error)
+        for option in options:
+            text = re.sub(rf'\b{option}\b', start + option, text, count=1)
+        raise InvalidOption(text) from error
 
 
 def _values(node: Node) -> dict[str, Any]:

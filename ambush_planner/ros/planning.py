@@ -2,40 +2,82 @@
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import replace
+from threading import Lock
 
-from ..core.planner import Plan, PlanningOptions, plan
-from .inputs import Trip
+from ..core.planner import Plan, PlanRequest
+from ..worker.solve_queue import SolveQueue
+from .inputs import MapInForce, Trip
+from .parameters import NodeParameters
 
 # There and back again, with a detour or two.
 _KEPT = 4
 
 
-class PlanCache:
-    """The latest plans of the map in force, by start, goal and options."""
+class Plans:
+    """Plans by what they follow from: kept, or worked out in the worker process.
+
+    Safe to be used from several threads.
+    """
 
     def __init__(self) -> None:
-        self._plans: OrderedDict[tuple, Plan] = OrderedDict()
+        self._kept: OrderedDict[tuple, Plan] = OrderedDict()
+        self._map: MapInForce | None = None
+        self._lock = Lock()
+        self._solves = SolveQueue()
 
-    def find(self, trip: Trip, options: PlanningOptions) -> Plan | None:
+    @property
+    def solving(self) -> bool:
+        """Whether a solve runs or waits."""
+        return self._solves.busy
+
+    def find(self, trip: Trip, parameters: NodeParameters) -> Plan | None:
         """Return the plan for exactly these inputs, if it is kept."""
-        key = _key(trip, options)
-        if key in self._plans:
-            self._plans.move_to_end(key)
-        return self._plans.get(key)
+        key = _key(trip, parameters)
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+            return self._kept.get(key)
 
-    def make(self, trip: Trip, options: PlanningOptions) -> Plan:
-        """Work the plan out and keep it; raises what ``core.planner.plan`` raises."""
-        made = plan(trip.map.risk_map, trip.start_xy, trip.goal_xy, options)
-        for key in [key for key in self._plans if key[0] is not trip.map.risk_map]:
-            del self._plans[key]
-        key = _key(trip, options)
-        self._plans[key] = made
-        self._plans.move_to_end(key)
-        if len(self._plans) > _KEPT:
-            self._plans.popitem(last=False)
-        return made
+    def solve(self, trip: Trip, parameters: NodeParameters) -> Callable[[], Plan]:
+        """Have the plan worked out anew; what is returned waits for it, and raises its errors."""
+        solve = self._solves.submit(_key(trip, parameters), _request(trip, parameters))
+
+        def wait() -> Plan:
+            plan = solve.result()
+            self._keep(trip, parameters, plan)
+            return plan
+
+        return wait
+
+    def forget_others(self, map_in_force: MapInForce) -> None:
+        """Keep the plans of this map only: one that was replaced comes back as another one."""
+        with self._lock:
+            self._map = map_in_force
+            for key in [key for key in self._kept if key[0] is not map_in_force]:
+                del self._kept[key]
+
+    def cancel(self) -> bool:
+        """End the solve that runs; return whether there was one."""
+        return self._solves.cancel()
+
+    def close(self) -> None:
+        """End all solves and the worker process."""
+        self._solves.close()
+
+    def _keep(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> None:
+        key = _key(trip, parameters)
+        with self._lock:
+            # The map may have been replaced during the solve.
+            if trip.map is self._map:
+                self._kept[key] = plan
+                self._kept.move_to_end(key)
+                if len(self._kept) > _KEPT:
+                    self._kept.popitem(last=False)
 
 
 def route_entropy_source(seed: int, departure: int) -> list[int]:
@@ -48,5 +90,24 @@ def route_entropy_source(seed: int, departure: int) -> list[int]:
     return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
-def _key(trip: Trip, options: PlanningOptions) -> tuple:
-    return trip.map.risk_map, trip.start_xy, trip.goal_xy, options
+def _key(trip: Trip, parameters: NodeParameters) -> tuple:
+    planning = parameters.planning
+    # How long a solve may take does not change the plan.
+    strategy = replace(planning.strategy, time_limit=math.inf)
+    return (
+        trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance,
+        parameters.occupancy, planning.network, planning.game, strategy,
+    )
+
+
+def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
+    return PlanRequest(
+        trip.map.values,
+        trip.map.resolution,
+        trip.map.origin,
+        parameters.occupancy,
+        trip.start_xy,
+        trip.goal_xy,
+        trip.goal_tolerance,
+        parameters.planning,
+    )

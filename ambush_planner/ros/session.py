@@ -3,39 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import deepcopy
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
-from threading import RLock
+from threading import Lock, RLock
+from typing import Any
+from uuid import uuid4
 
 import numpy as np
-import yaml
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import Header
 
-from ..core.construction import chosen_spacing
-from ..core.errors import InvalidOption
+from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, depart
-from ..core.routes import densify
-from ..recording import RecordedMessage, Recorder
+from ..recording import RecordedMessage, RecordingFailed
+from ..worker.errors import for_the_log
 from . import markers
-from .conversions import path_to_ros
+from .departures import Departure, ServiceCall
 from .diagnostics import Status, status_to_ros
-from .inputs import Inputs, Received, Trip, nearest_free_cell
+from .inputs import Inputs, Received, Trip
 from .outbox import Outbox
-from .parameters import NodeParameters
-from .planning import PlanCache, route_entropy_source
+from .parameters import NodeParameters, RecordingOptions
+from .paths import DeparturePath, departure_path
+from .planning import Plans, route_entropy_source
+from .recordings import Recordings
+from .transforms import FrameTransforms
+
+# Of the two seconds that the node has to end in.
+_LAST_RECORDINGS = 1.0  # s
 
 
 class Session:
     """One planner's run: its inputs, its plans and its departures.
 
-    ``new_route``, ``get_plan`` and ``replan`` must not be called at the same time; everything
-    else may be called meanwhile. They raise the planner's errors and leave the session usable.
+    Safe to be used from several threads: departures leave one after the other, and nothing but
+    those who need it waits for a solve. Methods raise the planner's errors and leave the session
+    usable.
     """
 
     def __init__(
@@ -43,35 +47,42 @@ class Session:
         name: str,
         parameters: NodeParameters,
         outbox: Outbox,
+        transforms: FrameTransforms,
         clock: Clock,
         logger: RcutilsLogger,
     ) -> None:
         self._name, self._outbox, self._clock, self._logger = name, outbox, clock, logger
         self._parameters = parameters
-        self._inputs = Inputs(parameters.occupancy)
-        self._plans = PlanCache()
-        self._markers: list[RecordedMessage] = []
-        self._recorder = _recorder(parameters)
-        self._status = Status(missing=self._inputs.missing, recording=self._recording_state())
+        self._inputs = Inputs(transforms)
+        self._plans = Plans()
+        self._markers: tuple[RecordedMessage, ...] = ()
+        self._departing = Lock()
+        self._status = Status(
+            missing=self._inputs.missing, recording=_recording_state(parameters)
+        )
         self._status_lock = RLock()
+        self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
-    @property
-    def solving(self) -> bool:
-        """Whether a solve is running."""
-        return self._status.solving
+    def stop_solving(self) -> None:
+        """End all solves: whoever waits for one is answered."""
+        self._plans.close()
+
+    def close(self) -> None:
+        """Write the last recordings, and end."""
+        self.stop_solving()
+        if left := self._recordings.close(_LAST_RECORDINGS):
+            self._logger.error(f'recording: {left} departures could not be written before the end')
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
-        if parameters.recording != self._parameters.recording:
-            self._recorder = _recorder(parameters)
-            state = self._recording_state()
+        before, self._parameters = self._parameters.recording, parameters
+        if parameters.recording != before:
+            state = _recording_state(parameters)
             self._change(lambda s: replace(s.without_problem('recording'), recording=state))
-        self._inputs.set_occupancy(parameters.occupancy)
-        self._parameters = parameters
 
     def accept_map(self, received: Received) -> None:
         """Put a map in force; raises InvalidRiskMap if the last one stays."""
-        self._inputs.accept_map(received)
+        self._plans.forget_others(self._inputs.accept_map(received))
         self._change(lambda s: replace(s.without_problem('map'), missing=self._inputs.missing))
 
     def set_start(self, received: Received, pose: PoseStamped) -> None:
@@ -84,30 +95,41 @@ class Session:
         self._inputs.set_goal(received, pose)
         self._change(lambda s: replace(s, missing=self._inputs.missing))
 
-    def new_route(self) -> str:
-        """Depart between the latest start and goal; return what to tell the caller."""
-        self._depart(self._inputs.trip(), 'new_route')
+    def new_route(self, call: ServiceCall, answer: Callable[[str], Any]) -> Any:
+        """Depart between the latest start and goal; ``answer`` makes the response of a text."""
+        trip = self._inputs.trip()
         where = self._outbox.topic_name('path')
-        failed = self._status.problems.get('recording')
-        return f'departure {self._status.departures} is published on {where}' + (
-            f'; {failed.message}' if failed else ''
-        )
 
-    def get_plan(self, start: Received, goal: Received, tolerance: float) -> PathMessage:
-        """Depart between the poses of a request; a blocked goal may move by ``tolerance`` [m]."""
+        def respond(departure_id: str, number: int, _: DeparturePath) -> Any:
+            failed = self._status.problems.get('recording')
+            trouble = f'; {failed.message}' if failed else ''
+            return answer(f'departure {number} ({departure_id}) is published on {where}{trouble}')
+
+        return self._depart(trip, call, respond)
+
+    def get_plan(self, call: ServiceCall, start: Received, goal: Received) -> GetPlan.Response:
+        """Depart between the poses of a request, whose goal may be moved if it is blocked."""
+        tolerance = call.request.tolerance
         if not tolerance >= 0.0:
             raise InvalidOption(f'tolerance must be >= 0 [m], got {tolerance}')
-        trip = self._inputs.trip_between((start, start.message), (goal, goal.message))
-        return self._depart(self._with_free_goal(trip, tolerance), 'get_plan')
+        trip = self._inputs.trip_between(start, goal, tolerance)
+        return self._depart(trip, call, _planned)
 
     def replan(self) -> str:
         """Solve anew for the latest map, start and goal; return what to tell the caller."""
-        plan = self._make_plan(self._inputs.trip(), self._parameters)
+        trip, parameters = self._inputs.trip(), self._parameters
+        plan = self._solve(trip, parameters)
+        with self._departing:
+            self._show(plan, trip)
         self._change(lambda s: s.without_problem('request'))
         return (
             f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
             f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes'
         )
+
+    def cancel(self) -> bool:
+        """End the solve that is running; return whether there was one."""
+        return self._plans.cancel()
 
     def fail(self, concern: str, error: Exception) -> None:
         """Tell what is wrong with the last request, or with the map that just came."""
@@ -122,49 +144,49 @@ class Session:
                 '/diagnostics', status_to_ros(self._status, self._name, stamp)
             )
 
-    def _depart(self, trip: Trip, service: str) -> PathMessage:
+    def _depart(
+        self, trip: Trip, call: ServiceCall, respond: Callable[[str, int, DeparturePath], Any]
+    ) -> Any:
         begin, parameters = self._clock.now().nanoseconds, self._parameters
-        plan = self._plan(trip, parameters)
-        number = self._status.departures + 1
-        source = route_entropy_source(parameters.seed, number)
-        route = depart(plan, np.random.default_rng(source))
-        spacing = _path_spacing(plan, parameters)
-        path = path_to_ros(
-            densify(route.points, spacing),
-            trip.start_pose.pose,
-            trip.goal_pose.pose,
-            self._header(trip),
-        )
-        published = [
-            self._outbox.publish('path', path),
-            self._change(lambda s: replace(s.without_problem('request'), departures=number)),
-        ]
-        if (recorder := self._recorder) is not None:
-            metadata = _metadata(parameters, service, number, source)
-            self._record(recorder, trip, begin, published, metadata)
-        return path
+        plan = self._plans.find(trip, parameters) or self._solve(trip, parameters)
+        with self._departing:
+            if plan is not self._status.plan:
+                self._show(plan, trip)
+            departure_id, number = str(uuid4()), self._status.departures + 1
+            source = route_entropy_source(parameters.seed, number)
+            route = depart(plan, np.random.default_rng(source))
+            path = departure_path(
+                route.points,
+                parameters.path_spacing or plan.spacing,
+                trip.start_pose.pose,
+                trip.goal_pose.pose,
+                self._header(trip),
+            )
+            published = self._outbox.publish('path', path.to_bytes())
+            report = self._change(lambda s: replace(
+                s.without_problem('request'), departures=number, departure_id=departure_id
+            ))
+            response = respond(departure_id, number, path)
+            if parameters.recording.enabled:
+                self._record(Departure(
+                    departure_id, number, call, response, trip, parameters, plan, source, route,
+                    begin, self._clock.now().nanoseconds, published,
+                    tuple(filter(None, (*self._markers, report))),
+                ))
+        return response
 
-    def _plan(self, trip: Trip, parameters: NodeParameters) -> Plan:
-        plan = self._plans.find(trip, parameters.planning)
-        if plan is None:
-            return self._make_plan(trip, parameters)
-        if plan is not self._status.plan:
-            self._show(plan, trip)
-        return plan
-
-    def _make_plan(self, trip: Trip, parameters: NodeParameters) -> Plan:
-        self._change(lambda s: replace(s, solving=True))
+    def _solve(self, trip: Trip, parameters: NodeParameters) -> Plan:
+        solve = self._plans.solve(trip, parameters)
+        self._change(lambda s: s)
         try:
-            plan = self._plans.make(trip, parameters.planning)
+            return solve()
         finally:
-            self._change(lambda s: replace(s, solving=False))
-        self._show(plan, trip)
-        return plan
+            self._change(lambda s: s)
 
     def _show(self, plan: Plan, trip: Trip) -> None:
         """Publish the markers of the plan that is in force from now on."""
         header, strategy = self._header(trip), plan.strategy
-        self._markers = [
+        self._markers = tuple(
             self._outbox.publish(topic, message)
             for topic, message in (
                 ('network', markers.network_lines(plan.network, header)),
@@ -172,82 +194,42 @@ class Session:
                 ('mean_direction', markers.mean_direction(strategy, header)),
                 ('ambush_sites', markers.ambush_sites(strategy, header)),
             )
-        ]
+        )
         self._change(lambda s: replace(s, plan=plan))
-
-    def _with_free_goal(self, trip: Trip, tolerance: float) -> Trip:
-        if tolerance == 0.0:
-            return trip
-        clearance = self._parameters.planning.network.clearance
-        xy = nearest_free_cell(trip.map.risk_map, trip.goal_xy, tolerance, clearance)
-        if xy == trip.goal_xy:
-            return trip
-        pose = deepcopy(trip.goal_pose)
-        pose.pose.position.x, pose.pose.position.y = xy
-        return replace(trip, goal_pose=pose, goal_xy=xy)
 
     def _header(self, trip: Trip) -> Header:
         return Header(frame_id=trip.map.frame, stamp=self._clock.now().to_msg())
 
-    def _record(
-        self,
-        recorder: Recorder,
-        trip: Trip,
-        begin: int,
-        published: list[RecordedMessage | None],
-        metadata: dict[str, str],
-    ) -> None:
-        """Record a departure; it has left already, so that nothing may fail it here."""
-        inputs = [
-            RecordedMessage(each.topic, each.message, each.qos, begin)
-            for each in (trip.map.received, trip.start, trip.goal)
-        ]
-        shown = [replace(each, stamp_ns=max(begin, each.stamp_ns)) for each in self._markers]
+    def _record(self, departure: Departure) -> None:
         try:
-            recorder.record_departure([*inputs, *shown, *filter(None, published)], metadata)
-        except Exception as error:
-            self._recording_failed(error)
-        else:
+            self._recordings.record(departure)
+        except RecordingFailed as error:
+            self._recorded(departure.parameters.recording, error)
+
+    def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
+        """Take note of how the recording of a departure went."""
+        if error is not None:
+            self._logger.error(f'recording: {for_the_log(error)}')
+        if options != self._parameters.recording:
+            return  # others hold by now
+        if error is None:
             self._change(lambda s: replace(s.without_problem('recording'), recording='on'))
-
-    def _recording_failed(self, error: Exception) -> None:
-        self._logger.error(f'recording: {error}')
-        self._change(lambda s: replace(s.with_problem('recording', error), recording='failed'))
-
-    def _recording_state(self) -> str:
-        return 'off' if self._recorder is None else 'on'
+        else:
+            self._change(
+                lambda s: replace(s.with_problem('recording', error), recording='failed')
+            )
 
     def _change(self, change: Callable[[Status], Status]) -> RecordedMessage | None:
         """Change the status, and publish it if it is another one then."""
         with self._status_lock:
-            before, self._status = self._status, change(self._status)
+            before = self._status
+            self._status = replace(change(before), solving=self._plans.solving)
             return self.report() if self._status != before else None
 
 
-def _recorder(parameters: NodeParameters) -> Recorder | None:
-    options = parameters.recording
-    return Recorder(Path(options.directory), options.compression) if options.enabled else None
+def _planned(_id: str, _number: int, path: DeparturePath) -> GetPlan.Response:
+    return GetPlan.Response(plan=path.to_message())
 
 
-def _path_spacing(plan: Plan, parameters: NodeParameters) -> float:
-    if parameters.path_spacing > 0.0:
-        return parameters.path_spacing
-    nodes = chosen_spacing(plan.risk_map, parameters.planning.network)
-    return max(plan.risk_map.resolution, nodes)
-
-
-def _metadata(
-    parameters: NodeParameters, service: str, departure: int, source: list[int]
-) -> dict[str, str]:
-    """What is needed to plan and draw the departure again; kept in the recording only."""
-    try:
-        planner_version = version('ambush_planner')
-    except PackageNotFoundError:
-        planner_version = 'not installed'
-    return {
-        'planner_version': planner_version,
-        'service': service,
-        'departure': str(departure),
-        'parameters': yaml.safe_dump(dict(parameters.values)),
-        'route_entropy_source': yaml.safe_dump(source, default_flow_style=True).strip(),
-    }
+def _recording_state(parameters: NodeParameters) -> str:
+    return 'on' if parameters.recording.enabled else 'off'
