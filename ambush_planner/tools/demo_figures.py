@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..core.planner import Plan
+from ..core.risk_map import RiskMap
 from .figures import (
     AMBUSHER,
     OBSTACLE,
@@ -33,20 +34,20 @@ DOTS_PER_INCH = 130
 ARROWS = 34
 
 
-def strategy_figure(plan: Plan, secured_radius: float = 0.0) -> Figure:
+def strategy_figure(risk_map: RiskMap, plan: Plan, secured_radius: float = 0.0) -> Figure:
     """Left: how likely each edge is driven. Right: which way the convoy tends. On both: ambushes.
 
     ``secured_radius`` [m] is the game's, which the plan does not hold.
     """
     figure, (left, right) = _two_panels()
     strategy, network = plan.strategy, plan.network
-    frame(left, plan.risk_map, "How likely the convoy drives where")
-    frame(right, plan.risk_map, "Which way it tends on average")
+    frame(left, risk_map, "How likely the convoy drives where")
+    frame(right, risk_map, "Which way it tends on average")
     edges = draw_edges(left, network, strategy.edge_probability)
     spacing = float(np.median(network.lengths))
-    draw_mean_direction(right, strategy, max(max(plan.risk_map.size) / ARROWS, spacing))
+    draw_mean_direction(right, strategy, max(max(risk_map.size) / ARROWS, spacing))
     for axes in (left, right):
-        risk = draw_risk_map(axes, plan.risk_map)
+        risk = draw_risk_map(axes, risk_map)
         draw_ambush_sites(axes, network, strategy.ambush_probability)
         _draw_ends(axes, plan, secured_radius)
     for axes, colours, label in (
@@ -60,6 +61,7 @@ def strategy_figure(plan: Plan, secured_radius: float = 0.0) -> Figure:
 
 
 def routes_figure(
+    risk_map: RiskMap,
     plan: Plan,
     routes: Sequence[FloatArray],
     fixed: Sequence[FixedRoute],
@@ -68,16 +70,16 @@ def routes_figure(
     """Left: the routes (K, 2) of departures. Right: routes of planners that leave no choice."""
     figure, (left, right) = _two_panels()
     loss = f"Whoever knows the strategy causes a mean loss of {plan.strategy.value:.2f} at most"
-    frame(left, plan.risk_map, f"{len(routes)} departures of the random convoy\n{loss}")
+    frame(left, risk_map, f"{len(routes)} departures of the random convoy\n{loss}")
     frame(
         right,
-        plan.risk_map,
+        risk_map,
         "The same route every day\nWhoever has seen it waits where it hurts most",
     )
     draw_routes(left, routes)
     lines = draw_fixed_routes(right, fixed)
     for axes in (left, right):
-        risk = draw_risk_map(axes, plan.risk_map)
+        risk = draw_risk_map(axes, risk_map)
         _draw_ends(axes, plan, secured_radius)
     figure.colorbar(
         risk,

@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from nav_msgs.msg import OccupancyGrid
 
 from ..core.construction import NetworkOptions
@@ -15,8 +17,9 @@ from ..core.errors import AmbushPlannerError
 from ..core.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 from ..core.game import GameOptions
 from ..core.planner import Plan, PlanningOptions, plan
-from ..core.risk_map import FloatArray, OccupancyOptions
+from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap
 from ..core.strategy import StrategyOptions
+from ..recording.durable import write_durably
 from ..ros.conversions import path_from_ros, risk_map_from_ros
 from .demo_client import DemoClient, NoAnswer
 from .demo_figures import routes_figure, strategy_figure
@@ -75,9 +78,10 @@ def run_demo(folder: Path, departures: int) -> None:
     if len(recordings) != departures:
         raise DemoFailed(f"{departures} departures left {len(recordings)} recordings in {folder}")
     progress.say("planning again here, for the pictures, and comparing with the node")
-    planned = _same_plan(grid, status)
+    risk_map = risk_map_from_ros(grid, OccupancyOptions())
+    planned = _same_plan(risk_map, status)
     progress.say("drawing strategy.png and routes.png")
-    _draw(planned, paths, folder)
+    _draw(risk_map, planned, paths, folder)
     progress.say("done")
     print(table(status, planned, paths, [*seconds, progress.seconds]))
     print(f"\n{folder}: strategy.png, routes.png, node.log and the recordings")
@@ -121,14 +125,14 @@ def _node_parameters(folder: Path) -> dict[str, object]:
     }
 
 
-def _same_plan(grid: OccupancyGrid, status: Mapping[str, str]) -> Plan:
-    """Plan from the same message with the same options: same inputs, same network and value."""
+def _same_plan(risk_map: RiskMap, status: Mapping[str, str]) -> Plan:
+    """Plan on the same map with the same options: same inputs, same network and value."""
     options = PlanningOptions(
         NetworkOptions(spacing=SPACING),
         GameOptions(secured_radius=SECURED_RADIUS),
         StrategyOptions(max_detour=MAX_DETOUR),
     )
-    planned = plan(risk_map_from_ros(grid, OccupancyOptions()), START, GOAL, options)
+    planned = plan(risk_map, START, GOAL, options)
     for name in ("value", "edge_entropy", "route_entropy", "expected_length"):
         theirs, ours = float(status[name]), float(getattr(planned.strategy, name))
         if abs(theirs - ours) > SAME_VALUE * abs(ours):
@@ -136,11 +140,20 @@ def _same_plan(grid: OccupancyGrid, status: Mapping[str, str]) -> Plan:
     return planned
 
 
-def _draw(planned: Plan, paths: Sequence[FloatArray], folder: Path) -> None:
-    strategy_figure(planned, SECURED_RADIUS).savefig(folder / "strategy.png")
+def _draw(
+    risk_map: RiskMap, planned: Plan, paths: Sequence[FloatArray], folder: Path
+) -> None:
+    _save(strategy_figure(risk_map, planned, SECURED_RADIUS), folder / "strategy.png")
     routes = [path[:, :2] for path in paths]
-    figure = routes_figure(planned, routes, fixed_routes(planned), SECURED_RADIUS)
-    figure.savefig(folder / "routes.png")
+    figure = routes_figure(risk_map, planned, routes, fixed_routes(planned), SECURED_RADIUS)
+    _save(figure, folder / "routes.png")
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write a picture (mode 0600): it shows secret routes."""
+    stream = BytesIO()
+    figure.savefig(stream, format="png")
+    write_durably(path, stream.getvalue())
 
 
 def fixed_routes(planned: Plan) -> list[FixedRoute]:

@@ -15,10 +15,10 @@ from pathlib import Path
 from types import TracebackType
 
 # Fast DDS finds others in domain d on UDP port 7400 + 250 d. Above domain 101 these ports are ones
-# that Linux gives to anybody.
+# that Linux gives to anybody; those up to 50 are left to people and tests.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
 FIRST_UNICAST, PARTICIPANTS = 10, 8
-DOMAINS = range(1, 102)
+DOMAINS = range(51, 102)
 # The node promises to end within 2 s.
 STOP_TIMEOUT = 10.0
 LOG_LINES = 12
@@ -107,6 +107,11 @@ class NodeProcess:
         code = self._stop()
         if error is None and code != 0:
             raise NodeFailed(f"the node ended with exit code {code} on SIGINT{self._last_words()}")
+
+    @property
+    def pid(self) -> int:
+        """The node's process id."""
+        return self._process.pid
 
     def check(self) -> None:
         """Raise NodeFailed if the node has ended."""

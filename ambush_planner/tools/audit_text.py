@@ -1,0 +1,179 @@
+"""The audit in words and tables. Node indices and positions stand in the CSV only."""
+
+from __future__ import annotations
+
+import csv
+import math
+from datetime import datetime, timezone
+from io import StringIO
+
+import numpy as np
+
+from ..core.audit import Audit
+from ..core.audit_learning import LEARNT
+from ..core.strategy import Strategy
+from ..review.departures import Campaign
+
+CHECKS = {
+    "frequency": "each stretch is driven as often as published",
+    "surprise": "routes are as likely as they should be",
+    "order": "no rhythm from one departure to another",
+    "repeats": "pairs of departures on the very same route",
+}
+# Below this chance or over this number, words say more than digits.
+NEVER, UNTOLD = 1e-12, 1e12
+
+
+def title(campaign: Campaign) -> str:
+    """Name a strategy, its departures and when they were."""
+    return f"strategy {campaign.sha256[:8]}: {how_many(campaign)}, {span(campaign)}"
+
+
+def how_many(campaign: Campaign) -> str:
+    """Return the number of departures, as text."""
+    count = len(campaign.departures)
+    return f"{count} departure{'s' * (count != 1)}"
+
+
+def span(campaign: Campaign) -> str:
+    """Return from when to when the departures were."""
+    ends = (when(campaign.departures[k].stamp_ns) for k in (0, -1))
+    return " to ".join(dict.fromkeys(ends))
+
+
+def when(stamp_ns: int) -> str:
+    """Return a time as date and minute, UTC."""
+    moment = datetime.fromtimestamp(stamp_ns // 1_000_000_000, tz=timezone.utc)
+    return moment.strftime("%Y-%m-%d %H:%M UTC")
+
+
+def table(audit: Audit) -> str:
+    """One row a check: the statistic, what chance makes of it, and the chance of as much."""
+    rows = [("check", "recorded", "by chance", "p-value", "")]
+    rows.append(("nothing that the strategy cannot draw", str(audit.impossible), "0", "-",
+                 _mark(audit.impossible > 0)))
+    for name, verdict in audit.tests.items():
+        rows.append((CHECKS[name], f"{verdict.observed:.4g}", f"{verdict.expected:.4g}",
+                     f"{verdict.p_value:.5f}", _mark(verdict.finding)))
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    lines = [
+        f"{row[0]:<{widths[0]}}"
+        + "".join(f"  {cell:>{width}}" for cell, width in zip(row[1:4], widths[1:], strict=True))
+        + f"  {row[4]}"
+        for row in rows
+    ]
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def findings(audit: Audit, strategy: Strategy) -> list[str]:
+    """Say what was found and what it means, or that nothing was."""
+    rate = f"{100.0 * audit.false_alarm_rate:g} %"
+    if audit.blind and not audit.findings:
+        return [
+            f"UNTESTED: {audit.resamples + 1:,} resamples are too few to hold a rate of {rate}; "
+            "only what cannot be drawn at all would have been found. Audit fewer strategies at a "
+            "time, or raise --false-alarm-rate."
+        ]
+    if not audit.findings:
+        return [
+            "Nothing suspicious. Departures drawn as published raise an alarm in at most "
+            f"{rate} of audits. Few departures show gross deviations only."
+        ]
+    said = {
+        "impossible": "Steps and ends of routes that cannot have been drawn: "
+        f"{audit.impossible}. Something else was driven than was planned, or the files do not "
+        "belong together.",
+        "frequency": "Some stretches are driven far more often, others less often, than the "
+        "published probabilities say. The picture shows which.",
+        "surprise": f"The routes are on the whole {_likelier(audit, strategy)} than routes drawn "
+        "as published: the draw does not weigh the choices as it should.",
+        "order": _rhythm(audit),
+        "repeats": f"Only {audit.different} of {audit.departures} routes are different, where "
+        f"{audit.tests['repeats'].expected:.3g} identical pairs are expected by chance: routes "
+        "are used again, or the source of randomness repeats itself.",
+    }
+    return [f"FINDING ({name}): {said[name]}" for name in audit.findings] + [
+        f"Departures drawn as published raise an alarm in at most {rate} of audits."
+    ]
+
+
+def learning_lines(audit: Audit, strategy: Strategy) -> list[str]:
+    """Say what an observer of these departures has learnt."""
+    learning, n = audit.learning, audit.departures
+    lines = [
+        "To guess the next route is as hard as among "
+        f"{plain(learning.effective_routes)} equally likely ones; the chance that it is one "
+        f"of the {audit.different} that were driven is {_chance(learning.seen_probability)}. "
+        "Two identical routes are to be expected among "
+        f"{plain(learning.departures_to_repeat)} departures."
+    ]
+    share = f"{100.0 * LEARNT:.0f} %"
+    known = (
+        f"An ambusher who knows the strategy causes a mean loss of {learning.value:.4g} a "
+        "departure, and nobody causes more. One who has only watched, and then waits where it "
+        "would have cost most so far, "
+    )
+    if learning.departures_to_learn is None:
+        lines.append(f"{known}had not come to {share} of that for good after all {n} departures.")
+    else:
+        lines.append(
+            f"{known}causes at least {share} of that from {learning.departures_to_learn} watched "
+            "departures on."
+        )
+    lines.append(
+        f"Watching and waiting at once, he would have met {learning.ambushes} of the {n - 1} "
+        f"departures after the first, a mean loss of {learning.ambusher_loss:.3g}. Had one of "
+        f"their routes been driven every time, he would have met all, a mean loss of "
+        f"{learning.fixed_loss:.3g}."
+    )
+    return lines
+
+
+def passages_csv(audit: Audit, strategy: Strategy) -> str:
+    """Every edge that is published or was driven, with both frequencies. A secret."""
+    network, p = strategy.network, strategy.edge_probability
+    stream = StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(("tail", "head", "tail_x", "tail_y", "head_x", "head_y", "probability",
+                     "expected_passages", "passages"))
+    for k in np.flatnonzero((p > 0.0) | (audit.passages > 0)).tolist():
+        tail, head = network.edges[k].tolist()
+        places = [f"{number:.3f}" for node in (tail, head) for number in network.points[node]]
+        writer.writerow((tail, head, *places, f"{p[k]:.9g}", f"{audit.departures * p[k]:.6g}",
+                         int(audit.passages[k])))
+    return stream.getvalue()
+
+
+def plain(number: float) -> str:
+    """Return a number of things as people read it; huge ones as a power of ten."""
+    if number >= UNTOLD:
+        return f"10^{math.floor(math.log10(number))}" if math.isfinite(number) else "countless"
+    return f"{number:,.0f}" if number >= 100.0 else f"{number:.3g}"
+
+
+def _chance(chance: float) -> str:
+    if chance <= NEVER:
+        return "practically none"
+    return f"{100.0 * chance:.2g} %"
+
+
+def _mark(finding: bool) -> str:
+    return "FINDING" if finding else "ok"
+
+
+def _likelier(audit: Audit, strategy: Strategy) -> str:
+    return "too likely" if audit.mean_surprise < strategy.route_entropy else "too unlikely"
+
+
+def _rhythm(audit: Audit) -> str:
+    order, n = audit.order, audit.departures
+    lags = np.arange(1, len(order.by_lag) + 1)
+    deviation = (order.by_lag - order.mean) * np.sqrt(n - lags)
+    worst = int(np.argmax(np.abs(deviation)))
+    alike = "more" if deviation[worst] > 0.0 else "less"
+    apart = "that follow each other" if worst == 0 else f"{worst + 1} apart"
+    return (
+        f"Departures {apart} share {100.0 * order.by_lag[worst]:.0f} % of their ground, "
+        f"{alike} than the {100.0 * order.mean:.0f} % of any two: who watches can tell what comes "
+        "next."
+    )

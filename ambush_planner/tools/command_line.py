@@ -1,0 +1,27 @@
+"""What the commands that read recordings have in common: how they end."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+
+from ..core.errors import AmbushPlannerError
+
+
+def exit_code(command: str, extras: str, action: Callable[[], bool]) -> int:
+    """Run ``action``; 0 if it returns True, else 1, with the reason on standard error.
+
+    ``extras`` are what to install where a package is missing: ``action`` imports what it needs
+    itself, so that ``--help`` needs nothing.
+    """
+    try:
+        return 0 if action() else 1
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition(".")[0]
+        reason = f"{package} is not installed; try: pip install 'ambush_planner[{extras}]'"
+    except (AmbushPlannerError, OSError) as error:
+        reason = str(error)
+    except KeyboardInterrupt:
+        reason = "interrupted"
+    print(f"{command}: {reason}", file=sys.stderr)
+    return 1
