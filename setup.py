@@ -10,6 +10,7 @@ package_name = 'ambush_planner'
 data_files = [
     ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
     (f'share/{package_name}', ['package.xml']),
+    (f'share/{package_name}/config', sorted(glob('config/*'))),
     (f'share/{package_name}/msg_examples', sorted(glob('msg_examples/*.yaml'))),
 ]
 # `ros2 run` looks for executables in lib/<package>. colcon puts them there (setup.cfg), pip puts
@@ -36,6 +37,9 @@ setup(
         'PyYAML>=6.0',
         'mcap>=1.1.1',
         'mcap-ros2-support>=0.5.3',
+        # What mcap compresses with; recover reads files that mcap's own reader gives up on.
+        'lz4>=4.0',
+        'zstandard>=0.19',
     ],
     extras_require={
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
@@ -45,6 +49,7 @@ setup(
         'test': [
             'pytest>=7.4',
             'pytest-timeout',
+            'pytest-xdist',
             'hypothesis',
             'networkx',
             'highspy',
@@ -57,8 +62,13 @@ setup(
     entry_points={
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.planner_node:main',
+            'ambush_audit = ambush_planner.tools.audit:main',
             'ambush_demo = ambush_planner.tools.demo:main',
             'ambush_paper = ambush_planner.tools.paper:main',
+            'ambush_recover = ambush_planner.tools.recover:main',
+            'ambush_replay = ambush_planner.tools.replay:main',
+            'ambush_report = ambush_planner.tools.report:main',
+            'ambush_verify = ambush_planner.tools.verify:main',
         ],
     },
 )
