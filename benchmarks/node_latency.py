@@ -1,0 +1,122 @@
+"""How soon the node answers: beside a long solve, to a large map, and with a route.
+
+The node is a process of its own (but for the map's callback, which is called directly); times are
+the caller's, from the request to the answer read, in milliseconds. Exit code 1 if a target is
+missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from node_rig import FAILURES, percentiles, say
+from node_timings import Beside, Departures, beside_a_solve, departures, large_maps
+from report import RESULTS, conditions, table, write_block
+
+PERIOD = 0.05  # s
+MAPS, CELLS = 20, 2000
+# Targets [ms]: 99th percentile beside a solve; a map's callback; median and 99th percentile of a
+# departure's answer; median of a path's arrival.
+BESIDE, MAP, ANSWER, ANSWER_SELDOM, PATH = 50.0, 50.0, 6.0, 25.0, 25.0
+
+
+def spread(samples: Sequence[float]) -> str:
+    """Median / 99th percentile / largest."""
+    return " / ".join(f"{value:.3g}" for value in percentiles(samples))
+
+
+def verdict(*met: bool) -> str:
+    """A cell."""
+    return "yes" if all(met) else "**no**"
+
+
+def beside_results(beside: Beside) -> tuple[str, bool]:
+    """The node's answers during a solve, and whether the target is met."""
+    met = {name: percentiles(times)[1] < BESIDE for name, times in beside.during.items()}
+    rows = [
+        [name, f"**{percentiles(times)[1] / percentiles(beside.idle[name])[1]:.2f}x**",
+         spread(times), spread(beside.idle[name]), verdict(met[name])]
+        for name, times in beside.during.items()
+    ]
+    head = ("median / 99 % / largest [ms]", "99 %, during : idle", "during the solve", "idle",
+            f"99 % < {BESIDE:g} ms")
+    count = len(next(iter(beside.during.values())))
+    text = (
+        "### Beside a solve of minutes (simplex, 40 000 nodes)\n\n"
+        f"{count} questions of each kind in turns, one every {1e3 * PERIOD:g} ms, in the first "
+        f"{beside.seconds:.0f} s of the solve. `cancel` ended it in {beside.cancel:.3g} ms.\n\n"
+        f"{table(head, rows)}"
+    )
+    return text, all(met.values())
+
+
+def map_results(times: Sequence[float]) -> tuple[str, bool]:
+    """The map's callback, and whether the target is met."""
+    met = max(times) < MAP
+    text = (
+        f"### A map of {CELLS} x {CELLS} cells\n\nCallback, reading the message included: median "
+        f"{statistics.median(times):.3g} ms, largest {max(times):.3g} ms of {len(times)} "
+        f"different maps. Target < {MAP:g} ms for each: {verdict(met)}."
+    )
+    return text, met
+
+
+def departure_results(found: Sequence[Departures], calls: int) -> tuple[str, bool]:
+    """Times of departures, and whether the targets are met."""
+    rows, every = [], []
+    for each in found:
+        pace = f"every {1e3 * each.period:g} ms" if each.period else "back to back"
+        for name, times in each.times.items():
+            median, seldom, _ = percentiles(times)
+            is_path = "path" in name.split(",")[0]
+            met = median < PATH if is_path else median < ANSWER and seldom < ANSWER_SELDOM
+            every.append(met)
+            target = f"< {PATH:g}" if is_path else f"< {ANSWER:g} / {ANSWER_SELDOM:g}"
+            rows.append([name, "on" if each.recording else "off", pace, spread(times), target,
+                         verdict(met)])
+    poses = statistics.median(sum((each.poses for each in found), []))
+    head = ("departure", "recording", "calls", "median / 99 % / largest [ms]", "target", "met")
+    text = (
+        f"### A departure on a known strategy (10 000 nodes)\n\n{calls} calls a row; paths of "
+        f"{poses:.0f} poses (median).\n\n{table(head, rows)}"
+    )
+    return text, all(every)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument(
+        "--samples", type=int, default=300, metavar="N", help="questions of each kind and state"
+    )
+    parser.add_argument("--calls", type=int, default=500, metavar="N", help="departures a row")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="file whose block `node_latency` is replaced"
+    )
+    options = parser.parse_args()
+    try:
+        found = [
+            each for recording in (True, False)
+            for each in departures(options.calls, recording, (PERIOD, 0.0))
+        ]
+        parts = (
+            beside_results(beside_a_solve(options.samples, PERIOD)),
+            map_results(large_maps(MAPS, CELLS)),
+            departure_results(found, options.calls),
+        )
+    except FAILURES as error:
+        say(f"node_latency: {error}")
+        return 2
+    text = "\n\n".join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
+    print(text)
+    write_block(options.results, "node_latency", text)
+    return int(not all(met for _, met in parts))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

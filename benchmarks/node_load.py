@@ -1,0 +1,172 @@
+"""A thousand service calls at once, from four processes, and how many are answered.
+
+None of the clients waits for an answer before its next call. A client of rclpy's default quality
+of service keeps 10 messages: what comes faster than it reads is lost on its own side. So the
+target, every call answered, is held against clients that keep 1000. Exit code 1 if it is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from multiprocessing.synchronize import Barrier
+from pathlib import Path
+from typing import Any
+
+from nav_msgs.srv import GetPlan
+from node_rig import (
+    FAILURES,
+    TIMEOUT,
+    Caller,
+    NodeSilent,
+    Rig,
+    children,
+    field,
+    pose,
+    resident,
+    running_node,
+    say,
+    scratch,
+)
+from rclpy.task import Future
+from report import RESULTS, conditions, table, write_block
+from std_srvs.srv import Trigger
+
+CLIENTS = 4
+DEPTHS = (10, 1000)
+# Without an answer for so long [s] the rest is missing.
+STALL = 60.0  # s; others may be answered first
+CELLS, RESOLUTION = 60, 0.5
+START, GOAL = pose(2.0, 15.0), pose(28.0, 15.0)
+
+
+@dataclass(frozen=True)
+class Round:
+    """All calls of one kind: how many were made, answered, and answered well, and when all was."""
+
+    what: str
+    depth: int
+    calls: int
+    answered: int
+    good: int
+    seconds: float
+    memory: float
+
+
+def ask(
+    domain: int, service: str, depth: int, calls: int, together: Barrier, answers: Any
+) -> None:
+    """What a client's process does."""
+    request: Any = Trigger.Request()
+    if service == "get_plan":
+        request = GetPlan.Request(start=START, goal=GOAL)
+    with Caller(domain, lambda: None) as caller:
+        kind = GetPlan if service == "get_plan" else Trigger
+        client = caller.client(kind, service, depth)
+        together.wait(TIMEOUT)
+        begin = time.monotonic()
+        futures = [client.call_async(request) for _ in range(calls)]
+        last = gather(caller, futures)
+    done = [future.result() for future in futures if future.done()]
+    good = sum(bool(each.plan.poses if kind is GetPlan else each.success) for each in done)
+    answers.put((len(done), good, last - begin))
+
+
+def gather(caller: Caller, futures: Sequence[Future]) -> float:
+    """Take answers until there are all or no more come; when the last one came."""
+    count, last = 0, time.monotonic()
+    while count < len(futures) and time.monotonic() - last < STALL:
+        caller.idle_until(time.monotonic() + 0.02)
+        done = sum(future.done() for future in futures)
+        if done > count:
+            count, last = done, time.monotonic()
+    return last
+
+
+def run_round(rig: Rig, what: str, service: str, depth: int, calls: int) -> Round:
+    """Start the clients, let them call at the same time, add up what they got."""
+    say(f"{what}, clients of depth {depth}")
+    # No fork: it would copy the middleware's state without its threads.
+    spawn = multiprocessing.get_context("spawn")
+    together, answers = spawn.Barrier(CLIENTS), spawn.Queue()
+    share = calls // CLIENTS
+    arguments = (rig.domain, service, depth, share, together, answers)
+    processes = [spawn.Process(target=ask, args=arguments) for _ in range(CLIENTS)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join()
+    if any(process.exitcode for process in processes):
+        raise NodeSilent("a client ended early")
+    found = [answers.get(timeout=TIMEOUT) for _ in processes]
+    answered, good = (sum(each[k] for each in found) for k in (0, 1))
+    rig.process.check()
+    seconds, memory = max(each[2] for each in found), resident(rig.process.pid)
+    return Round(what, depth, share * CLIENTS, answered, good, seconds, memory)
+
+
+def load(rig: Rig, calls: int) -> list[Round]:
+    """All rounds; the first calls of all find no strategy and share one solve."""
+    with Caller(rig.domain, rig.process.check) as caller:
+        caller.give(field(CELLS, RESOLUTION), START, GOAL)
+        deep = max(DEPTHS)
+        rounds = [run_round(rig, "`new_route`, nothing solved yet", "new_route", deep, calls)]
+        for service in ("new_route", "get_plan"):
+            for depth in DEPTHS:
+                what = f"`{service}`, strategy known"
+                rounds.append(run_round(rig, what, service, depth, calls))
+        caller.ask_parameter()
+        caller.new_route()
+    return rounds
+
+
+def results(rounds: Sequence[Round], memory: float, processes: int) -> tuple[str, bool]:
+    """A row a round, and whether the target is met."""
+    rows = [
+        [each.what, str(each.depth), f"**{each.answered / each.calls:.1%}**",
+         str(each.calls - each.answered), str(each.answered - each.good), f"{each.seconds:.2f}",
+         f"{each.memory:.1f}"]
+        for each in rounds
+    ]
+    head = ("calls", "clients keep", "answered", "missing", "refused", "seconds", "node [MB]")
+    met = all(each.good == each.calls for each in rounds if each.depth == max(DEPTHS))
+    text = (
+        f"{rounds[0].calls} calls a row at once, {CLIENTS} client processes; recording on. "
+        f"{conditions('ros-jazzy-rclpy')}.\n\n{table(head, rows)}\n\nAfterwards the node answers "
+        f"and departs, with {processes} worker process; it had {memory:.1f} MB before. Target: "
+        f"every call answered with a route; {'met' if met else '**missed**'}."
+    )
+    return text, met
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--calls", type=int, default=1000, metavar="N", help="calls a row")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="file whose block `node_load` is replaced"
+    )
+    options = parser.parse_args()
+    try:
+        with scratch() as folder, running_node(folder, {"network.spacing": 1.0}) as rig:
+            with Caller(rig.domain, rig.process.check) as caller:
+                caller.ask_parameter()
+            memory = resident(rig.process.pid)
+            rounds = load(rig, options.calls)
+            processes = len(children(rig.process.pid))
+    except FAILURES as error:
+        say(f"node_load: {error}")
+        return 2
+    text, met = results(rounds, memory, processes)
+    print(text)
+    write_block(options.results, "node_load", text)
+    return int(not met)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
