@@ -4,7 +4,6 @@ import fcntl
 import os
 import tempfile
 import threading
-import time
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -23,13 +22,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
+from waiting import TIMEOUT, wait_until
 
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
-from ambush_planner.ros.planner_node import PlannerNode
+from ambush_planner.ros.outbox import REQUESTS
+from ambush_planner.ros.planner_node import THREADS, PlannerNode
 
 os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
-TIMEOUT = 20.0  # s; discovery alone may take 3
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network')
@@ -40,8 +40,8 @@ SMALL = {'network.spacing': 1.0}
 @contextmanager
 def free_domain():
     """A domain id that no other test on this machine uses at the same time."""
-    # Ids over 101 need ports that the operating system also gives to others.
-    for domain in range(1, 102):
+    # Those over 50 are the demo's and the benchmarks' (tools/node_process.py).
+    for domain in range(1, 51):
         path = Path(tempfile.gettempdir(), f'ambush_planner_test_domain_{domain}.lock')
         with path.open('w') as file:
             try:
@@ -50,7 +50,7 @@ def free_domain():
                 continue
             yield domain
             return
-    raise RuntimeError('all domain ids from 1 to 101 are taken')
+    raise RuntimeError('all domain ids from 1 to 50 are taken')
 
 
 @contextmanager
@@ -90,21 +90,12 @@ def ros_context(domain):
         rclpy.try_shutdown(context=context)
 
 
-def wait_until(condition, what, timeout=TIMEOUT):
-    """Return the first true value of ``condition()``."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        if value := condition():
-            return value
-        time.sleep(0.002)
-    raise AssertionError(f'not within {timeout} s: {what}')
-
-
 class Client:
     """Publishes inputs, calls services and keeps all that the planner publishes."""
 
     def __init__(self, node, planner='ambush_planner'):
         self.node = node
+        self.name = planner.lstrip('/')
         self.received = {}
         self._publishers = {}
         self._keep(PathMessage, 'path', LATCHED)
@@ -112,19 +103,21 @@ class Client:
         for topic in MARKER_TOPICS:
             self._keep(MarkerArray, topic, LATCHED)
         self._services = {
-            name: node.create_client(kind, f'{planner}/{name}')
-            for name, kind in (('new_route', Trigger), ('replan', Trigger), ('get_plan', GetPlan))
+            name: node.create_client(kind, f'{planner}/{name}', qos_profile=REQUESTS)
+            for name, kind in (('new_route', Trigger), ('replan', Trigger), ('cancel', Trigger),
+                               ('get_plan', GetPlan))
         }
 
     def _keep(self, kind, topic, qos):
         self.received[topic] = []
         self.node.create_subscription(kind, topic, self.received[topic].append, qos)
 
-    def publish(self, topic, message):
-        """Publish once the planner listens; maps are latched."""
+    def publish(self, topic, message, kind=None):
+        """Publish once the planner listens; maps are latched. Bytes need their ``kind``."""
+        kind = kind or type(message)
         if topic not in self._publishers:
-            qos = LATCHED if isinstance(message, OccupancyGrid) else 1
-            self._publishers[topic] = self.node.create_publisher(type(message), topic, qos)
+            qos = LATCHED if kind is OccupancyGrid else 1
+            self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
         publisher = self._publishers[topic]
         wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
         publisher.publish(message)
@@ -167,9 +160,11 @@ class Client:
         found = {}
 
         def matches():
-            if self.received['/diagnostics']:
-                status = self.received['/diagnostics'][-1].status[0]
-                found.update({v.key: v.value for v in status.values}, level=status.level)
+            for report in reversed(self.received['/diagnostics']):
+                if report.status[0].name == self.name:
+                    values = {v.key: v.value for v in report.status[0].values}
+                    found.update(values, level=report.status[0].level)
+                    break
             return found and all(found[key] == value for key, value in wanted.items())
 
         try:
@@ -197,17 +192,24 @@ class Stage:
 @contextmanager
 def stage(directory=None, parameters=None, **planner_arguments):
     """A running planner (recording to ``directory``, if given) and its client."""
+    with free_domain() as domain, stage_in(
+            domain, directory, parameters, **planner_arguments) as running:
+        yield running
+
+
+@contextmanager
+def stage_in(domain, directory=None, parameters=None, **planner_arguments):
+    """The same in a domain where others may be."""
     values = {**SMALL, 'recording.enabled': directory is not None, **(parameters or {})}
     if directory is not None:
         values['recording.directory'] = str(directory)
     overrides = [Parameter(name, value=value) for name, value in values.items()]
-    with ExitStack() as stack:
-        domain = stack.enter_context(free_domain())
-        own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
+    with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )
-        stack.enter_context(spinning(planner, MultiThreadedExecutor(4, context=own)))
+        executor = MultiThreadedExecutor(THREADS, context=own)
+        stack.enter_context(spinning(planner, executor))
         node = Node('client', context=other, namespace=planner.get_namespace())
         client = Client(node, planner.get_fully_qualified_name())
         stack.enter_context(spinning(node, SingleThreadedExecutor(context=other)))

@@ -107,8 +107,8 @@ def test_routes_differ(recordings):
     assert count_different([positions(recording) for recording in recordings]) >= DEPARTURES - 1
 
 
-def test_recordings_are_private(done):
-    for file in done[0].rglob("*.mcap"):
+def test_recordings_and_pictures_are_private(done):
+    for file in (*done[0].rglob("*.mcap"), *done[0].glob("*.png")):
         assert file.stat().st_mode & 0o777 == 0o600
 
 

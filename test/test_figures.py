@@ -19,13 +19,17 @@ from ambush_planner.tools.figures import FixedRoute
 
 
 @pytest.fixture(scope="module")
-def small_plan():
+def small_map():
     row, column = np.mgrid[:20, :24]
     alpha = 1.0 + 0.2 * row + 0.1 * column
     obstacles = (abs(row - 10) < 3) & (abs(column - 12) < 3)
-    risk_map = RiskMap(alpha, obstacles, 5.0)
+    return RiskMap(alpha, obstacles, 5.0)
+
+
+@pytest.fixture(scope="module")
+def small_plan(small_map):
     options = PlanningOptions(NetworkOptions(spacing=10.0))
-    return plan(risk_map, (12.0, 52.0), (108.0, 48.0), options)
+    return plan(small_map, (12.0, 52.0), (108.0, 48.0), options)
 
 
 @pytest.fixture
@@ -124,13 +128,13 @@ def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
 
 
 @pytest.mark.parametrize("secured", [0.0, 15.0])
-def test_both_figures_are_drawn(tmp_path, small_plan, secured):
+def test_both_figures_are_drawn(tmp_path, small_map, small_plan, secured):
     rng = np.random.default_rng(3)
     routes = [depart(small_plan, rng).points for _ in range(8)]
     fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(("a", "b"))]
     for name, figure in (
-        ("strategy.png", strategy_figure(small_plan, secured)),
-        ("routes.png", routes_figure(small_plan, routes, fixed, secured)),
+        ("strategy.png", strategy_figure(small_map, small_plan, secured)),
+        ("routes.png", routes_figure(small_map, small_plan, routes, fixed, secured)),
     ):
         figure.savefig(tmp_path / name)
         height, width, _ = imread(tmp_path / name).shape

@@ -3,66 +3,129 @@
 import math
 
 import pytest
-from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid
-from nav_msgs.srv import GetPlan
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from ros_harness import stage, wait_until
-from ros_yaml import EXAMPLES, command_of, message_from_yaml
-from std_srvs.srv import Trigger
+from ros_yaml import EXAMPLES, command_of, example
 
 from ambush_planner.ros.conversions import pose_from_ros
 
-KINDS = {
-    'nav_msgs/msg/OccupancyGrid': OccupancyGrid,
-    'geometry_msgs/msg/PoseStamped': PoseStamped,
-    'std_srvs/srv/Trigger': Trigger.Request,
-    'nav_msgs/srv/GetPlan': GetPlan.Request,
-}
-MESSAGES = ('alpha_map', 'start_pose', 'goal_pose')
-REQUESTS = ('new_route', 'get_plan')
+FILES = {path.stem: path for path in EXAMPLES.iterdir()}
+COMMANDS = {name: command_of(path) for name, path in FILES.items()}
+MESSAGES = [name for name, command in COMMANDS.items() if command.verb == 'topic pub']
+REQUESTS = [name for name, command in COMMANDS.items() if command.verb == 'service call']
+# What other packages give to each node: parameters, clock, transforms.
+FOREIGN = ('rcl_interfaces/', 'rosgraph_msgs/', 'tf2_msgs/', 'type_description_interfaces/')
 
 
-def example(name):
-    """The message in an example, of the type that its command line names."""
-    path = EXAMPLES / f'{name}.yaml'
-    (kind,) = [KINDS[word] for word in command_of(path) if word in KINDS]
-    return message_from_yaml(kind, path)
+class Sender:
+    """Sends examples the way their command lines do."""
+
+    def __init__(self, running):
+        self.client, self.planner = running.client, running.planner
+        self._publishers, self._clients = {}, {}
+
+    def publish(self, name):
+        """Publish an example and return it."""
+        command, message = COMMANDS[name], example(FILES[name])
+        if name not in self._publishers:
+            self._publishers[name] = self.client.node.create_publisher(
+                command.type, command.name, command.qos)
+        publisher = self._publishers[name]
+        wait_until(publisher.get_subscription_count, f'a subscription of {command.name}')
+        publisher.publish(message)
+        return message
+
+    def call(self, name, request=None):
+        """Call a service with an example, or with another request, and return the answer."""
+        command = COMMANDS[name]
+        if name not in self._clients:
+            self._clients[name] = self.client.node.create_client(command.type, command.name)
+        client = self._clients[name]
+        wait_until(client.service_is_ready, command.name)
+        future = client.call_async(request or example(FILES[name]))
+        wait_until(future.done, f'an answer of {command.name}')
+        return future.result()
+
+    def path_from(self, start):
+        """Depart until the path begins at ``start``: messages may still be on their way."""
+        def wanted():
+            assert self.call('new_route').success
+            path = self.client.received['path']
+            return path and path[-1].poses[0].pose.position == start.position and path[-1]
+
+        return wait_until(wanted, 'a path from the start of the example')
+
+    def interface(self):
+        """The names of the planner's own subscriptions and services, with their types."""
+        who = self.planner.get_name(), self.planner.get_namespace()
+        found = [
+            *self.planner.get_subscriber_names_and_types_by_node(*who),
+            *self.planner.get_service_names_and_types_by_node(*who),
+        ]
+        return {name: kind for name, (kind,) in found if not kind.startswith(FOREIGN)}
 
 
 @pytest.fixture(scope='module')
-def given():
+def sender():
     with stage(parameters={'network.spacing': 0.0}) as running:
-        for name in MESSAGES:
-            running.client.publish(name, example(name))
+        sender = Sender(running)
+        for name in ('alpha_map', 'start_pose', 'goal_pose'):
+            sender.publish(name)
         running.client.diagnostics(state='ready')
-        yield running.client
+        yield sender
 
 
-def test_every_file_is_used():
-    assert {path.stem for path in EXAMPLES.iterdir()} == {*MESSAGES, *REQUESTS}
+def test_every_subscription_and_service_has_an_example(sender):
+    assert {command.name: command.type_name for command in COMMANDS.values()} == sender.interface()
 
 
-@pytest.mark.parametrize('name', [*MESSAGES, *REQUESTS])
-def test_command_line_names_the_topic_and_the_file(name):
-    words = command_of(EXAMPLES / f'{name}.yaml')
-    assert words[-3:] == ['--stdin', '<', f'{name}.yaml']
-    assert (f'/{name}' if name in MESSAGES else f'/ambush_planner/{name}') in words
-    assert ('transient_local' in words) == (name == 'alpha_map')
+@pytest.mark.parametrize('name', sorted(FILES))
+def test_the_command_line_names_the_file(name):
+    assert FILES[name].name == f'{name}.yaml' == COMMANDS[name].file
+    assert COMMANDS[name].name in (f'/{name}', f'/ambush_planner/{name}')
 
 
-def test_new_route(given):
-    assert given.call('new_route', example('new_route')).success
-    path = given.last('path')
+@pytest.mark.parametrize('name', MESSAGES)
+def test_the_command_lines_qos_reaches_the_node(sender, name):
+    (info,) = sender.planner.get_subscriptions_info_by_topic(COMMANDS[name].name)
+    demanded = QoSProfile(
+        depth=1, reliability=info.qos_profile.reliability, durability=info.qos_profile.durability)
+    verdict, reason = qos_check_compatible(COMMANDS[name].qos, demanded)
+    assert verdict != QoSCompatibility.ERROR, reason
+    assert '--once' in COMMANDS[name].flags
+
+
+@pytest.mark.parametrize('name', REQUESTS)
+def test_every_request_is_answered(sender, name):
+    assert sender.call(name) is not None
+
+
+@pytest.mark.parametrize('start', ['start_pose', 'initialpose'])
+def test_new_route(sender, start):
+    sender.publish('goal_pose')
+    pose = sender.publish(start).pose
+    path = sender.path_from(getattr(pose, 'pose', pose))
     assert path.header.frame_id == 'map'
-    assert path.poses[0].pose.position == example('start_pose').pose.position
-    assert path.poses[-1].pose == example('goal_pose').pose
+    assert path.poses[-1].pose == example(FILES['goal_pose']).pose
 
 
-def test_get_plan_moves_the_goal_out_of_the_block(given):
-    request = example('get_plan')
-    path = given.call('get_plan', request).plan
+def test_get_plan_moves_the_goal_out_of_the_block(sender):
+    request = example(FILES['get_plan'])
+    path = sender.call('get_plan', request).plan
     wanted, got = (pose_from_ros(stamped.pose) for stamped in (request.goal, path.poses[-1]))
     assert 0.0 < math.dist(wanted, got) <= request.tolerance
     request.tolerance = 0.0
-    assert not given.call('get_plan', request).plan.poses
-    wait_until(lambda: given.diagnostics()['code'] == 'GOAL_OCCUPIED', 'the reason')
+    assert not sender.call('get_plan', request).plan.poses
+    wait_until(lambda: sender.client.diagnostics()['code'] == 'GOAL_OCCUPIED', 'the reason')
+
+
+def test_replan_tells_the_value(sender):
+    answer = sender.call('replan')
+    assert answer.success
+    assert 'value' in answer.message
+
+
+def test_cancel_without_a_solve_fails(sender):
+    answer = sender.call('cancel')
+    assert not answer.success
+    assert answer.message

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -105,18 +106,33 @@ def test_other_ways_to_end_it(tmp_path, signals):
     assert 'Traceback' not in (tmp_path / 'output').read_text()
 
 
-def test_a_solve_does_not_hold_up_the_exit(tmp_path):
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number):
     large = risk_grid(np.zeros((300, 300), dtype=np.int8))
-    parameters = ('network.target_nodes:=40000', 'recording.enabled:=false')
+    parameters = ('network.target_nodes:=40000', 'strategy.solver:=simplex',
+                  f'recording.directory:={tmp_path / "runs"}')
+    shared = set(Path('/dev/shm').iterdir())
     with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
         with client_in(domain) as client:
             client.publish('alpha_map', large)
             client.publish('start_pose', pose(5.0, 75.0))
             client.publish('goal_pose', pose(145.0, 75.0))
             client.diagnostics(state='ready')
-            client.send('replan')
+            client.send('new_route')
             client.diagnostics(state='solving')
-            assert exit_code(process, signal.SIGINT) == 0
+            threads = Path(f'/proc/{process.pid}/task')
+            (worker,) = ' '.join(each.read_text() for each in threads.glob('*/children')).split()
+            ours = _shared_memory(process.pid) - _shared_memory('self') - shared
+            assert exit_code(process, number) == 0
+    assert not Path('/proc', worker).exists(), 'no orphan'
+    assert not [path for path in ours if path.exists()]
+    assert not list(tmp_path.rglob('*.tmp'))
+    assert 'Traceback' not in (tmp_path / 'output').read_text()
+
+
+def _shared_memory(pid):
+    lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    return {Path(line.split()[5]) for line in lines if ' /dev/shm/' in line}
 
 
 @pytest.mark.parametrize('parameter, words', [

@@ -17,11 +17,14 @@ NAME = 'ambush_planner'
 # Import name -> rosdep key, where the two differ.
 ROSDEP_KEYS = {
     'matplotlib': 'python3-matplotlib',
+    'lz4': 'mcap-ros2-support',
     'mcap': 'mcap-ros2-support',
     'mcap_ros2': 'mcap-ros2-support',
     'numpy': 'python3-numpy',
     'scipy': 'python3-scipy',
+    'tf2_ros': 'tf2_ros_py',
     'yaml': 'python3-yaml',
+    'zstandard': 'mcap-ros2-support',
 }
 # Import name -> name on the package index, where the two differ.
 REQUIREMENTS = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
@@ -107,7 +110,7 @@ def test_every_library_import_is_declared_for_pip():
     arguments = setup_arguments()
     required = arguments['install_requires'] + arguments['extras_require']['figures']
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    libraries = imported_packages() & set(ROSDEP_KEYS)
+    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros'}  # from ROS only
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
 
 

@@ -44,7 +44,7 @@ def start(**overrides):
 
 
 def change(node, **values):
-    """Set parameters together, as ``ros2 param load`` does; return the answer."""
+    """Set parameters together; return the answer."""
     return node.set_parameters_atomically(
         [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()])
 
@@ -87,19 +87,25 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
 
 
 @pytest.mark.parametrize('values, words', [
-    ({'map__alpha_min': 20.0}, 'alpha_min 20.0 and alpha_max 10.0'),
-    ({'map__alpha_max': math.inf}, 'alpha_max must be finite'),
+    ({'map__alpha_min': 20.0}, '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
+    ({'map__alpha_max': math.inf}, 'map.alpha_max must be finite'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
-    ({'network__method': 'hexagons'}, 'one of uniform_delaunay'),
+    ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
+    ({'network__method': 'hexagons'}, 'network.method must be one of uniform_delaunay'),
     ({'network__spacing': -1.0}, 'out of range'),
+    ({'network__spacing': 1}, 'Wrong parameter type'),
+    ({'network__spacing': math.inf}, 'network.spacing must be finite'),
     ({'network__clearance': math.nan}, 'out of range'),
-    ({'game__ambushers': 2}, 'ambushers must be 1, got 2'),
+    ({'game__ambushers': 2}, 'game.ambushers must be 1, got 2'),
     ({'strategy__max_detour': 0.5}, 'out of range'),
-    ({'strategy__length_weight': 0.01}, 'length_weight 0.01 goes with the solvers'),
+    ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
+    ({'strategy__length_weight': 0.01}, 'strategy.length_weight 0.01 goes with the solvers'),
+    ({'strategy__length_weight': 0.01}, 'bounds the length with strategy.max_detour'),
     ({'max_planning_time': 0.0}, 'out of range'),
-    ({'route__path_spacing': math.inf}, 'path_spacing must be finite'),
-    ({'recording__directory': ' '}, 'directory must not be empty'),
-    ({'recording__compression': 'rar'}, 'one of zstd, lz4, none'),
+    ({'route__path_spacing': math.inf}, 'route.path_spacing must be finite'),
+    ({'recording__enabled': 'yes'}, 'Wrong parameter type'),
+    ({'recording__directory': ' '}, 'recording.directory must not be empty'),
+    ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
     ({'seed': 7}, 'read-only'),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):
@@ -107,6 +113,9 @@ def test_bad_values_are_refused_with_the_reason(node, values, words):
     answer = change(node, **values)
     assert not answer.successful
     assert words in answer.reason
+    (name,) = values
+    # rclpy's own refusal of a wrong type names the types only.
+    assert name.replace('__', '.') in answer.reason or words == 'Wrong parameter type'
     assert [node.get_parameter(name).value for name in NAMES] == before
 
 

@@ -2,35 +2,27 @@
 
 import math
 import re
-import threading
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
-from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
 from ros_harness import (
-    FRAME,
     MARKER_TOPICS,
-    TIMEOUT,
-    header,
     pose,
     risk_grid,
     stage,
-    wait_until,
 )
 
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.ros import planning
-from ambush_planner.ros.conversions import path_from_ros, pose_to_ros, risk_map_from_ros
+from ambush_planner.ros import session
+from ambush_planner.ros.conversions import path_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 KEYS = {
     'state', 'code', 'message', 'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
-    'deciding_sites_near_ends', 'secured_value', 'solve_seconds', 'departures', 'recording',
+    'deciding_sites_near_ends', 'secured_value', 'solve_seconds', 'departures', 'departure_id',
+    'recording',
 }
 
 
@@ -60,26 +52,6 @@ def differ(paths):
     return len({path.tobytes() for path in paths})
 
 
-def test_path_is_dense_clear_and_ends_exactly(client):
-    path = client.get_plan(START, GOAL)
-    assert path.header.frame_id == FRAME
-    assert (path.header.stamp.sec, path.header.stamp.nanosec) != (0, 0)
-    assert path.poses[0].pose.position == START.pose.position
-    assert path.poses[-1].pose == GOAL.pose
-    rows = path_from_ros(path)
-    steps = np.diff(rows[:, :2], axis=0)
-    assert np.hypot(*steps.T).max() <= 1.0 + 1e-9, 'network.spacing is more than the resolution'
-    np.testing.assert_allclose(rows[:-1, 2], np.arctan2(steps[:, 1], steps[:, 0]), atol=1e-9)
-    field = ObstacleField(risk_map_from_ros(risk_grid(), OccupancyOptions()))
-    assert field.clear_segments(rows[:-1, :2], rows[1:, :2], 0.0).all()
-
-
-def test_path_spacing_is_a_parameter(running):
-    running.planner.set_parameters([Parameter('route.path_spacing', value=0.1)])
-    rows = path_from_ros(running.client.get_plan(START, GOAL))
-    assert 0.05 < np.hypot(*np.diff(rows[:, :2], axis=0).T).max() <= 0.1 + 1e-9
-
-
 def test_get_plan_publishes_what_it_answers(client):
     assert client.get_plan(START, GOAL) == client.last('path')
 
@@ -88,7 +60,7 @@ def test_departures_differ_and_solve_once(client):
     assert differ(departures(client, 5)) >= 4
     for topic in MARKER_TOPICS:
         assert len(client.received[topic]) == 1, topic
-    client.diagnostics(departures='5', code='NONE', level=b'\0')
+    client.diagnostics(departures='5', code='NONE')
 
 
 def test_a_new_goal_a_new_map_and_new_parameters_are_planned_anew(running):
@@ -105,12 +77,16 @@ def test_a_new_goal_a_new_map_and_new_parameters_are_planned_anew(running):
     client.last('edge_probabilities', 4)
 
 
-def test_going_back_and_forth_shows_the_strategy_in_force_without_solving(client, monkeypatch):
+def test_going_back_and_forth_shows_the_strategy_in_force_without_solving(client):
     client.get_plan(START, GOAL)
     client.get_plan(GOAL, START)
-    monkeypatch.setattr(planning, 'plan', None)
+    client.diagnostics(departures='2')
+    reports = client.received['/diagnostics']
+    so_far = len(reports)
     assert client.get_plan(START, GOAL).poses
     client.last('edge_probabilities', 3)
+    client.diagnostics(departures='3')
+    assert all(report.status[0].values[0].value != 'solving' for report in reports[so_far:])
 
 
 def test_the_same_map_again_changes_nothing(client):
@@ -147,34 +123,6 @@ def test_replan_solves_without_a_departure(client):
     assert len(client.received['path']) == 1
 
 
-def test_initialpose_sets_the_start(client):
-    estimate = PoseWithCovarianceStamped(header=header())
-    estimate.pose.pose = pose_to_ros(2.5, 1.5)
-    client.publish('initialpose', estimate)
-    client.call_until('new_route', lambda _: client.received['path'] and
-                      client.last('path').poses[0].pose.position == estimate.pose.pose.position)
-
-
-def test_rotated_map_in_its_own_frame():
-    grid = risk_grid(origin=(100.0, -50.0, math.pi / 2), frame='site')
-    with stage() as running:
-        client = running.client
-        client.publish('alpha_map', grid)
-        client.diagnostics(message='waiting for start_pose, goal_pose')
-        path = client.get_plan(
-            pose(94.5, -48.5, frame='site'), pose(94.5, -41.5, frame='site'))
-        assert path.header.frame_id == 'site'
-        assert client.last('edge_probabilities').markers[0].header.frame_id == 'site'
-
-
-def test_two_nodes_in_namespaces_of_their_own():
-    with stage(namespace='/convoy') as running:
-        assert running.give().call('new_route').message == (
-            'departure 1 is published on /convoy/path')
-        assert running.client.received['/diagnostics'][-1].status[0].name == (
-            'convoy/ambush_planner')
-
-
 def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     blocked = pose(5.1, 5.6, 1.0)  # 0.9 m from the block's left edge, 0.9 m + to a free centre
     assert not client.get_plan(START, blocked, 0.5).poses
@@ -198,7 +146,7 @@ def test_recordings_hold_inputs_and_outputs(tmp_path):
     topics = [topic for topic, _, _ in rows]
     assert sorted(set(topics)) == sorted(
         ['/alpha_map', '/start_pose', '/goal_pose', '/path', '/diagnostics',
-         *(f'/{topic}' for topic in MARKER_TOPICS)])
+         '/ambush_planner/new_route/_service_event', *(f'/{topic}' for topic in MARKER_TOPICS)])
     assert set(topics[:3]) == {'/alpha_map', '/start_pose', '/goal_pose'}
     (path,) = [message for topic, _, message in rows if topic == '/path']
     assert [(p.pose.position.x, p.pose.position.y) for p in path.poses] == [
@@ -211,16 +159,53 @@ def test_a_failed_recording_does_not_fail_the_departure(tmp_path):
     file = tmp_path / 'file'
     file.write_text('')
     with stage(directory=file / 'below') as running:
-        answer = running.give().call('new_route')
-        assert answer.success
-        assert 'recording failed' in answer.message
-        report = running.client.diagnostics(code='RECORDING_FAILED', recording='failed')
+        client = running.give()
+        assert client.call('new_route').success
+        report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
         assert report['level'] == b'\2'
+        answer = client.call('new_route')
+        assert answer.success
+        assert 'is published on /path; recording failed at' in answer.message
         running.planner.set_parameters(
             [Parameter('recording.directory', value=str(tmp_path / 'good'))])
-        assert running.client.call('new_route').message == (
-            'departure 2 is published on /path')
-        running.client.diagnostics(code='NONE', recording='on')
+        client.diagnostics(recording='on')
+        assert client.call('new_route').message.endswith('is published on /path')
+        client.diagnostics(code='NONE', recording='on')
+
+
+def test_a_path_stays_when_map_goal_and_parameters_change(running):
+    client = running.client
+    (gone,) = departures(client, 1)
+    departure = client.diagnostics(departures='1')['departure_id']
+    client.publish('alpha_map', risk_grid(np.full((20, 20), 7, dtype=np.int8)))
+    client.publish('goal_pose', pose(2.5, 2.5))
+    running.planner.set_parameters([Parameter('game.secured_radius', value=1.0)])
+    # The answer comes after whatever the changes have set off.
+    client.publish('alpha_map', risk_grid(np.array([[101]])))
+    client.diagnostics(code='INVALID_MAP', departure_id=departure)
+    assert len(client.received['path']) == 1
+    assert (path_from_ros(client.last('path')) == gone).all()
+
+
+def test_each_departure_has_an_id_of_its_own(client):
+    ids = []
+    for number in range(1, 4):
+        answer = client.call('new_route')
+        ids.append(client.diagnostics(departures=str(number))['departure_id'])
+        assert ids[-1] in answer.message
+    assert len(set(ids)) == 3
+
+
+def test_a_bottleneck_at_the_ends_is_warned_of():
+    with stage(parameters={'game.secured_radius': 0.0}) as running:
+        assert running.give().call('new_route').success
+        report = running.client.diagnostics(departures='1', level=b'\1')
+        assert re.fullmatch(
+            r'ready; (\d+) nodes decide the value [\d.]+, \d+ of them within [\d.]+ m of start or '
+            r'goal; if that ground were secured \(game.secured_radius\), it would be [\d.]+',
+            report['message'])
+        assert report['deciding_sites'] in report['message']
+        assert float(report['secured_value']) < float(report['value'])
 
 
 def test_diagnostics_have_stable_keys_once_a_second():
@@ -252,36 +237,12 @@ def test_neither_seed_nor_route_is_told(capfd):
     assert not re.search(r'\d\.(1234|5678|6234|0678)', said)
 
 
-def test_everything_else_answers_during_a_solve(running, monkeypatch):
-    client, solve, go_on = running.client, planning.plan, threading.Event()
-
-    def slow(*arguments):
-        assert go_on.wait(TIMEOUT)
-        return solve(*arguments)
-
-    monkeypatch.setattr(planning, 'plan', slow)
-    future = client.send('new_route')
-    try:
-        client.diagnostics(state='solving')
-        get = client.node.create_client(GetParameters, '/ambush_planner/get_parameters')
-        assert get.wait_for_service(timeout_sec=TIMEOUT)
-        values = get.call_async(GetParameters.Request(names=['strategy.solver']))
-        wait_until(values.done, 'parameters during a solve')
-        client.publish('alpha_map', risk_grid(np.array([[101]])))
-        client.diagnostics(code='INVALID_MAP', state='solving')
-        assert not future.done()
-    finally:
-        go_on.set()
-    wait_until(future.done, 'the departure')
-    assert future.result().success
-
-
 def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monkeypatch, capfd):
     def broken(*_):
         raise RuntimeError(f'went through ({math.pi}, {math.e})')
 
     with monkeypatch.context() as patch:
-        patch.setattr(planning, 'plan', broken)
+        patch.setattr(session, 'depart', broken)
         answer = client.call('new_route')
     assert not answer.success
     assert answer.message == 'internal error (RuntimeError); the log says where'
@@ -290,4 +251,4 @@ def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monk
     assert 'in broken' in log
     assert '3.14159' not in log
     assert client.call('new_route').success
-    client.diagnostics(code='NONE', level=b'\0')
+    client.diagnostics(code='NONE')

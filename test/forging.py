@@ -1,0 +1,108 @@
+"""Recordings of a real node, and somebody who changes what is in them and writes them anew."""
+
+import hashlib
+from dataclasses import replace
+from io import BytesIO
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType
+from rclpy.serialization import serialize_message
+from ros_harness import pose, stage
+
+from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
+from ambush_planner.recording.encoding import encode_departure
+
+ROLES = ('map', 'start', 'goal', 'path')
+TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip')
+NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
+
+
+def record_runs(folder):
+    """Record six departures of two nodes, the second with a fixed seed; return their files."""
+    with stage(folder) as running:
+        client = running.give()
+        answer = client.call('new_route')
+        assert answer.success, answer.message
+        answer = client.call('new_route')
+        assert answer.success, answer.message
+        # In the block: moved to a cell beside it.
+        assert client.get_plan(pose(1.5, 5.5), pose(5.0, 5.2), tolerance=3.0).poses
+        assert client.get_plan(pose(1.5, 4.5), pose(8.5, 6.5, 1.0)).poses
+    with stage(folder, {'seed': 5}) as running:
+        client = running.give()
+        answer = client.call('new_route')
+        assert answer.success, answer.message
+        answer = client.call('new_route')
+        assert answer.success, answer.message
+    files = recordings_in(folder)
+    assert len(files) == 6
+    return files
+
+
+class Forger:
+    """The content of a recording, to be changed and saved as a file with valid checksums."""
+
+    def __init__(self, path):
+        recorded = read_departure(path)
+        self.recorded = recorded
+        self.messages = list(recorded.messages)
+        self.metadata = dict(recorded.metadata)
+        self.attachments = dict(recorded.attachments)
+
+    def yaml(self, key):
+        return yaml.safe_load(self.metadata[key])
+
+    def set_yaml(self, key, value):
+        self.metadata[key] = yaml.safe_dump(value)
+
+    def edit_yaml(self, key, **changes):
+        self.set_yaml(key, {**self.yaml(key), **changes})
+
+    def place(self, role):
+        """The index of the message in a role."""
+        topic = self.yaml('inputs')[role]
+        (found,) = [k for k, message in enumerate(self.messages) if message.topic == topic]
+        return found
+
+    def places(self, kind):
+        """The indices of the messages of a type."""
+        name = type_name(kind)
+        return [k for k, message in enumerate(self.messages) if message.type == name]
+
+    def message(self, place):
+        return self.recorded.decode(self.messages[place])
+
+    def put(self, place, message):
+        self.messages[place] = replace(self.messages[place], data=serialize_message(message))
+
+    def edit(self, place, change):
+        """Change a message by a function that is given it."""
+        message = self.message(place)
+        change(message)
+        self.put(place, message)
+
+    def arrays(self):
+        """The arrays of the strategy's file."""
+        with np.load(BytesIO(self.attachments['strategy.npz'])) as archive:
+            return dict(archive)
+
+    def set_arrays(self, **arrays):
+        stream = BytesIO()
+        np.savez_compressed(stream, **{**self.arrays(), **arrays})
+        self.attachments['strategy.npz'] = stream.getvalue()
+
+    def correct(self):
+        """State the hashes of what is there now, as a clever forger does."""
+        contents = {role: self.messages[self.place(role)].data for role in ROLES}
+        contents |= {key: self.metadata[key].encode() for key in TEXTS}
+        contents['strategy'] = self.attachments['strategy.npz']
+        hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
+        self.set_yaml('sha256', hashes)
+
+    def save(self, path):
+        files = [Attachment(name, '', data) for name, data in self.attachments.items()]
+        path.write_bytes(
+            encode_departure(self.messages, self.metadata, files, CompressionType.ZSTD)
+        )
+        return path

@@ -1,0 +1,102 @@
+"""Strategy files: read back whole, and refused when anything in them is wrong."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+from audit_samples import NUMBERS, npz, sample_plan, strategy_arrays
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ambush_planner.core.game import GameOptions
+from ambush_planner.recording.strategy_file import BadStrategy, strategy_from_file
+
+
+@pytest.fixture(scope='module')
+def a_plan():
+    return sample_plan()
+
+
+@pytest.mark.parametrize('solver', ['interior_point', 'simplex'])
+def test_strategies_of_linear_programs_come_back_too(tmp_path, solver):
+    theirs = sample_plan(solver).strategy
+    ours = strategy_from_file(npz(strategy_arrays(theirs)), GameOptions(secured_radius=40.0))
+    for name in NUMBERS:
+        assert getattr(ours, name) == pytest.approx(getattr(theirs, name), rel=1e-9)
+
+
+def bad_strategies(arrays):
+    p, q, edges = (arrays[n] for n in ('edge_probability', 'ambush_probability', 'edges'))
+    yield 'edge_probability', p[:-1]
+    yield 'edge_probability', p * 0.5
+    yield 'edge_probability', np.where(np.arange(len(p)) == 3, np.nan, p)
+    yield 'edge_probability', np.where(np.arange(len(p)) == 3, -0.1, p)
+    yield 'edge_probability', p[:, None]
+    yield 'edge_probability', p.astype(complex)
+    yield 'edge_probability', np.array(['x'] * len(p))
+    yield 'ambush_probability', q * 2.0
+    yield 'ambush_probability', np.full(len(q), np.inf)
+    yield 'ambush_probability', np.roll(q, 1)
+    yield 'edges', edges[:-1]
+    yield 'edges', edges[::-1]
+    yield 'edges', np.where(edges == 1, 10**9, edges)
+    yield 'edges', edges.astype(float)
+    yield 'edges', np.zeros((0, 2), int)
+    yield 'points', arrays['points'][:-1]
+    yield 'points', arrays['points'] * np.nan
+    yield 'points', arrays['points'] * 2.0
+    yield 'alpha', arrays['alpha'] + 1.0
+    yield 'alpha', arrays['alpha'] * 2.0
+    yield 'source', np.array(10**6)
+    yield 'source', np.array([0, 1])
+    yield 'source', np.array(0.5)
+    yield 'source', arrays['target']
+    yield 'value', np.array(np.nan)
+    yield 'value', np.array(0.0)
+    yield 'value', np.array([1.0])
+    yield 'value', np.array('much')
+    yield 'lower_bound', np.array(arrays['value'] * 0.9)
+    yield 'length_budget', np.array(np.nan)
+    yield 'length_price', np.array(np.inf)
+    yield 'expected_length', np.array(1.0)
+    yield 'edge_entropy', np.array(1.0)
+    yield 'route_entropy', np.array(-1.0)
+    yield 'edge_probability', np.array([None] * len(p), dtype=object)
+
+
+def test_strategies_that_are_none_are_refused(a_plan):
+    arrays = strategy_arrays(a_plan.strategy)
+    options = GameOptions(secured_radius=40.0)
+    assert strategy_from_file(npz(arrays), options).value == pytest.approx(a_plan.strategy.value)
+    for name, value in bad_strategies(arrays):
+        with pytest.raises(BadStrategy):
+            strategy_from_file(npz(arrays | {name: value}), options)
+    for name in arrays:
+        with pytest.raises(BadStrategy, match=name):
+            strategy_from_file(npz({n: a for n, a in arrays.items() if n != name}), options)
+
+
+def test_an_archive_that_claims_too_much_is_not_unpacked(a_plan):
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, 'w', zipfile.ZIP_DEFLATED) as archive:
+        with archive.open('points.npy', 'w', force_zip64=True) as file:
+            for _ in range(1025):
+                file.write(bytes(2**20))
+    with pytest.raises(BadStrategy, match='claims to hold'):
+        strategy_from_file(stream.getvalue(), GameOptions())
+
+
+@settings(max_examples=150, deadline=None, derandomize=True, database=None,
+          suppress_health_check=list(HealthCheck))
+@given(st.data())
+def test_bytes_that_were_a_strategy_are_refused_or_the_same(a_plan, data):
+    good = bytearray(npz(strategy_arrays(a_plan.strategy)))
+    for _ in range(data.draw(st.integers(1, 4))):
+        good[data.draw(st.integers(0, len(good) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    end = data.draw(st.one_of(st.none(), st.integers(0, len(good))))
+    try:
+        strategy = strategy_from_file(bytes(good[:end]), GameOptions(secured_radius=40.0))
+    except BadStrategy:
+        return
+    assert strategy.value == pytest.approx(a_plan.strategy.value)

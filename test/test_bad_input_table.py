@@ -1,0 +1,217 @@
+"""Each row of the README's table of bad input, tried on one node that has to live through all."""
+
+import math
+import re
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bad_maps import BAD_MAPS
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from ros_harness import (
+    Client,
+    Stage,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    spinning,
+    stage,
+    stage_in,
+    wait_until,
+)
+from test_conversions import turned
+from test_long_solves import NORTH, QUICK, solving, use
+
+README = Path(__file__).resolve().parent.parent / 'README.md'
+START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
+NAN = math.nan
+
+
+def table_of(heading):
+    """First cell of each row below a heading of the README -> the other cells."""
+    section = README.read_text().split(f'\n### {heading}\n')[1].split('\n#')[0]
+    lines = [line.strip('|').split('|') for line in section.splitlines() if line.startswith('|')]
+    return {first.strip(): [cell.strip() for cell in cells] for first, *cells in lines[2:]}
+
+
+TABLE = table_of('Bad input')
+
+
+@pytest.fixture(scope='module')
+def running():
+    with stage() as running:
+        running.give()
+        yield running
+
+
+def refused_maps(*names):
+    """Publish each map; the last good one stays in force."""
+    def attempt(running: Stage):
+        for name in names:
+            message, words = BAD_MAPS[name]
+            running.client.publish('alpha_map', message)
+            report = running.client.diagnostics(code='INVALID_MAP')
+            assert re.search(words, report['message'])
+            assert running.client.call('new_route').success, 'the last good map stays'
+            running.client.publish('alpha_map', risk_grid())
+            running.client.diagnostics(code='NONE')
+        return 'INVALID_MAP'
+    return attempt
+
+
+def plans(*trips):
+    """Ask for plans that cannot be made, and return the code that all of them have."""
+    def attempt(running: Stage):
+        codes = set()
+        for start, goal in trips:
+            running.client.get_plan(pose(*START), pose(*GOAL))
+            running.client.diagnostics(code='NONE')
+            assert not running.client.get_plan(start, goal).poses
+            codes.add(_error_code(running.client))
+        return ' or '.join(sorted(codes, reverse=True))
+    return attempt
+
+
+def _error_code(client):
+    return client.diagnostics(level=b'\2')['code']
+
+
+def all_unknown(running):
+    running.client.publish('alpha_map', risk_grid(np.full((20, 20), -1, dtype=np.int8)))
+    running.client.call_until('new_route', lambda answer: not answer.success)
+    code = _error_code(running.client)
+    running.client.publish('alpha_map', risk_grid())
+    running.client.call_until('new_route', lambda answer: answer.success)
+    return code
+
+
+def no_map(_):
+    with stage() as empty:
+        assert 'no risk map yet' in empty.client.call('new_route').message
+        return _error_code(empty.client)
+
+
+def unreadable(running):
+    kinds = {'alpha_map': OccupancyGrid, 'start_pose': PoseStamped, 'goal_pose': PoseStamped,
+             'initialpose': PoseWithCovarianceStamped}
+    for topic, kind in kinds.items():
+        running.client.publish(topic, b'\x00\x01\x00\x00 no such message', kind)
+        code = _error_code(running.client)
+        running.client.publish('alpha_map', risk_grid())
+        running.client.call_until('new_route', lambda answer: answer.success)
+        running.client.diagnostics(code='NONE')
+    return code
+
+
+def two_maps(running):
+    client = running.client
+    blocked = np.zeros((20, 20), dtype=np.int8)
+    blocked[:, 10] = 100
+    for first, second, words in (
+            (blocked, None, 'departure'), (None, blocked, 'no route from'), (blocked, None, 'dep')):
+        client.publish('alpha_map', risk_grid(first))
+        client.publish('alpha_map', risk_grid(second))
+        client.call_until('new_route', lambda answer, words=words: words in answer.message)
+    return ''
+
+
+def new_goal_during_a_solve(_):
+    with solving() as (slow, future):
+        slow.client.publish('goal_pose', NORTH)
+        use(slow, QUICK)
+        assert slow.client.call('cancel').success
+        wait_until(future.done, 'the answer')
+        slow.client.call_until(
+            'new_route', lambda _: slow.client.last('path').poses[-1].pose == NORTH.pose)
+    return ''
+
+
+def a_thousand_calls(_):
+    with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
+        clients = [busy.give()]
+        for k in range(3):
+            node = Node(f'other_{k}', context=stack.enter_context(ros_context(domain)))
+            clients.append(Client(node))
+            executor = SingleThreadedExecutor(context=node.context)
+            stack.enter_context(spinning(node, executor))
+        futures = [client.send('new_route') for _ in range(250) for client in clients]
+        wait_until(lambda: all(future.done() for future in futures), '1000 answers', 60.0)
+        assert all(future.result().success for future in futures)
+        busy.client.diagnostics(departures='1000')
+    return ''
+
+
+def refused_parameters(*changes):
+    """Parameters that are refused with a reason, and change nothing."""
+    def attempt(running: Stage):
+        for values, reason in changes:
+            result = running.planner.set_parameters_atomically(
+                [Parameter(name, value=value) for name, value in values.items()])
+            assert not result.successful
+            assert reason in result.reason
+        assert running.client.call('new_route').success
+        return ''
+    return attempt
+
+
+def unknown_parameter(running):
+    with pytest.raises(ParameterNotDeclaredException, match='undeclared parameter'):
+        running.planner.set_parameters([Parameter('network.no_such_thing', value=1)])
+    return ''
+
+
+ROWS = {
+    'no map': no_map,
+    'map without cells': refused_maps('no cells', 'no rows'),
+    'data not width x height long': refused_maps('data too short', 'data too long'),
+    'a claim of 30 000 x 30 000 cells': refused_maps('huge claim'),
+    'resolution 0, negative or not finite': refused_maps(
+        'resolution 0', 'resolution negative', 'resolution NaN', 'resolution infinite'),
+    'cell values outside -1..100': refused_maps('value over 100', 'value under -1'),
+    'origin not finite': refused_maps('origin NaN', 'origin infinite'),
+    'origin not a unit quaternion, or tilted': refused_maps(
+        'origin quaternion NaN', 'origin quaternion zero', 'origin quaternion long',
+        'origin tilted'),
+    'map without a frame': refused_maps('no frame'),
+    'all cells unknown': all_unknown,
+    'pose not finite': plans(
+        (pose(NAN, 1), pose(*GOAL)), (pose(*START), pose(1, math.inf))),
+    'orientation not a unit quaternion': plans(
+        (turned(w=0.0), pose(*GOAL)), (pose(*START), turned(w=1.0, z=1.0)),
+        (pose(*START), pose(*GOAL, NAN))),
+    'start or goal outside the map': plans(
+        (pose(-1, 5), pose(*GOAL)), (pose(*START), pose(5, 11))),
+    'start or goal in an obstacle': plans(
+        (pose(*BLOCK), pose(*GOAL)), (pose(*START), pose(*BLOCK))),
+    'start and goal at the same position': plans((pose(*START), pose(*START))),
+    'pose in another frame that TF does not know, or in none': plans(
+        (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
+    'bytes that are no message': unreadable,
+    'parameters that contradict each other': refused_parameters(
+        ({'map.alpha_min': 20.0}, 'map.alpha_min'),
+        ({'strategy.solver': 'simplex', 'strategy.risk_slack': 0.5}, 'strategy.risk_slack')),
+    'a parameter out of its range or of another type': refused_parameters(
+        ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
+    'a parameter that there is not': unknown_parameter,
+    'two maps in quick succession': two_maps,
+    'another goal while a solve runs': new_goal_during_a_solve,
+    '1000 calls at once from 4 clients': a_thousand_calls,
+}
+
+
+def test_the_table_has_the_rows_that_are_tried():
+    assert list(TABLE) == list(ROWS)
+
+
+@pytest.mark.parametrize('name', ROWS)
+def test_row(running, name):
+    code = TABLE[name][-1].strip('`')
+    assert ROWS[name](running) == code
+    assert running.client.call('new_route').success, 'and the node goes on'

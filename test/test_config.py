@@ -1,0 +1,149 @@
+"""config/ambush_planner.yaml, the declared parameters and the README's table say the same."""
+
+import math
+from pathlib import Path
+
+import pytest
+import rclpy
+import yaml
+from rclpy.context import Context
+from rclpy.exceptions import InvalidParameterTypeException
+from rclpy.node import Node
+from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
+from ros_harness import free_domain
+
+from ambush_planner.ros.parameters import PARAMETERS
+from ambush_planner.ros.planner_node import PlannerNode
+
+ROOT = Path(__file__).resolve().parent.parent
+FILE = ROOT / 'config' / 'ambush_planner.yaml'
+DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
+
+
+def flat(tree, prefix=''):
+    """{'a': {'b': 1}} as {'a.b': 1}."""
+    result = {}
+    for name, value in tree.items():
+        whole = f'{prefix}{name}'
+        result |= flat(value, f'{whole}.') if isinstance(value, dict) else {whole: value}
+    return result
+
+
+def exact(values):
+    """Values with their types: 1, 1.0 and True are three different parameters."""
+    return {name: (type(value), value) for name, value in values.items()}
+
+
+def comments():
+    """The comment above each parameter of the file, on one line."""
+    found, above, group = {}, [], ''
+    for line in FILE.read_text().split('ros__parameters:\n')[1].splitlines():
+        indent, text = len(line) - len(line.lstrip()), line.strip()
+        if text.startswith('#'):
+            above.append(text.removeprefix('#').strip())
+            continue
+        name, value = text.split(':', 1)
+        if not value:
+            group = f'{name}.'
+        else:
+            found[f'{group if indent > 4 else ""}{name}'] = ' '.join(above)
+        above = []
+    return found
+
+
+def explained(declaration):
+    """What the file says above a parameter."""
+    text = declaration.description
+    if declaration.choices:
+        text += f' One of {", ".join(declaration.choices)}.'
+    elif isinstance(declaration.default, bool | str):
+        pass
+    elif declaration.high == math.inf:
+        text += f' Range: from {declaration.low:g}.'
+    else:
+        text += f' Range: {declaration.low:g} to {declaration.high:.10g}.'
+    return text + (' Only read at the start.' if declaration.read_only else '')
+
+
+def readme_table():
+    """Each parameter of the README's table with the text of its default."""
+    table = (ROOT / 'README.md').read_text().split('| parameter | default |')[1].split('\n\n')[0]
+    found = {}
+    for row in table.splitlines()[2:]:
+        names, defaults = (cell.strip() for cell in row.split('|')[1:3])
+        pairs = zip(names.split(', '), defaults.split(', '), strict=True)
+        found |= {name.strip('`'): default.strip('`') for name, default in pairs}
+    return found
+
+
+@pytest.fixture
+def started():
+    """Starts a node of a class with command line arguments, as ``ros2 run`` does."""
+    contexts, nodes = [], []
+
+    def start(kind, *arguments, **options):
+        contexts.append(Context())
+        rclpy.init(args=['--ros-args', *arguments], context=contexts[-1], domain_id=domain)
+        nodes.append(kind(context=contexts[-1], **options))
+        return nodes[-1]
+
+    with free_domain() as domain:
+        yield start
+        for node in nodes:
+            node.destroy_node()
+        for context in contexts:
+            context.try_shutdown()
+
+
+def test_the_file_holds_every_default_in_its_type():
+    (node,) = yaml.safe_load(FILE.read_text()).items()
+    assert node[0] == '/**'
+    assert exact(flat(node[1]['ros__parameters'])) == exact(DEFAULTS)
+
+
+def test_the_parser_of_param_load_reads_the_same():
+    read = parameter_dict_from_yaml_file(str(FILE), use_wildcard=True)
+    values = {name: parameter_value_to_python(each.value) for name, each in read.items()}
+    # It takes .inf for a string; the parser of --params-file does not.
+    finite = {name: value for name, value in DEFAULTS.items() if value != math.inf}
+    assert exact({name: values[name] for name in finite}) == exact(finite)
+    assert values.keys() == DEFAULTS.keys()
+
+
+def test_the_parser_of_params_file_reads_the_same(started):
+    node = started(
+        lambda **options: Node('ambush_planner', **options), '--params-file', str(FILE),
+        automatically_declare_parameters_from_overrides=True)
+    values = {name: node.get_parameter(name).value for name in DEFAULTS}
+    assert exact(values) == exact(DEFAULTS)
+    assert set(node.get_parameters_by_prefix('')) - set(DEFAULTS) <= {
+        'use_sim_time', 'start_type_description_service'}
+
+
+def test_every_parameter_is_explained_as_it_is_declared():
+    assert comments() == {name: explained(each) for name, each in PARAMETERS.items()}
+
+
+def test_the_readmes_table_has_every_default():
+    table = readme_table()
+    assert sorted(table) == sorted(DEFAULTS)
+    assert exact({name: yaml.safe_load(text) for name, text in table.items()}) == exact(DEFAULTS)
+
+
+def test_the_planner_takes_the_file(started):
+    node = started(PlannerNode, '--params-file', str(FILE))
+    assert {name: node.get_parameter(name).value for name in DEFAULTS} == DEFAULTS
+
+
+def test_the_planner_takes_what_is_changed_in_the_file(started, tmp_path):
+    changed = tmp_path / 'changed.yaml'
+    changed.write_text(FILE.read_text().replace('max_detour: 1.5', 'max_detour: .inf'))
+    node = started(PlannerNode, '--params-file', str(changed))
+    assert node.get_parameter('strategy.max_detour').value == math.inf
+
+
+def test_a_number_without_its_point_is_refused_by_name(started, tmp_path):
+    changed = tmp_path / 'changed.yaml'
+    changed.write_text(FILE.read_text().replace('max_detour: 1.5', 'max_detour: 2'))
+    with pytest.raises(InvalidParameterTypeException, match=r'strategy\.max_detour'):
+        started(PlannerNode, '--params-file', str(changed))

@@ -1,0 +1,139 @@
+"""What goes on while a solve takes minutes: everything else, and how to end it."""
+
+import os
+import signal
+from contextlib import contextmanager
+
+import numpy as np
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import Parameter
+from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
+from test_solve_queue import workers
+
+# The paper's simplex method needs minutes for 40 000 nodes.
+SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5}
+QUICK = {'strategy.solver': 'max_entropy', 'network.spacing': 5.0}
+START, GOAL, NORTH = pose(5.0, 50.0), pose(95.0, 50.0), pose(95.0, 80.0)
+
+
+def field(seed=1):
+    """A map of 100 m x 100 m without obstacles."""
+    return risk_grid(np.random.default_rng(seed).integers(0, 60, (200, 200), dtype=np.int8))
+
+
+def use(running, parameters):
+    done = running.planner.set_parameters_atomically(
+        [Parameter(name, value=value) for name, value in parameters.items()])
+    assert done.successful, done.reason
+
+
+@contextmanager
+def solving(parameters=SLOW, service='new_route'):
+    """A node in the middle of a long solve, and the future of the answer that waits for it."""
+    with stage(parameters=QUICK) as running:
+        running.give(field(), (5.0, 50.0), (95.0, 50.0))
+        assert running.client.call('new_route').success
+        use(running, parameters)
+        future = running.client.send(service)
+        running.client.diagnostics(state='solving')
+        yield running, future
+
+
+def parameter(client, name):
+    get = client.node.create_client(GetParameters, '/ambush_planner/get_parameters')
+    assert get.wait_for_service(timeout_sec=TIMEOUT)
+    return answer(get.call_async(GetParameters.Request(names=[name]))).values[0]
+
+
+def answer(future):
+    wait_until(future.done, 'the answer')
+    return future.result()
+
+
+def test_everything_else_answers_meanwhile():
+    with solving() as (running, future):
+        client = running.client
+        assert parameter(client, 'strategy.solver').string_value == 'simplex'
+        client.publish('alpha_map', risk_grid(np.array([[101]])))
+        client.diagnostics(code='INVALID_MAP', state='solving')
+        use(running, QUICK)
+        assert client.get_plan(START, GOAL).poses, 'its strategy is there already'
+        client.diagnostics(departures='2', state='solving')
+        assert not future.done()
+        assert client.call('cancel').success
+        assert not answer(future).success
+
+
+def test_cancel_ends_it_and_says_so():
+    with solving() as (running, future):
+        client = running.client
+        cancelled = client.call('cancel')
+        assert (cancelled.success, cancelled.message) == (True, 'the solve was cancelled')
+        assert answer(future).message == 'the solve was cancelled'
+        client.diagnostics(code='CANCELLED', level=b'\2', state='ready')
+        again = client.call('cancel')
+        assert (again.success, again.message) == (False, 'no solve is running')
+        use(running, QUICK)
+        assert client.call('new_route').success
+        client.diagnostics(code='NONE')
+
+
+def test_the_time_is_up():
+    with solving({**SLOW, 'max_planning_time': 1.0}) as (running, future):
+        assert answer(future).message.startswith('no plan after max_planning_time, 1 s')
+        running.client.diagnostics(code='TIMEOUT', state='ready')
+
+
+def test_one_solve_for_all_who_ask_for_the_same():
+    with solving() as (running, future):
+        futures = [future, *(running.client.send('new_route') for _ in range(5))]
+        # Requests and cancel come in no order: who comes late begins another solve.
+        wait_until(lambda: running.client.call('cancel') and all(each.done() for each in futures),
+                   'the answers')
+        assert {answer(each).message for each in futures} == {'the solve was cancelled'}
+
+
+def test_more_wait_than_there_are_places_and_all_are_answered():
+    with solving() as (running, future):
+        client = running.client
+        futures = [future, *(client.send('new_route') for _ in range(100))]
+        use(running, QUICK)
+        wait_until(lambda: client.call('cancel') and all(each.done() for each in futures),
+                   'the answers')
+        answers = [answer(each) for each in futures]
+        assert any(each.message == 'the solve was cancelled' for each in answers)
+        assert all(each.success for each in answers if 'cancelled' not in each.message)
+
+
+def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for():
+    with solving() as (running, future):
+        client = running.client
+        use(running, {**QUICK, 'network.spacing': 4.0})
+        queued = client.send('new_route')
+        for _ in range(5):  # by then the request has come too
+            parameter(client, 'strategy.solver')
+        client.publish('goal_pose', NORTH)
+        client.publish('alpha_map', field(2))
+        wait_until(lambda: client.call('cancel').success, 'a solve to cancel')
+        assert not answer(future).success
+        assert answer(queued).success
+        assert client.last('path', 2).poses[-1].pose.position.y == GOAL.pose.position.y
+        client.call_until(
+            'new_route', lambda _: client.last('path').poses[-1].pose == NORTH.pose)
+
+
+def test_a_worker_that_is_killed_is_an_error_answer_and_a_fresh_worker():
+    with solving() as (running, future):
+        client = running.client
+        for pid in workers():
+            os.kill(pid, signal.SIGKILL)
+        assert 'the worker process ended by signal 9' in answer(future).message
+        client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
+        use(running, {**QUICK, 'network.spacing': 4.0})
+        assert client.call('new_route').success
+
+
+def test_a_node_that_is_closed_answers_who_waits():
+    with solving() as (running, future):
+        running.planner.stop_solving()
+        assert 'shutting down' in answer(future).message

@@ -1,0 +1,212 @@
+"""Recording goes wrong under a running node, or the node is killed: nothing is lost."""
+
+import math
+import os
+import random
+import shutil
+import signal
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event
+
+import pytest
+from mcap.reader import make_reader
+from nav_msgs.srv import GetPlan
+from rclpy.parameter import Parameter
+from recording_samples import read_with_mcap_ros2, read_with_rosbags
+from ros_harness import free_domain, pose, risk_grid, stage, wait_until
+from test_node_process import client_in, exit_code, node_process
+from test_recording_faults import listed, small_disk
+from waiting import TIMEOUT
+
+from ambush_planner.recording import durable
+from ambush_planner.ros import recordings as recordings_module
+
+START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
+KILLS = 30
+
+
+def recordings(directory):
+    return sorted(directory.rglob('*.mcap'))
+
+
+def sessions(directory):
+    return set(directory.glob('*'))
+
+
+def departs(client):
+    assert client.get_plan(START, GOAL).poses, 'departures go on, whatever happens to recordings'
+
+
+def test_a_full_disk_is_told_and_recording_resumes(tmp_path):
+    filler = tmp_path / 'filler'
+    with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs') as running:
+        client = running.give()
+        departs(client)
+        wait_until(lambda: recordings(tmp_path), 'a recording')
+        with pytest.raises(OSError, match='No space left'):
+            filler.write_bytes(bytes(4_000_000))
+        departs(client)
+        report = client.diagnostics(code='RECORDING_FAILED', recording='failed', level=b'\2')
+        assert 'No space left on device' in report['message']
+        filler.unlink()
+        departs(client)
+        client.diagnostics(code='NONE', recording='on', departures='3')
+        assert len(recordings(tmp_path)) == 2
+        assert all(read_with_rosbags(path) for path in recordings(tmp_path))
+
+
+def test_a_file_system_that_becomes_read_only(tmp_path):
+    with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs') as running:
+        client = running.give()
+        departs(client)
+        wait_until(lambda: recordings(tmp_path), 'a recording')
+        assert os.system(f'mount -o remount,ro {tmp_path}') == 0
+        departs(client)
+        report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
+        assert 'Read-only file system' in report['message']
+        assert os.system(f'mount -o remount,rw {tmp_path}') == 0
+        departs(client)
+        client.diagnostics(code='NONE', recording='on', departures='3')
+        assert len(recordings(tmp_path)) == 2
+
+
+def test_the_folder_is_removed_under_the_node(tmp_path):
+    with stage(tmp_path / 'runs') as running:
+        client = running.give()
+        departs(client)
+        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording')
+        shutil.rmtree(tmp_path / 'runs')
+        departs(client)
+        (path,) = wait_until(lambda: recordings(tmp_path), 'a new folder')
+        client.diagnostics(code='NONE', recording='on', departures='2')
+        assert read_with_rosbags(path)
+
+
+def test_recording_is_switched_off_and_on(tmp_path):
+    with stage(tmp_path) as running:
+        client = running.give()
+        for enabled, state in ((False, 'off'), (True, 'on')):
+            running.planner.set_parameters([Parameter('recording.enabled', value=enabled)])
+            client.diagnostics(recording=state)
+            departs(client)
+        wait_until(lambda: recordings(tmp_path), 'a recording')
+    assert len(recordings(tmp_path)) == 1
+
+
+def test_a_node_that_starts_puts_right_what_a_crash_has_left(tmp_path, capfd):
+    with stage(tmp_path) as running:
+        departs(running.give())
+    (path,) = recordings(tmp_path)
+    whole = path.read_bytes()
+    path.with_name(f'{path.parent.name}_1.mcap.tmp').write_bytes(whole)
+    (path.parent / 'metadata.yaml').unlink()
+    with stage(tmp_path) as running:
+        running.client.diagnostics(recording='on')
+    assert len(listed(path.parent)) == 2
+    assert [each.read_bytes() for each in recordings(tmp_path)] == [whole, whole]
+    assert 'finished' in capfd.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_a_node_that_is_killed_leaves_whole_files_and_a_true_list(tmp_path):
+    directory, pauses = tmp_path / 'runs', random.Random(3)
+    parameters = (f'recording.directory:={directory}', 'network.spacing:=2.0')
+    for _ in range(KILLS):
+        before = sessions(directory)
+        # A domain of its own, as clients wait for those who were killed; and the node first, which
+        # a client that comes later finds at once.
+        with free_domain() as domain, node_process(
+                domain, tmp_path, *parameters) as process, _client_of(process, domain) as client:
+            client.publish('alpha_map', risk_grid())
+            client.diagnostics(message='waiting for start_pose, goal_pose')
+            departs(client)
+            wait_until(lambda before=before: sessions(directory) - before, 'a recording')
+            end = time.monotonic() + pauses.uniform(0.0, 0.2)
+            while time.monotonic() < end:  # nobody waits for the answers
+                client.send('get_plan', GetPlan.Request(start=START, goal=GOAL))
+                time.sleep(0.01)
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+    assert len(sessions(directory)) == KILLS
+    for path in recordings(directory):
+        with path.open('rb') as file:
+            assert make_reader(file, validate_crcs=True).get_summary().statistics
+        assert read_with_mcap_ros2(path)
+        assert read_with_rosbags(path)
+    for session in sessions(directory):
+        there = {path.name for path in session.glob('*.mcap')}
+        if (session / 'metadata.yaml').exists():
+            assert set(listed(session)) <= there
+            assert read_with_rosbags(session)
+
+
+@contextmanager
+def _client_of(process, domain):
+    """A client, once the node has come as far as to start its worker process."""
+    threads = Path(f'/proc/{process.pid}/task')
+    wait_until(lambda: any(path.read_text() for path in threads.glob('*/children')), 'the worker')
+    with client_in(domain) as client:
+        yield client
+
+
+def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
+    stuck, go_on = Event(), Event()
+
+    def hang(*_):
+        stuck.set()
+        assert go_on.wait(TIMEOUT)
+
+    with stage(tmp_path / 'runs') as running:
+        client = running.give()
+        departs(client)
+        wait_until(lambda: recordings(tmp_path), 'a recording')
+        monkeypatch.setattr(durable.os, 'fsync', hang)
+        try:
+            departs(client)
+            assert stuck.wait(TIMEOUT)
+            for _ in range(17):  # 16 may wait
+                departs(client)
+            report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
+            assert 'wait for the disk, which does not answer' in report['message']
+            running.planner.set_parameters([Parameter('recording.enabled', value=False)])
+            client.diagnostics(recording='off', code='NONE')
+        finally:
+            monkeypatch.undo()
+            go_on.set()
+    assert len(recordings(tmp_path)) >= 17, 'what could wait was written in the end'
+
+
+def test_an_error_that_nobody_expected_is_told_without_its_words(tmp_path, monkeypatch, capfd):
+    def broken(*_):
+        raise ValueError(f'the route was {math.pi}')
+
+    with stage(tmp_path) as running:
+        client = running.give()
+        with monkeypatch.context() as patch:
+            patch.setattr(recordings_module, 'recorded_metadata', broken)
+            departs(client)
+            message = client.diagnostics(recording='failed')['message']
+        departs(client)
+        client.diagnostics(recording='on', code='NONE')
+    log = capfd.readouterr().err
+    assert 'internal error (ValueError)' in message
+    assert 'in broken' in log
+    assert '3.14' not in log + message
+
+
+def test_all_that_departed_is_recorded_when_the_node_is_told_to_end(tmp_path):
+    with free_domain() as domain, node_process(
+            domain, tmp_path, f'recording.directory:={tmp_path / "runs"}',
+            'network.spacing:=1.0') as process, client_in(domain) as client:
+        client.publish('alpha_map', risk_grid())
+        client.diagnostics(message='waiting for start_pose, goal_pose')
+        for _ in range(60):
+            client.send('get_plan', GetPlan.Request(start=START, goal=GOAL))
+        wait_until(lambda: len(client.received['path']) > 3, 'some departures')
+        assert exit_code(process, signal.SIGINT) == 0
+        assert 'not recorded' not in (tmp_path / 'output').read_text()
+        assert 'could not be written' not in (tmp_path / 'output').read_text()
+        assert len(recordings(tmp_path)) >= len(client.received['path'])

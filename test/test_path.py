@@ -1,0 +1,72 @@
+"""The path that is published: dense, clear of obstacles, between exactly the poses given."""
+
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from ros_harness import FRAME, pose, risk_grid, stage
+
+from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.risk_map import OccupancyOptions
+from ambush_planner.ros.conversions import path_from_ros, risk_map_from_ros
+
+START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
+
+
+@pytest.fixture(scope='module')
+def running():
+    with stage() as running:
+        running.give()
+        yield running
+
+
+def rows_with(running, **parameters):
+    """Poses (L, 3) of a path that the node plans with other parameters."""
+    changes = [Parameter(name.replace('__', '.'), value=value)
+               for name, value in parameters.items()]
+    assert running.planner.set_parameters_atomically(changes).successful
+    return path_from_ros(running.client.get_plan(START, GOAL))
+
+
+def steps(rows):
+    return np.hypot(*np.diff(rows[:, :2], axis=0).T)
+
+
+def test_start_and_goal_are_exactly_the_poses_given(running):
+    path = running.client.get_plan(START, GOAL)
+    assert path.header.frame_id == FRAME
+    assert (path.header.stamp.sec, path.header.stamp.nanosec) != (0, 0)
+    assert {each.header.frame_id for each in path.poses} == {FRAME}
+    assert path.poses[0].pose == START.pose
+    assert path.poses[-1].pose == GOAL.pose
+
+
+def test_yaw_looks_along_the_route(running):
+    rows = path_from_ros(running.client.get_plan(START, GOAL))
+    along = np.diff(rows[:, :2], axis=0)
+    yaw = np.arctan2(along[:, 1], along[:, 0])
+    np.testing.assert_allclose(rows[1:-1, 2], yaw[1:], atol=1e-9)
+
+
+def test_poses_are_as_far_apart_as_nodes_or_cells_or_the_parameter_say(running):
+    longest = steps(rows_with(running, network__spacing=1.0, route__path_spacing=0.0)).max()
+    assert 0.5 < longest <= 1.0 + 1e-9, 'nodes lie further apart than cells'
+    longest = steps(rows_with(running, network__spacing=0.25)).max()
+    assert 0.25 <= longest <= 0.5 + 1e-9, 'cells are larger'
+    longest = steps(rows_with(running, network__spacing=1.0, route__path_spacing=0.1)).max()
+    assert 0.05 < longest <= 0.1 + 1e-9
+
+
+@pytest.mark.parametrize('spacing', [1e-4, 1e-30, 5e-324])
+def test_a_path_of_too_many_poses_is_refused(running, spacing):
+    assert not len(rows_with(running, route__path_spacing=spacing))
+    report = running.client.diagnostics(code='INVALID_OPTION')
+    assert 'route.path_spacing' in report['message']
+    assert len(rows_with(running, route__path_spacing=0.0))
+
+
+@pytest.mark.parametrize('clearance', [0.0, 0.4, 0.9])
+def test_every_segment_keeps_its_clearance(running, clearance):
+    field = ObstacleField(risk_map_from_ros(risk_grid(), OccupancyOptions()))
+    for _ in range(5):
+        rows = rows_with(running, network__clearance=clearance, route__path_spacing=0.2)
+        assert field.clear_segments(rows[:-1, :2], rows[1:, :2], clearance).all()

@@ -1,0 +1,277 @@
+"""Recordings of a real node go out again over DDS, from the command as a user starts it."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import pytest
+from forging import GET_PLAN, NEW_ROUTE, Forger, record_runs
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import Path as PathMessage
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
+from waiting import wait_until
+
+from ambush_planner.recording import read_departure
+from ambush_planner.recording.types import TYPES
+
+# A message from the network may have up to three bytes of padding at its end.
+PADDING = 3
+STEP_NS = 100_000_000
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    return record_runs(tmp_path_factory.mktemp('runs'))
+
+
+@pytest.fixture(scope='module')
+def slow(files, tmp_path_factory):
+    """A departure whose eleven messages are 0.1 s apart."""
+    forger = Forger(files[NEW_ROUTE])
+    forger.messages = [
+        replace(message, stamp_ns=10**18 + k * STEP_NS)
+        for k, message in enumerate(forger.messages)
+    ]
+    return forger.save(tmp_path_factory.mktemp('slow') / 'slow.mcap')
+
+
+class Listener:
+    """Keeps what comes on topics, with the time, as the bytes that they are."""
+
+    def __init__(self, node):
+        self.node = node
+        self.received = {}
+
+    def listen(self, topic, kind, qos):
+        got = self.received[topic] = []
+        self.node.create_subscription(
+            kind, topic, lambda data: got.append((time.monotonic(), data)), qos, raw=True
+        )
+
+    def count(self):
+        return sum(map(len, self.received.values()))
+
+    def span(self):
+        times = sorted(at for got in self.received.values() for at, _ in got)
+        return times[-1] - times[0]
+
+
+@contextmanager
+def listener(messages=()):
+    """A listener to all topics of the messages, in a domain of its own; also that domain."""
+    with free_domain() as domain, ros_context(domain) as context:
+        node = Node('listener', context=context)
+        found = Listener(node)
+        for message in messages:
+            if message.topic not in found.received:
+                found.listen(message.topic, TYPES[message.type], message.qos)
+        with spinning(node, SingleThreadedExecutor(context=context)):
+            yield found, domain
+
+
+@contextmanager
+def replaying(domain, *arguments):
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'ambush_planner.tools.replay', *map(str, arguments)],
+        env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def replayed(domain, *arguments):
+    """The exit code of the command and what it said, once it has ended by itself."""
+    with replaying(domain, *arguments) as process:
+        out, err = process.communicate(timeout=60)
+    assert 'Traceback' not in err and out == ''
+    return process.returncode, err
+
+
+def is_same(data, recorded):
+    return data.startswith(recorded) and len(data) - len(recorded) <= PADDING
+
+
+def assert_received(found, messages):
+    """Each topic has received the messages on it, in their order and byte for byte."""
+    try:
+        wait_until(lambda: found.count() >= len(messages), 'all messages')
+    except AssertionError as error:
+        counts = {topic: len(got) for topic, got in found.received.items()}
+        raise AssertionError(f'{error}; received: {counts}') from None
+    for topic, got in found.received.items():
+        sent = [message.data for message in messages if message.topic == topic]
+        assert len(got) == len(sent), topic
+        assert all(is_same(data, one) for (_, data), one in zip(got, sent, strict=True)), topic
+
+
+def test_listeners_get_the_same_bytes_in_order(slow):
+    messages = read_departure(slow).messages
+    with listener(messages) as (found, domain):
+        code, said = replayed(domain, slow, '--rate', '4')
+        assert_received(found, messages)
+    assert code == 0
+    assert 'nobody listens' not in said
+    assert "1.0 of 1.0 s: 'slow.mcap', 11 messages" in said
+
+
+def test_a_folder_is_one_timeline(slow, tmp_path):
+    forger = Forger(slow)
+    for k in range(3):
+        shifted = [replace(m, stamp_ns=m.stamp_ns + k * 2 * 10**9) for m in forger.messages]
+        one = Forger(slow)
+        one.messages = shifted
+        one.save(tmp_path / f'run_{k}.mcap')
+    path = [m for m in forger.messages if m.type.endswith('Path')]
+    with listener(path) as (found, domain):
+        code, _ = replayed(domain, tmp_path, '--rate', '5')
+        assert_received(found, path * 3)
+        assert 0.5 < found.span() < 2.0  # 4 s of recording
+    assert code == 0
+
+
+@pytest.mark.slow
+def test_rate_and_start(slow):
+    messages = read_departure(slow).messages
+    spans = []
+    for rate in (1, 2):
+        with listener(messages) as (found, domain):
+            assert replayed(domain, slow, '--rate', rate)[0] == 0
+            assert_received(found, messages)
+            spans.append(found.span())
+    assert 0.9 < spans[0] < 2.0
+    assert 1.4 < spans[0] / spans[1] < 2.8
+    with listener(messages) as (found, domain):
+        assert replayed(domain, slow, '--start-at', '0.45')[0] == 0
+        assert_received(found, messages[5:])
+        assert found.span() < 0.9
+
+
+def test_only_some_topics_and_other_names(slow):
+    messages = read_departure(slow).messages
+    with listener() as (found, domain):
+        for topic in ('/path', '/convoy/way', '/alpha_map'):
+            kind = OccupancyGrid if topic == '/alpha_map' else PathMessage
+            found.listen(topic, kind, LATCHED)
+        remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
+        code, said = replayed(domain, slow, '--topics', '/path', '/goal_pose', *remap)
+        assert code == 0
+        assert 'nobody listens to /goal_pose' in said
+        wait_until(found.count, 'the path under its other name')
+    (path,) = [message.data for message in messages if message.topic == '/path']
+    assert {topic: len(got) for topic, got in found.received.items()} == {
+        '/path': 0, '/convoy/way': 1, '/alpha_map': 0
+    }
+    assert is_same(found.received['/convoy/way'][0][1], path)
+
+
+def test_a_loop_keeps_latched_topics_and_ends_on_sigint(slow):
+    messages = read_departure(slow).messages
+    names = {message.topic: message for message in messages}
+    with listener(messages) as (found, domain), \
+            replaying(domain, slow, '--loop', '--rate', '4') as process:
+        wait_until(lambda: len(found.received['/goal_pose']) >= 3, 'three rounds')
+        assert process.poll() is None
+        for topic, message in names.items():
+            (offered,) = found.node.get_publishers_info_by_topic(topic)
+            assert offered.qos_profile.durability == message.qos.durability, topic
+            assert offered.qos_profile.reliability == message.qos.reliability, topic
+        late = Listener(found.node)
+        late.listen('/path', PathMessage, LATCHED)
+        wait_until(late.count, 'the path for a late joiner')
+        begin = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10) == 0
+        assert time.monotonic() - begin < 2.0
+        assert 'Traceback' not in process.stderr.read()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('when', ['discovery', 'pause'])
+def test_signals_end_it_cleanly_at_any_time(number, when, slow):
+    messages = read_departure(slow).messages
+    with listener(messages if when == 'pause' else ()) as (found, domain), \
+            replaying(domain, slow, '--rate', '0.001') as process:
+        if when == 'pause':
+            wait_until(found.count, 'the first message')
+        else:
+            wait_until(lambda: found.node.get_publishers_info_by_topic('/path'), 'publishers')
+        begin = time.monotonic()
+        process.send_signal(number)
+        process.send_signal(number)
+        assert process.wait(10) == 0
+        assert time.monotonic() - begin < 2.0
+        assert 'Traceback' not in process.stderr.read()
+
+
+@pytest.mark.parametrize('which', [NEW_ROUTE, GET_PLAN])
+def test_another_planner_is_fed(which, files):
+    with stage() as running:
+        client = running.client
+        domain = running.planner.context.get_domain_id()
+        code, said = replayed(domain, files[which], '--inputs-only')
+        assert (code, 'nobody listens' in said) == (0, False)
+        assert '3 messages' in said
+        client.diagnostics(state='ready')
+        assert client.received['path'] == []
+        assert client.call('new_route').success
+        ends = client.last('path').poses[0], client.last('path').poses[-1]
+    recorded = read_departure(files[which]).message('path').poses
+    assert ends[0].pose.position == recorded[0].pose.position
+    assert ends[1].pose == recorded[-1].pose
+
+
+def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
+    whole, cut, changed = (tmp_path / f'run_{k}.mcap' for k in (2, 0, 1))
+    data = slow.read_bytes()
+    whole.write_bytes(data)
+    cut.write_bytes(data[:-100])
+    # Its summary is whole: it is found out when its turn comes.
+    at = len(data) // 2
+    changed.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1:])
+    messages = read_departure(slow).messages
+    with listener(messages) as (found, domain):
+        code, said = replayed(domain, tmp_path, '--rate', '4')
+        assert_received(found, messages)
+    assert code == 1
+    for path in (cut, changed):
+        assert f'ambush_replay: {path} is not readable as a recording: ' in said
+    assert str(whole) not in said
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'words'), [
+    (['none.mcap'], 1, 'No such file'),
+    (['{}', '--rate', '0'], 2, '--rate'),
+    (['{}', '--start-at', 'nan'], 2, '--start-at'),
+    (['{}', '--start-at', '5'], 1, 'after the end, 1.0 s'),
+    (['{}', '--topics', '/x'], 1, 'nothing is recorded on /x, only on /alpha_map, '),
+    (['{}', '--topics', '/path', '--inputs-only'], 1, 'none of these topics is an input'),
+    (['{}', '--ros-args', '-x'], 2, 'after --ros-args'),
+    (['--help'], 0, ''),
+])
+def test_wrong_usage(arguments, code, words, slow):
+    with free_domain() as domain, replaying(
+        domain, *(text.format(slow) for text in arguments)
+    ) as process:
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == code
+    assert words in said and 'Traceback' not in said
+
+
+def test_recorded_profiles_are_what_the_node_offers(files):
+    """What the tests above compare with is not all the same."""
+    qos = {m.topic: m.qos for m in read_departure(files[NEW_ROUTE]).messages}
+    assert qos['/path'].durability == DurabilityPolicy.TRANSIENT_LOCAL
+    assert qos['/goal_pose'].durability == DurabilityPolicy.VOLATILE
+    assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())

@@ -1,0 +1,209 @@
+"""The report: one whole page, safe against what files may hold, with the right numbers."""
+
+import re
+from base64 import b64decode
+from html.parser import HTMLParser
+from io import BytesIO
+
+import numpy as np
+import pytest
+
+pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+
+import yaml
+from audit_samples import departure, drawn, parameters, record, sample_plan
+from matplotlib.image import imread
+
+from ambush_planner.core.evaluation import evaluate
+from ambush_planner.recording.reader import recordings_in
+from ambush_planner.review.departures import read_campaigns
+from ambush_planner.tools import report, report_figures, report_words
+
+HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
+VOID = {'meta', 'img'}
+
+
+class Page(HTMLParser):
+    """Checks that tags are closed in their order; collects elements, attributes, text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.tags, self.attributes, self.words = [], [], [], []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.attributes += [(tag, *attribute) for attribute in attributes]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if 'style' not in self.open:
+            self.words.append(data)
+
+    @property
+    def text(self):
+        return re.sub(r'\s+', ' ', ' '.join(self.words))
+
+
+@pytest.fixture(scope='module')
+def a_plan():
+    return sample_plan()
+
+
+@pytest.fixture(scope='module')
+def made(tmp_path_factory, a_plan):
+    """The page of twelve departures, its text, and the campaign that it was made from."""
+    folder = tmp_path_factory.mktemp('report')
+    record(folder / 'in', [departure(a_plan, route, k + 1)
+                           for k, route in enumerate(drawn(a_plan, 12))])
+    assert report.main([str(folder / 'in'), '-o', str(folder / 'out')]) == 0
+    (campaign,) = read_campaigns(recordings_in(folder / 'in'), pytest.fail)
+    html = (folder / 'out' / 'report.html').read_text()
+    return html, Page(html), campaign
+
+
+def page_of(tmp_path, *departures):
+    record(tmp_path / 'in', departures)
+    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
+    html = (tmp_path / 'out' / 'report.html').read_text()
+    return html, Page(html)
+
+
+def test_the_page_is_whole_and_needs_nothing_else(made):
+    html, page, _ = made
+    assert html.startswith('<!DOCTYPE html>') and ('html', 'lang', 'en') in page.attributes
+    assert not {'script', 'link', 'iframe', 'object', 'form', 'a', 'base'} & set(page.tags)
+    sources = [value for tag, name, value in page.attributes if name in ('src', 'href')]
+    assert len(sources) == 3 and all(s.startswith('data:image/png;base64,') for s in sources)
+    assert "default-src 'none'; img-src data:; style-src 'unsafe-inline'" in [
+        value for tag, name, value in page.attributes if name == 'content'
+    ]
+    assert not re.search(r'url\(|@import|https?://', html)
+    assert not [name for _, name, _ in page.attributes if name.startswith('on')]
+
+
+def test_every_picture_is_a_picture_and_described(made):
+    html, page, _ = made
+    for data in re.findall(r'base64,([A-Za-z0-9+/=]+)', html):
+        image = imread(BytesIO(b64decode(data)))
+        assert image.shape[1] > 700 and np.std(image[..., :3]) > 0.05
+    texts = [value for tag, name, value in page.attributes if name == 'alt']
+    assert len(texts) == 3 and all(len(text) > 15 for text in texts)
+
+
+def test_the_numbers_are_those_of_the_strategy(made, a_plan):
+    _, page, campaign = made
+    strategy = a_plan.strategy
+    assert f'more than {strategy.value:.4f} a departure' in page.text
+    assert f'less than {strategy.lower_bound:.4f} on this network' in page.text
+    rows = evaluate(strategy)
+    for row, cells in zip(rows.values(), report_words.measures(campaign.strategy)[1:],
+                          strict=True):
+        assert cells[1:] == (report_words.distance(row.expected_length),
+                             report_words.percent(row.p_first),
+                             report_words.percent(row.p_repeated), f'{row.v_repeated:.3f}')
+        for cell in cells:
+            assert cell in page.text
+    assert f'{strategy.route_entropy:.4g} nats' in page.text
+
+
+def test_departures_settings_and_the_warning_are_there(made):
+    _, page, campaign = made
+    for record_ in campaign.departures:
+        assert record_.id in page.text
+    assert 'Secret.' in page.text and campaign.sha256 in page.text
+    assert 'game.secured_radius' in page.text and 'uniform_delaunay' in page.text
+    assert '2023-11-15 22:13 UTC' in page.text and '1.26.4' in page.text
+
+
+def test_routes_and_seeds_are_not_spelled_out(made):
+    html, page, campaign = made
+    assert 'route_entropy_source' not in html
+    assert not [value for name, value in report_words.settings(campaign) if name == 'seed']
+    for record_ in campaign.departures:
+        assert ', '.join(map(str, record_.route[:4].tolist())) not in page.text
+
+
+def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
+    texts = {'parameters': yaml.safe_dump(parameters(seed=77123))}
+    html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
+    assert 'fixed seed' in page.text and '77123' not in html
+    assert 'fixed seed' not in made[1].text
+
+
+@pytest.mark.parametrize('key', ['planner_version', 'service', 'departure_id', 'frame'])
+def test_what_comes_from_files_is_escaped(tmp_path, a_plan, key):
+    html, page = page_of(
+        tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts={key: HOSTILE})
+    )
+    assert 'script' not in page.tags and page.tags.count('img') == 3
+    assert 'alert(1)' in page.text
+    assert '<script' not in html and not [n for _, n, _ in page.attributes if n == 'onerror']
+
+
+def test_hostile_parameters_and_versions_are_escaped(tmp_path, a_plan):
+    texts = {'parameters': yaml.safe_dump(parameters(**{'recording.directory': HOSTILE})),
+             'versions': yaml.safe_dump({HOSTILE: HOSTILE, 'numpy': '<b>'})}
+    html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
+    assert '<script' not in html and 'b' not in page.tags[page.tags.index('h2') + 10:]
+    assert 'alert(1)' in page.text
+
+
+def test_one_departure_makes_a_page(tmp_path, a_plan):
+    (path,) = record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0])])
+    assert report.main([str(path), '-o', str(tmp_path / 'out')]) == 0
+    page = Page((tmp_path / 'out' / 'report.html').read_text())
+    assert '1 departure,' in page.text and '1 departures' not in page.text
+
+
+def test_several_strategies_share_a_page(tmp_path, a_plan):
+    other = sample_plan(hill=90)
+    html, page = page_of(
+        tmp_path,
+        *(departure(a_plan, r, k) for k, r in enumerate(drawn(a_plan, 2))),
+        *(departure(other, r, k + 9, hill=90) for k, r in enumerate(drawn(other, 3))),
+    )
+    assert 'Strategy 1 of 2: 2 departures' in page.text
+    assert 'Strategy 2 of 2: 3 departures' in page.text
+    assert page.tags.count('img') == 6 and page.tags.count('section') == 2
+
+
+def test_what_could_not_be_read_is_said_on_the_page(tmp_path, a_plan, capsys):
+    paths = record(tmp_path / 'in', [departure(a_plan, r, k)
+                                     for k, r in enumerate(drawn(a_plan, 2))])
+    paths[0].write_bytes(b'nothing')
+    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 1
+    page = Page((tmp_path / 'out' / 'report.html').read_text())
+    assert 'could not be read and are missing here: 1.' in page.text
+    assert paths[0].name in capsys.readouterr().err
+
+
+def test_settings_that_differ_are_said_to(tmp_path, a_plan):
+    routes = drawn(a_plan, 2)
+    texts = {'parameters': yaml.safe_dump(parameters(**{'recording.compression': 'none'}))}
+    _, page = page_of(tmp_path, departure(a_plan, routes[0]),
+                      departure(a_plan, routes[1], 2, texts=texts))
+    assert 'recording.compression differs between departures' in page.text
+
+
+def test_distances_and_shares_are_readable():
+    assert report_words.distance(404.3) == '404 m'
+    assert report_words.distance(31_240.0) == '31.2 km'
+    assert report_words.percent(0.1064) == '10.6 %'
+
+
+def test_more_routes_than_colours_are_drawn(made):
+    _, _, campaign = made
+    routes = [campaign.strategy.network.points[d.route] for d in campaign.departures]
+    figure = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes, 0.0)
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ['latest departures', 'earlier ones', 'impassable']
+    few = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes[:2], 40.0)
+    legend = [text.get_text() for text in few.legends[0].get_texts()]
+    assert legend == ['latest departures', 'impassable', 'held ground: nobody can wait here']

@@ -1,0 +1,99 @@
+"""What ROS users take for granted: names, remapping, QoS, simulated time, several nodes."""
+
+import math
+import re
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+from ros_harness import free_domain, header, pose, risk_grid, stage, stage_in, wait_until
+from rosgraph_msgs.msg import Clock
+
+from ambush_planner.ros.conversions import pose_to_ros
+
+
+def test_initialpose_sets_the_start():
+    with stage() as running:
+        client = running.give()
+        estimate = PoseWithCovarianceStamped(header=header())
+        estimate.pose.pose = pose_to_ros(2.5, 1.5)
+        client.publish('initialpose', estimate)
+        client.call_until('new_route', lambda _: client.received['path'] and client.last(
+            'path').poses[0].pose.position == estimate.pose.pose.position)
+
+
+def test_rotated_map_in_its_own_frame():
+    grid = risk_grid(origin=(100.0, -50.0, math.pi / 2), frame='site')
+    with stage() as running:
+        client = running.client
+        client.publish('alpha_map', grid)
+        client.diagnostics(message='waiting for start_pose, goal_pose')
+        path = client.get_plan(
+            pose(94.5, -48.5, frame='site'), pose(94.5, -41.5, frame='site'))
+        assert path.header.frame_id == 'site'
+        assert client.last('edge_probabilities').markers[0].header.frame_id == 'site'
+
+
+def test_a_namespace_moves_everything_but_the_diagnostics():
+    with stage(namespace='/convoy') as running:
+        message = running.give().call('new_route').message
+        assert re.fullmatch(r'departure 1 \(.{36}\) is published on /convoy/path', message)
+        assert running.client.received['/diagnostics'][-1].status[0].name == (
+            'convoy/ambush_planner')
+
+
+def test_topics_and_name_can_be_remapped():
+    remaps = ['alpha_map:=/global_costmap/costmap', 'path:=/plan', '__node:=planner_7']
+    arguments = ['--ros-args', *(word for remap in remaps for word in ('-r', remap))]
+    with stage(cli_args=arguments) as running:
+        client = running.client
+        client.publish('/global_costmap/costmap', risk_grid())
+        client.publish('start_pose', pose(1.5, 5.5))
+        client.publish('goal_pose', pose(8.5, 5.5))
+        client.diagnostics(state='ready')
+        assert client.call('new_route').message.endswith('is published on /plan')
+        assert client.received['/diagnostics'][-1].status[0].name == 'planner_7'
+
+
+def test_quality_of_service_is_as_the_interface_table_says():
+    with stage() as running:
+        planner = running.planner
+        for topic in ('path', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'network'):
+            (info,) = planner.get_publishers_info_by_topic(topic)
+            assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, topic
+            assert info.qos_profile.reliability == ReliabilityPolicy.RELIABLE, topic
+        (info,) = planner.get_subscriptions_info_by_topic('alpha_map')
+        assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        for topic in ('start_pose', 'goal_pose', 'initialpose'):
+            # Volatile, or RViz' tools would not match.
+            (info,) = planner.get_subscriptions_info_by_topic(topic)
+            assert info.qos_profile.durability == DurabilityPolicy.VOLATILE, topic
+
+
+def test_several_nodes_side_by_side_in_one_domain():
+    with free_domain() as domain, stage_in(domain, namespace='/north') as north, stage_in(
+            domain, namespace='/south') as south:
+        for goal, running in ((2.5, north), (3.5, south)):
+            running.give(goal=(8.5, goal))
+            running.client.call_until('new_route', lambda answer: answer.success)
+            assert running.client.last('path').poses[-1].pose.position.y == goal
+            running.client.diagnostics(departures='1')
+        assert len(north.client.received['path']) == len(south.client.received['path']) == 1
+
+
+def test_simulated_time_stamps_what_is_published_and_does_not_hold_anything_up(tmp_path):
+    with stage(tmp_path, {'use_sim_time': True}) as running:
+        client = running.client
+        assert running.give().call('new_route').success
+        assert client.last('path').header.stamp == Time(), 'there is no time yet'
+        client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
+        now = Time(sec=12, nanosec=345)
+        client.publish('/clock', Clock(clock=now))
+        wait_until(lambda: running.planner.get_clock().now().to_msg() == now, 'the new time')
+        assert client.call('new_route').success
+        assert client.last('path', 2).header.stamp == now
+        client.publish('/clock', Clock(clock=Time(sec=3)))
+        wait_until(lambda: running.planner.get_clock().now().to_msg().sec == 3, 'time gone back')
+        assert client.call('new_route').success
+        client.diagnostics(departures='3', recording='on', code='NONE')
+    assert len(list(tmp_path.rglob('*.mcap'))) == 3

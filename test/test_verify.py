@@ -1,0 +1,220 @@
+"""Recordings of a real node are verified: as they are, damaged, and by somebody elsewhere."""
+
+import math
+import os
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.srv import GetPlan
+from ros_harness import header, pose, risk_grid, stage
+
+from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.review.departures import record_from, strategy_from
+from ambush_planner.review.verify import Verifier
+from ambush_planner.ros.paths import departure_path
+from ambush_planner.tools import verify as tool
+
+SECRET_KEYS = ('route', 'route_entropy_source')
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    return record_runs(tmp_path_factory.mktemp('runs'))
+
+
+def verified(place, capsys):
+    """The exit code of the tool for a file or folder, and its lines on standard output."""
+    code = tool.main([str(place)])
+    out, err = capsys.readouterr()
+    assert 'Traceback' not in out + err
+    return code, out.splitlines()
+
+
+def test_what_a_node_records_holds(files, capsys):
+    code, lines = verified(files[0].parent.parent, capsys)
+    assert code == 0
+    assert lines[-1] == '6 departures: all hold'
+    for path, line in zip(files, lines, strict=False):
+        assert re.fullmatch(
+            rf'holds  {re.escape(str(path))}: departure \d, \d+ nodes, value [\d.]+', line
+        )
+
+
+def test_each_strategy_is_planned_once(files):
+    planned = []
+    verifier = Verifier(planned.append)
+    assert all(verifier.verify(path).holds for path in files)
+    # The second node planned the trip of the first one's first departure, with another seed.
+    assert planned == [files[NEW_ROUTE], files[MOVED_GOAL], files[GET_PLAN]]
+
+
+def test_neither_routes_nor_seeds_are_printed(files, capsys, tmp_path):
+    forger = Forger(files[SEEDED])
+    forger.set_yaml('route_entropy_source', [123456789])
+    forger.correct()
+    bad = forger.save(tmp_path / 'bad.mcap')
+    for path in (*files, bad):
+        tool.main([str(path)])
+        printed = ''.join(capsys.readouterr())
+        assert '123456789' not in printed
+        metadata = read_departure(path).metadata
+        for key in SECRET_KEYS:
+            assert metadata[key].strip('[]') not in printed
+
+
+@pytest.mark.parametrize('solver', ['interior_point', 'simplex'])
+def test_the_other_solvers_and_networks(solver, tmp_path, capsys):
+    parameters = {
+        'strategy.solver': solver, 'network.method': 'random_delaunay', 'route.path_spacing': 0.3,
+        'strategy.length_weight': 0.01, 'game.secured_radius': 1.2, 'map.unknown_alpha': 4.0,
+        'recording.compression': 'lz4',
+    }
+    with stage(tmp_path, parameters) as running:
+        grid = risk_grid(origin=(-2.0, 3.0, 0.0))
+        grid.data[0] = -1
+        client = running.give(grid, (-0.5, 8.5), (6.5, 8.5))
+        assert client.call('new_route').success
+    code, lines = verified(tmp_path, capsys)
+    assert (code, lines[-1]) == (0, '1 departure: all hold')
+
+
+def test_ambush_radius_budget_and_slack(tmp_path, capsys):
+    parameters = {
+        'game.ambush_radius': 1.2, 'strategy.max_detour': math.inf, 'strategy.risk_slack': 0.1,
+        'max_planning_time': math.inf,
+    }
+    with stage(tmp_path, parameters) as running:
+        assert running.give().call('new_route').success
+    assert verified(tmp_path, capsys)[0] == 0
+
+
+def test_a_start_from_initialpose_and_remapped_names(tmp_path, capsys):
+    arguments = ['--ros-args', '-r', 'path:=way', '-r', 'goal_pose:=/there']
+    with stage(tmp_path, namespace='convoy', cli_args=arguments) as running:
+        client = running.client
+        client.publish('alpha_map', risk_grid())
+        estimate = PoseWithCovarianceStamped(header=header())
+        estimate.pose.pose = pose(1.5, 5.5, 0.5).pose
+        client.publish('initialpose', estimate)
+        client.publish('/there', pose(8.5, 5.5, 2.0))
+        client.diagnostics(state='ready')
+        assert client.call('new_route').success
+    (path,) = recordings_in(tmp_path)
+    topics = {message.topic for message in read_departure(path).messages}
+    assert {'/convoy/initialpose', '/convoy/way', '/there'} <= topics
+    assert verified(path, capsys)[0] == 0
+
+
+def in_another_frame(forger):
+    """Give start and goal in a frame that only TF could bring into the map's."""
+    def change(message):
+        message.header.frame_id = 'odom'
+        message.pose.position.x += 100.0
+
+    def change_request(event):
+        for request in event.request:
+            change(request.start)
+            change(request.goal)
+
+    for role in ('start', 'goal'):
+        forger.edit(forger.place(role), change)
+    for place in forger.places(GetPlan.Event):
+        forger.edit(place, change_request)
+    forger.correct()
+
+
+@pytest.mark.parametrize('which', [NEW_ROUTE, MOVED_GOAL])
+def test_poses_in_another_frame_are_said_not_to_be_checked(which, files, tmp_path, capsys):
+    forger = Forger(files[which])
+    in_another_frame(forger)
+    code, lines = verified(forger.save(tmp_path / 'tf.mcap'), capsys)
+    assert code == 0
+    for name in ('start', 'goal'):
+        assert f"not checked: the {name} pose is in the frame 'odom', the map in 'map'" in lines[0]
+
+
+def test_other_versions_are_told(files, tmp_path, capsys):
+    forger = Forger(files[NEW_ROUTE])
+    forger.edit_yaml('versions', scipy='0.1')
+    code, lines = verified(forger.save(tmp_path / 'old.mcap'), capsys)
+    assert code == 0
+    assert "scipy '0.1', verified with" in lines[0]
+
+
+def test_a_copied_file_holds_twice(files, tmp_path, capsys):
+    for name in ('a.mcap', 'b.mcap'):
+        (tmp_path / name).write_bytes(files[0].read_bytes())
+    assert verified(tmp_path, capsys)[0] == 0
+
+
+def test_a_consistent_forgery_holds(files, tmp_path, capsys):
+    """What --help says cannot be found: another draw with all that follows from it."""
+    forger, recorded = Forger(files[GET_PLAN]), read_departure(files[GET_PLAN])
+    record = record_from(recorded)
+    strategy = strategy_from(recorded, record)
+    route = strategy.sample_route(np.random.default_rng([99]))
+    assert not np.array_equal(route, record.route)
+    old = recorded.message('path')
+    again = departure_path(
+        strategy.network.points[route], 1.0, recorded.message('start').pose,
+        recorded.message('goal').pose, old.header,
+    )
+    forger.put(forger.place('path'), again.to_message())
+    forger.edit(
+        forger.places(GetPlan.Event)[1],
+        lambda event: setattr(event.response[0], 'plan', again.to_message()),
+    )
+    forger.set_yaml('route', route.tolist())
+    forger.set_yaml('route_entropy_source', [99])
+    forger.correct()
+    assert verified(forger.save(tmp_path / 'forged.mcap'), capsys)[0] == 0
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'ambush_planner.tools.verify', *map(str, arguments)],
+        env={**os.environ, 'ROS_PYTHON_CHECK_FIELDS': '1'},
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+
+
+def test_as_a_user_starts_it(files, tmp_path):
+    process = run(files[0].parent)
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.splitlines()[-1] == '4 departures: all hold'
+    assert 'planning again' in process.stderr
+    assert run('--help').returncode == 0
+    assert run().returncode == 2
+    missing = run(tmp_path / 'none')
+    assert (missing.returncode, missing.stdout) == (1, '')
+    assert missing.stderr.startswith('ambush_verify: ') and 'No such file' in missing.stderr
+
+
+def test_one_bad_file_in_a_folder_does_not_hide_the_others(files, tmp_path, capsys):
+    for k, path in enumerate(files[:3]):
+        data = path.read_bytes()
+        (tmp_path / f'run_{k}.mcap').write_bytes(data[: len(data) // 2] if k == 1 else data)
+    code, lines = verified(tmp_path, capsys)
+    assert code == 1
+    assert [line[:5] for line in lines[:3]] == ['holds', 'FAILS', 'holds']
+    assert 'ambush_recover' in lines[1]
+    assert lines[-1] == '1 of 3 departures: not consistent'
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_damaged_files_are_refused_without_a_traceback(seed, files, tmp_path, capsys):
+    rng, path = np.random.default_rng(seed), tmp_path / 'damaged.mcap'
+    for k in range(50):
+        data = bytearray(files[k % len(files)].read_bytes())
+        if k % 2:
+            del data[int(rng.integers(len(data))):]
+        else:
+            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(data)
+        code, lines = verified(path, capsys)
+        assert code == 1 and lines[0].startswith(f'FAILS  {path}: ')
