@@ -13,14 +13,15 @@ unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE LD_LIBRARY_PATH PYTHONPATH PYTHONHOME
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo paper test lint benchmark clean
+.PHONY: help demo paper test lint benchmark endurance clean
 
 help:
 	@echo 'make demo       eight departures on real terrain; results in out/demo'
 	@echo 'make paper      the tables and figures of the paper; results in out/paper'
 	@echo 'make test       linters, type checker and the whole test suite'
 	@echo 'make lint       linters and type checker only'
-	@echo 'make benchmark  speed beside HiGHS and Clarabel, in about 8 minutes; benchmarks/results.md'
+	@echo 'make benchmark  speed of solver and node, in about 15 minutes; benchmarks/results.md'
+	@echo 'make endurance  the node for an hour, and 10 000 messages that are none'
 	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
@@ -30,9 +31,12 @@ demo: $(VENV)/.demo
 paper: $(VENV)/.demo
 	$(BIN)/ambush_paper
 
+# Files of tests side by side, as many as there are cores.
+PARALLEL := -n auto --dist loadfile
+
 # pytest exits 5, and so fails this target, when it finds no test.
 test: lint
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL)
 
 lint: $(VENV)/.test
 	$(BIN)/ruff check .
@@ -41,6 +45,13 @@ lint: $(VENV)/.test
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/ambush_radius.py
+	$(BIN)/python benchmarks/markers.py
+	$(BIN)/python benchmarks/node_latency.py
+	$(BIN)/python benchmarks/node_load.py
+
+endurance: $(VENV)/.test
+	$(BIN)/python benchmarks/node_fuzz.py
+	$(BIN)/python benchmarks/node_soak.py
 
 clean:
 	rm -rf $(VENV) out build install log dist *.egg-info
