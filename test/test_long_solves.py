@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -9,6 +10,8 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
 from test_solve_queue import workers
+
+from ambush_planner.worker.solve_queue import SolveQueue
 
 # The paper's simplex method needs minutes for 40 000 nodes.
 SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5}
@@ -33,6 +36,8 @@ def solving(parameters=SLOW, service='new_route'):
     with stage(parameters=QUICK) as running:
         running.give(field(), (5.0, 50.0), (95.0, 50.0))
         assert running.client.call('new_route').success
+        # Or what is still to come of the first solve would be taken for the second.
+        running.client.diagnostics(departures='1', state='ready')
         use(running, parameters)
         future = running.client.send(service)
         running.client.diagnostics(state='solving')
@@ -105,13 +110,21 @@ def test_more_wait_than_there_are_places_and_all_are_answered():
         assert all(each.success for each in answers if 'cancelled' not in each.message)
 
 
-def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for():
+def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for(
+        monkeypatch):
+    submitted, submit = threading.Event(), SolveQueue.submit
+
+    def tell(*arguments):
+        solve = submit(*arguments)
+        submitted.set()
+        return solve
+
     with solving() as (running, future):
         client = running.client
         use(running, {**QUICK, 'network.spacing': 4.0})
+        monkeypatch.setattr(SolveQueue, 'submit', tell)
         queued = client.send('new_route')
-        for _ in range(5):  # by then the request has come too
-            parameter(client, 'strategy.solver')
+        assert submitted.wait(TIMEOUT)
         client.publish('goal_pose', NORTH)
         client.publish('alpha_map', field(2))
         wait_until(lambda: client.call('cancel').success, 'a solve to cancel')
