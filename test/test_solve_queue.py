@@ -149,12 +149,21 @@ def test_cancel_before_the_worker_has_started():
     queue = SolveQueue()
     try:
         future = queue.submit('slow', slow_request())
-        wait_until(queue.cancel, 'a solve to cancel')
+        assert queue.cancel()
         with pytest.raises(SolveCancelled):
             future.result(TIMEOUT)
         assert queue.submit('key', request()).result(TIMEOUT)
     finally:
         queue.close()
+
+
+def test_what_was_submitted_can_be_cancelled_at_once(queue):
+    for attempt in range(8):
+        first, second = queue.submit('first', slow_request()), queue.submit('second', request())
+        assert queue.cancel(), attempt
+        with pytest.raises(SolveCancelled):
+            first.result(TIMEOUT)
+        assert second.result(TIMEOUT), 'who waits behind it goes on'
 
 
 def test_the_time_limit_is_hard(queue):

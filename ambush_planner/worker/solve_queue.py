@@ -13,6 +13,7 @@ from ..core.planner import Plan, PlanRequest
 from .errors import SolveCancelled, WorkerFailed, unexpected
 from .process import WorkerProcess
 
+_CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
 
 
@@ -66,28 +67,34 @@ class SolveQueue:
             return solve.plan
 
     def cancel(self) -> bool:
-        """End the solve that runs; return whether there was one. Those that wait go on."""
+        """End the solve whose turn it is; return whether there was one. Those behind it go on."""
         with self._condition:
-            return self._cancel_running('the solve was cancelled')
+            if self._running is not None:
+                self._end_running(_CANCELLED)
+                return True
+            # Nothing that was submitted is out of reach, also before it has begun.
+            if not self._waiting:
+                return False
+            solve = self._waiting.pop(next(iter(self._waiting)))
+        solve.plan.set_exception(SolveCancelled(_CANCELLED))
+        return True
 
     def close(self) -> None:
         """End all solves, and the worker process with them."""
         with self._condition:
             self._closed = True
-            self._cancel_running(_CLOSING)
+            self._end_running(_CLOSING)
             waiting, self._waiting = list(self._waiting.values()), {}
             self._condition.notify()
         for solve in waiting:
             solve.plan.set_exception(SolveCancelled(_CLOSING))
         self._thread.join()
 
-    def _cancel_running(self, why: str) -> bool:
-        if self._running is None:
-            return False
-        self._running.cancelled = why
-        if self._worker is not None:
-            self._worker.kill()
-        return True
+    def _end_running(self, why: str) -> None:
+        if self._running is not None:
+            self._running.cancelled = why
+            if self._worker is not None:
+                self._worker.kill()
 
     def _work(self) -> None:
         # The process is started in this thread and no other: it dies with the one it is from.
