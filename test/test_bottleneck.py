@@ -24,7 +24,7 @@ def corridor_network() -> Network:
 def test_names_the_site_that_decides_and_where_it_is():
     report = find_bottleneck(solve(corridor_network()))
     assert report.sites.tolist() == [1]
-    assert (report.near_source, report.near_target, report.near_ends) == (1, 0, 1)
+    assert report.near_ends == 1
     assert report.value == pytest.approx(2.0, rel=1e-6)
     # With that site out of the game, the ambusher picks one of three.
     assert report.secured_value == pytest.approx(1 / 3, rel=1e-9)
@@ -43,6 +43,15 @@ def test_secured_value_is_what_a_secured_radius_gives():
     assert again.secured_value <= secured.value
     if again.near_ends == 0:
         assert again.secured_value == secured.value
+
+
+def test_a_site_near_both_ends_counts_once():
+    alpha = np.ones((20, 20))
+    network = build_network(
+        RiskMap(alpha, alpha > 1, 1.0), (8.5, 10.5), (11.5, 10.5), NetworkOptions(spacing=1.0)
+    )
+    report = find_bottleneck(solve(network))
+    assert 0 < report.near_ends <= len(report.sites)
 
 
 def test_nothing_decides_a_game_of_value_zero():

@@ -2,10 +2,10 @@
 
 import os
 import signal
-import threading
 from contextlib import contextmanager
 
 import numpy as np
+import pytest
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
@@ -55,18 +55,34 @@ def answer(future):
     return future.result()
 
 
-def test_everything_else_answers_meanwhile():
+@pytest.fixture
+def submitted(monkeypatch):
+    """The keys of solves that have been submitted from now on."""
+    keys, submit = [], SolveQueue.submit
+
+    def tell(queue, key, request):
+        solve = submit(queue, key, request)
+        keys.append(key)
+        return solve
+
+    monkeypatch.setattr(SolveQueue, 'submit', tell)
+    return keys
+
+
+def test_everything_else_answers_meanwhile(submitted):
     with solving() as (running, future):
-        client = running.client
+        client, before = running.client, len(submitted)
+        waiting = [future, *(client.send('new_route') for _ in range(50))]
+        wait_until(lambda: len(submitted) == before + 50, 'the requests')
         assert parameter(client, 'strategy.solver').string_value == 'simplex'
         client.publish('alpha_map', risk_grid(np.array([[101]])))
         client.diagnostics(code='INVALID_MAP', state='solving')
         use(running, QUICK)
         assert client.get_plan(START, GOAL).poses, 'its strategy is there already'
         client.diagnostics(departures='2', state='solving')
-        assert not future.done()
+        assert not any(each.done() for each in waiting)
         assert client.call('cancel').success
-        assert not answer(future).success
+        assert {answer(each).message for each in waiting} == {'the solve was cancelled'}
 
 
 def test_cancel_ends_it_and_says_so():
@@ -98,7 +114,7 @@ def test_one_solve_for_all_who_ask_for_the_same():
         assert {answer(each).message for each in futures} == {'the solve was cancelled'}
 
 
-def test_more_wait_than_there_are_places_and_all_are_answered():
+def test_many_wait_and_all_are_answered():
     with solving() as (running, future):
         client = running.client
         futures = [future, *(client.send('new_route') for _ in range(100))]
@@ -110,21 +126,12 @@ def test_more_wait_than_there_are_places_and_all_are_answered():
         assert all(each.success for each in answers if 'cancelled' not in each.message)
 
 
-def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for(
-        monkeypatch):
-    submitted, submit = threading.Event(), SolveQueue.submit
-
-    def tell(*arguments):
-        solve = submit(*arguments)
-        submitted.set()
-        return solve
-
+def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for(submitted):
     with solving() as (running, future):
-        client = running.client
+        client, before = running.client, len(submitted)
         use(running, {**QUICK, 'network.spacing': 4.0})
-        monkeypatch.setattr(SolveQueue, 'submit', tell)
         queued = client.send('new_route')
-        assert submitted.wait(TIMEOUT)
+        wait_until(lambda: len(submitted) == before + 1, 'the request')
         client.publish('goal_pose', NORTH)
         client.publish('alpha_map', field(2))
         wait_until(lambda: client.call('cancel').success, 'a solve to cancel')
@@ -150,3 +157,5 @@ def test_a_node_that_is_closed_answers_who_waits():
     with solving() as (running, future):
         running.planner.stop_solving()
         assert 'shutting down' in answer(future).message
+        late = running.client.call('new_route')
+        assert not late.success and 'shutting down' in late.message

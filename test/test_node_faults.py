@@ -44,7 +44,8 @@ def test_a_full_disk_is_told_and_recording_resumes(tmp_path):
     with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs') as running:
         client = running.give()
         departs(client)
-        wait_until(lambda: recordings(tmp_path), 'a recording')
+        # The last that is written of a departure: from then on no space becomes free.
+        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
         with pytest.raises(OSError, match='No space left'):
             filler.write_bytes(bytes(4_000_000))
         departs(client)
@@ -61,7 +62,7 @@ def test_a_file_system_that_becomes_read_only(tmp_path):
     with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs') as running:
         client = running.give()
         departs(client)
-        wait_until(lambda: recordings(tmp_path), 'a recording')
+        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
         assert os.system(f'mount -o remount,ro {tmp_path}') == 0
         departs(client)
         report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
@@ -173,6 +174,10 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
                 departs(client)
             report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
             assert 'wait for the disk, which does not answer' in report['message']
+            begin = time.monotonic()
+            for _ in range(20):  # the patience that the first one had is used up
+                departs(client)
+            assert time.monotonic() - begin < 10 * recordings_module._PATIENCE
             running.planner.set_parameters([Parameter('recording.enabled', value=False)])
             client.diagnostics(recording='off', code='NONE')
         finally:

@@ -21,6 +21,7 @@ from ros_harness import (
     risk_grid,
     ros_context,
     spinning,
+    wait_until,
 )
 
 from ambush_planner.ros.conversions import path_from_ros
@@ -118,16 +119,22 @@ def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number)
             client.publish('start_pose', pose(5.0, 75.0))
             client.publish('goal_pose', pose(145.0, 75.0))
             client.diagnostics(state='ready')
-            client.send('new_route')
+            futures = [client.send('new_route') for _ in range(10)]
             client.diagnostics(state='solving')
+            # The node takes requests in turn: by the last of these answers it has all of those.
+            for _ in futures:
+                assert not client.get_plan(pose(0.0, 0.0, frame=''), pose(0.0, 0.0)).poses
             threads = Path(f'/proc/{process.pid}/task')
             (worker,) = ' '.join(each.read_text() for each in threads.glob('*/children')).split()
             ours = _shared_memory(process.pid) - _shared_memory('self') - shared
             assert exit_code(process, number) == 0
+            wait_until(lambda: all(each.done() for each in futures), 'the last answers')
+            assert {each.result().message for each in futures} == {'the planner is shutting down'}
     assert not Path('/proc', worker).exists(), 'no orphan'
     assert not [path for path in ours if path.exists()]
     assert not list(tmp_path.rglob('*.tmp'))
-    assert 'Traceback' not in (tmp_path / 'output').read_text()
+    said = (tmp_path / 'output').read_text()
+    assert 'Traceback' not in said and 'never retrieved' not in said
 
 
 def _shared_memory(pid):

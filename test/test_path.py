@@ -62,6 +62,7 @@ def test_a_path_of_too_many_poses_is_refused(running, spacing):
     report = running.client.diagnostics(code='INVALID_OPTION')
     assert 'route.path_spacing' in report['message']
     assert len(rows_with(running, route__path_spacing=0.0))
+    running.client.diagnostics(code='NONE')
 
 
 @pytest.mark.parametrize('clearance', [0.0, 0.4, 0.9])

@@ -23,22 +23,16 @@ class Bottleneck:
     """The ambusher's sites and where they lie.
 
     ``sites`` (K,) are the nodes that decide the value: the equilibrium ambusher waits only there
-    (in the plain game, a minimum cut). ``near_source`` and ``near_target`` count those within
-    ``distance`` [m] of either end. ``secured_value`` is the value if nobody could wait within
-    ``distance`` of the ends; it equals ``value`` when no site hugs them.
+    (in the plain game, a minimum cut). ``near_ends`` counts those within ``distance`` [m] of source
+    or target. ``secured_value`` is the value if nobody could wait within ``distance`` of the ends;
+    it equals ``value`` when no site hugs them.
     """
 
     sites: IndexArray
-    near_source: int
-    near_target: int
+    near_ends: int
     distance: float
     value: float
     secured_value: float
-
-    @property
-    def near_ends(self) -> int:
-        """How many of the sites are near the source or the target."""
-        return self.near_source + self.near_target
 
 
 def find_bottleneck(strategy: Strategy) -> Bottleneck:
@@ -52,16 +46,13 @@ def find_bottleneck(strategy: Strategy) -> Bottleneck:
     decisive = (q > COUNTS * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
     sites = np.flatnonzero(decisive)
     distance = NEAR * float(np.median(network.lengths[game.playable]))
-    near_source = _within(game, network.source, distance)
-    near_target = _within(game, network.target, distance)
+    near = _within(game, network.source, distance) | _within(game, network.target, distance)
     secured = strategy.value
-    if (near_source | near_target)[sites].any():
-        left = without_sites(game, near_source | near_target)
-        secured = min(solve_by_cut(left).value, strategy.value)
+    if near[sites].any():
+        secured = min(solve_by_cut(without_sites(game, near)).value, strategy.value)
     return Bottleneck(
         frozen_array(sites, np.int64),
-        int(near_source[sites].sum()),
-        int(near_target[sites].sum()),
+        int(near[sites].sum()),
         distance,
         strategy.value,
         secured,

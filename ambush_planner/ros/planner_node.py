@@ -6,6 +6,7 @@ import ctypes
 import signal
 import sys
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from threading import Event
@@ -27,10 +28,10 @@ from std_srvs.srv import Trigger
 
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..worker.errors import for_the_log, unexpected
-from .callback_groups import AtMost
 from .departures import ServiceCall
 from .errors import UnreadableMessage
 from .inputs import Received
+from .later import answers_later
 from .outbox import LATCHED, LATEST, REQUESTS, Outbox
 from .parameters import declare_parameters
 from .session import Session
@@ -39,12 +40,9 @@ from .transforms import FrameTransforms
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
 _M_ARENA_MAX = -8  # malloc.h
-_LAST_ANSWERS = 0.5  # s; of the two seconds that the node has to end in
 _LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
-# Requests that wait for solves at the same time; more of them wait in the middleware's queue.
-_WAITING = 8
-# The others are for subscriptions, parameters, the timer and `cancel`.
-THREADS = _WAITING + 4
+# For requests, `cancel`, and all else; none of them waits for anything.
+THREADS = 3
 
 _Result = TypeVar('_Result')
 
@@ -52,7 +50,8 @@ _Result = TypeVar('_Result')
 class PlannerNode(Node):
     """The ambush planner; keyword arguments go to ``rclpy.node.Node``.
 
-    It needs a ``MultiThreadedExecutor``: requests wait for solves in its threads.
+    Callbacks never wait, so any executor will do; one of ``THREADS`` threads lets a large map pass
+    beside the others.
 
     Raises
     ------
@@ -89,7 +88,7 @@ class PlannerNode(Node):
         self._session.stop_solving()
 
     def destroy_node(self) -> None:
-        """Write the last recordings, and end everything that belongs to the node."""
+        """Answer who waits, write the last recordings, and end all that belongs to the node."""
         self._session.close()
         self._transforms.close()
         super().destroy_node()
@@ -143,38 +142,39 @@ class PlannerNode(Node):
         return name
 
     def _serve(self) -> None:
-        planning = AtMost(_WAITING)
+        planning = MutuallyExclusiveCallbackGroup()
         for kind, name, callback, group in (
             (Trigger, '~/new_route', self._on_new_route, planning),
             (Trigger, '~/replan', self._on_replan, planning),
             (GetPlan, '~/get_plan', self._on_get_plan, planning),
             (Trigger, '~/cancel', self._on_cancel, MutuallyExclusiveCallbackGroup()),
         ):
-            self.create_service(kind, name, callback, qos_profile=REQUESTS, callback_group=group)
+            answers_later(self.create_service(
+                kind, name, callback, qos_profile=REQUESTS, callback_group=group
+            ))
 
     def _on_new_route(
         self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    ) -> Trigger.Response | Future:
         call = ServiceCall(Trigger, self.resolve_service_name('~/new_route'), request)
-        answer, error = self._attempt(
-            'new_route', 'request', lambda: self._session.new_route(call, _success)
+        return self._outcome(
+            'new_route', lambda: self._session.new_route(call, _success), _failure
         )
-        return answer or _failure(error)
 
     def _on_get_plan(
         self, request: GetPlan.Request, response: GetPlan.Response
-    ) -> GetPlan.Response:
+    ) -> GetPlan.Response | Future:
         call = ServiceCall(GetPlan, self.resolve_service_name('~/get_plan'), request)
         start = _as_received(self._start_topic, request.start)
         goal = _as_received(self._goal_topic, request.goal)
-        answer, _ = self._attempt(
-            'get_plan', 'request', lambda: self._session.get_plan(call, start, goal)
+        return self._outcome(
+            'get_plan', lambda: self._session.get_plan(call, start, goal), lambda _: response
         )
-        return answer or response
 
-    def _on_replan(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        told, error = self._attempt('replan', 'request', self._session.replan)
-        return _failure(error) if told is None else _success(told)
+    def _on_replan(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response | Future:
+        return self._outcome('replan', lambda: self._session.replan(_success), _failure)
 
     def _on_cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         cancelled, error = self._attempt('cancel', 'request', self._session.cancel)
@@ -184,6 +184,25 @@ class PlannerNode(Node):
 
     def _on_timer(self) -> None:
         self._attempt('diagnostics', 'request', self._session.report)
+
+    def _outcome(
+        self,
+        what: str,
+        begin: Callable[[], Future[_Result]],
+        failure: Callable[[Exception], _Result],
+    ) -> _Result | Future[_Result]:
+        """Return the response to a request, or a future of it; that to an error by ``failure``."""
+        pending, error = self._attempt(what, 'request', begin)
+        if pending is None:
+            return failure(error)
+        answer: Future[_Result] = Future()
+
+        def settle(done: Future[_Result]) -> None:
+            outcome, error = self._attempt(what, 'request', done.result)
+            answer.set_result(failure(error) if outcome is None else outcome)
+
+        pending.add_done_callback(settle)
+        return answer
 
     def _attempt(
         self, what: str, concern: str, action: Callable[[], _Result]
@@ -260,11 +279,11 @@ def main(args: list[str] | None = None) -> int:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
     finally:
-        # First those who wait for solves, then their answers, then the last recordings.
+        # Those who wait are answered, and the last recordings written, as the node is destroyed.
         if node is not None:
             node.stop_solving()
         if executor is not None:
-            executor.shutdown(timeout_sec=_LAST_ANSWERS)
+            executor.shutdown()
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()

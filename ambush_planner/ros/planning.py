@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections import OrderedDict
-from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from threading import Lock
 
@@ -43,16 +43,17 @@ class Plans:
                 self._kept.move_to_end(key)
             return self._kept.get(key)
 
-    def solve(self, trip: Trip, parameters: NodeParameters) -> Callable[[], Plan]:
-        """Have the plan worked out anew; what is returned waits for it, and raises its errors."""
+    def solve(self, trip: Trip, parameters: NodeParameters) -> Future[Plan]:
+        """Have the plan worked out anew, and kept.
+
+        Raises
+        ------
+        SolveCancelled
+            The plans are closed.
+        """
         solve = self._solves.submit(_key(trip, parameters), _request(trip, parameters))
-
-        def wait() -> Plan:
-            plan = solve.result()
-            self._keep(trip, parameters, plan)
-            return plan
-
-        return wait
+        solve.add_done_callback(lambda done: self._keep(trip, parameters, done))
+        return solve
 
     def forget_others(self, map_in_force: MapInForce) -> None:
         """Keep the plans of this map only: one that was replaced comes back as another one."""
@@ -69,12 +70,14 @@ class Plans:
         """End all solves and the worker process."""
         self._solves.close()
 
-    def _keep(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> None:
+    def _keep(self, trip: Trip, parameters: NodeParameters, solve: Future[Plan]) -> None:
+        if solve.exception() is not None:
+            return
         key = _key(trip, parameters)
         with self._lock:
             # The map may have been replaced during the solve.
             if trip.map is self._map:
-                self._kept[key] = plan
+                self._kept[key] = solve.result()
                 self._kept.move_to_end(key)
                 if len(self._kept) > _KEPT:
                     self._kept.popitem(last=False)

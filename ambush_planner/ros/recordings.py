@@ -27,8 +27,9 @@ from .parameters import RecordingOptions
 # Departures that may wait for the disk. Few enough that all of them are written when the node is
 # told to end.
 _LONGEST_QUEUE = 16
-# How long the next one waits for a place [s]: a disk that is that slow does not answer at all.
-_PATIENCE = 1.0
+# How long the next one waits for a place [s]: a disk that is that slow does not answer at all, and
+# until it does, no other one waits.
+_PATIENCE = 0.5
 _LOOK_UP = 0.05  # s; how soon the end is noticed
 
 
@@ -57,7 +58,7 @@ class Recordings:
         self._recorder: Recorder | None = None
         self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
         self._queue: Queue[Departure] = Queue(_LONGEST_QUEUE)
-        self._closing = False
+        self._closing = self._stuck = False
         if options.enabled:
             Thread(target=self._repair, args=(options,), name='repair', daemon=True).start()
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
@@ -72,8 +73,9 @@ class Recordings:
             The disk does not answer, and too many departures wait for it already.
         """
         try:
-            self._queue.put(departure, timeout=_PATIENCE)
+            self._queue.put(departure, block=not self._stuck, timeout=_PATIENCE)
         except Full as error:
+            self._stuck = True
             raise RecordingFailed(
                 Path(departure.parameters.recording.directory),
                 f'{_LONGEST_QUEUE} departures wait for the disk, which does not answer; departure '
@@ -97,6 +99,7 @@ class Recordings:
             self._write(departure)
             del departure  # with its plan, until the next one comes
             self._queue.task_done()
+            self._stuck = False
         if self._recorder is not None:
             self._recorder.close()
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
-from threading import Lock, RLock
-from typing import Any
+from threading import RLock
+from typing import TypeVar
 from uuid import uuid4
 
 import numpy as np
@@ -18,11 +19,12 @@ from std_msgs.msg import Header
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, depart
 from ..recording import RecordedMessage, RecordingFailed
-from ..worker.errors import for_the_log
+from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
 from .departures import Departure, ServiceCall
 from .diagnostics import Status, status_to_ros
 from .inputs import Inputs, Received, Trip
+from .later import then
 from .outbox import Outbox
 from .parameters import NodeParameters, RecordingOptions
 from .paths import DeparturePath, departure_path
@@ -33,13 +35,15 @@ from .transforms import FrameTransforms
 # Of the two seconds that the node has to end in.
 _LAST_RECORDINGS = 1.0  # s
 
+_Outcome = TypeVar('_Outcome')
+
 
 class Session:
     """One planner's run: its inputs, its plans and its departures.
 
-    Safe to be used from several threads: departures leave one after the other, and nothing but
-    those who need it waits for a solve. Methods raise the planner's errors and leave the session
-    usable.
+    Safe to be used from several threads: departures leave one after the other in a thread of their
+    own, and no thread waits for a solve. Methods and the futures that they return raise the
+    planner's errors, and leave the session usable.
     """
 
     def __init__(
@@ -56,7 +60,8 @@ class Session:
         self._inputs = Inputs(transforms)
         self._plans = Plans()
         self._markers: tuple[RecordedMessage, ...] = ()
-        self._departing = Lock()
+        self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
+        self._closing = False
         self._status = Status(
             missing=self._inputs.missing, recording=_recording_state(parameters)
         )
@@ -64,12 +69,14 @@ class Session:
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
     def stop_solving(self) -> None:
-        """End all solves: whoever waits for one is answered."""
+        """End all solves: whoever waits for one, or for a departure, is told."""
+        self._closing = True
         self._plans.close()
 
     def close(self) -> None:
-        """Write the last recordings, and end."""
+        """Tell all who wait, write the last recordings, and end."""
         self.stop_solving()
+        self._departures.shutdown()
         if left := self._recordings.close(_LAST_RECORDINGS):
             self._logger.error(f'recording: {left} departures could not be written before the end')
 
@@ -95,19 +102,21 @@ class Session:
         self._inputs.set_goal(received, pose)
         self._change(lambda s: replace(s, missing=self._inputs.missing))
 
-    def new_route(self, call: ServiceCall, answer: Callable[[str], Any]) -> Any:
+    def new_route(self, call: ServiceCall, answer: Callable[[str], _Outcome]) -> Future[_Outcome]:
         """Depart between the latest start and goal; ``answer`` makes the response of a text."""
         trip = self._inputs.trip()
         where = self._outbox.topic_name('path')
 
-        def respond(departure_id: str, number: int, _: DeparturePath) -> Any:
+        def respond(departure_id: str, number: int, _: DeparturePath) -> _Outcome:
             failed = self._status.problems.get('recording')
             trouble = f'; {failed.message}' if failed else ''
             return answer(f'departure {number} ({departure_id}) is published on {where}{trouble}')
 
         return self._depart(trip, call, respond)
 
-    def get_plan(self, call: ServiceCall, start: Received, goal: Received) -> GetPlan.Response:
+    def get_plan(
+        self, call: ServiceCall, start: Received, goal: Received
+    ) -> Future[GetPlan.Response]:
         """Depart between the poses of a request, whose goal may be moved if it is blocked."""
         tolerance = call.request.tolerance
         if not tolerance >= 0.0:
@@ -115,17 +124,19 @@ class Session:
         trip = self._inputs.trip_between(start, goal, tolerance)
         return self._depart(trip, call, _planned)
 
-    def replan(self) -> str:
-        """Solve anew for the latest map, start and goal; return what to tell the caller."""
-        trip, parameters = self._inputs.trip(), self._parameters
-        plan = self._solve(trip, parameters)
-        with self._departing:
+    def replan(self, answer: Callable[[str], _Outcome]) -> Future[_Outcome]:
+        """Solve anew for the latest map, start and goal; ``answer`` makes a response of a text."""
+        trip = self._inputs.trip()
+
+        def show(plan: Plan) -> _Outcome:
             self._show(plan, trip)
-        self._change(lambda s: s.without_problem('request'))
-        return (
-            f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
-            f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes'
-        )
+            self._change(lambda s: s.without_problem('request'))
+            return answer(
+                f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
+                f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes'
+            )
+
+        return self._when_solved(trip, self._parameters, show)
 
     def cancel(self) -> bool:
         """End the solve that is running; return whether there was one."""
@@ -145,43 +156,71 @@ class Session:
             )
 
     def _depart(
-        self, trip: Trip, call: ServiceCall, respond: Callable[[str, int, DeparturePath], Any]
-    ) -> Any:
+        self, trip: Trip, call: ServiceCall, respond: Callable[[str, int, DeparturePath], _Outcome]
+    ) -> Future[_Outcome]:
         begin, parameters = self._clock.now().nanoseconds, self._parameters
-        plan = self._plans.find(trip, parameters) or self._solve(trip, parameters)
-        with self._departing:
-            if plan is not self._status.plan:
-                self._show(plan, trip)
-            departure_id, number = str(uuid4()), self._status.departures + 1
-            source = route_entropy_source(parameters.seed, number)
-            route = depart(plan, np.random.default_rng(source))
-            path = departure_path(
-                route.points,
-                parameters.path_spacing or plan.spacing,
-                trip.start_pose.pose,
-                trip.goal_pose.pose,
-                self._header(trip),
-            )
-            published = self._outbox.publish('path', path.to_bytes())
-            report = self._change(lambda s: replace(
-                s.without_problem('request'), departures=number, departure_id=departure_id
-            ))
-            response = respond(departure_id, number, path)
-            if parameters.recording.enabled:
-                self._record(Departure(
-                    departure_id, number, call, response, trip, parameters, plan, source, route,
-                    begin, self._clock.now().nanoseconds, published,
-                    tuple(filter(None, (*self._markers, report))),
-                ))
-        return response
 
-    def _solve(self, trip: Trip, parameters: NodeParameters) -> Plan:
+        def leave(plan: Plan) -> _Outcome:
+            return self._leave(plan, trip, call, parameters, begin, respond)
+
+        plan = self._plans.find(trip, parameters)
+        if plan is None:
+            return self._when_solved(trip, parameters, leave)
+        self._refuse_when_closing()
+        return self._departures.submit(leave, plan)
+
+    def _when_solved(
+        self, trip: Trip, parameters: NodeParameters, go_on: Callable[[Plan], _Outcome]
+    ) -> Future[_Outcome]:
+        """Have the trip planned; go on with the plan in the thread of departures."""
         solve = self._plans.solve(trip, parameters)
         self._change(lambda s: s)
-        try:
-            return solve()
-        finally:
+
+        def solved(done: Future[Plan]) -> _Outcome:
             self._change(lambda s: s)
+            return go_on(done.result())
+
+        return then(solve, solved, self._departures)
+
+    def _leave(
+        self,
+        plan: Plan,
+        trip: Trip,
+        call: ServiceCall,
+        parameters: NodeParameters,
+        begin: int,
+        respond: Callable[[str, int, DeparturePath], _Outcome],
+    ) -> _Outcome:
+        """Draw a route, publish its path, and have it recorded; return the response."""
+        self._refuse_when_closing()
+        if plan is not self._status.plan:
+            self._show(plan, trip)
+        departure_id, number = str(uuid4()), self._status.departures + 1
+        source = route_entropy_source(parameters.seed, number)
+        route = depart(plan, np.random.default_rng(source))
+        path = departure_path(
+            route.points,
+            parameters.path_spacing or plan.spacing,
+            trip.start_pose.pose,
+            trip.goal_pose.pose,
+            self._header(trip),
+        )
+        published = self._outbox.publish('path', path.to_bytes())
+        report = self._change(lambda s: replace(
+            s.without_problem('request'), departures=number, departure_id=departure_id
+        ))
+        response = respond(departure_id, number, path)
+        if parameters.recording.enabled:
+            self._record(Departure(
+                departure_id, number, call, response, trip, parameters, plan, source, route,
+                begin, self._clock.now().nanoseconds, published,
+                tuple(filter(None, (*self._markers, report))),
+            ))
+        return response
+
+    def _refuse_when_closing(self) -> None:
+        if self._closing:
+            raise SolveCancelled('the planner is shutting down')
 
     def _show(self, plan: Plan, trip: Trip) -> None:
         """Publish the markers of the plan that is in force from now on."""
