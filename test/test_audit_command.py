@@ -122,6 +122,16 @@ def test_too_few_departures_are_said_to_be(tmp_path, a_plan, capsys):
     assert 'Too few to tell: at least 5' in capsys.readouterr().out
 
 
+def test_a_step_that_cannot_have_been_drawn_is_found_in_few_departures_too(
+        tmp_path, a_plan, capsys):
+    routes = drawn(a_plan, 6)[:4]
+    routes[2] = np.delete(routes[2], 4)
+    record(tmp_path / 'in', [departure(a_plan, r, k) for k, r in enumerate(routes)])
+    assert audit.main([str(tmp_path / 'in')]) == 1
+    told, _ = capsys.readouterr()
+    assert 'FINDING (impossible)' in told and 'Too few to tell' in told
+
+
 def test_strategies_are_audited_each_on_its_own(tmp_path, a_plan, capsys):
     other = sample_plan(hill=90)
     mixed = [departure(a_plan, r, k) for k, r in enumerate(drawn(a_plan, 6))]
@@ -131,7 +141,7 @@ def test_strategies_are_audited_each_on_its_own(tmp_path, a_plan, capsys):
     told, _ = capsys.readouterr()
     assert told.count('Nothing suspicious') == 2 and '6 departures' in told
     # The rate is shared among them.
-    assert told.count('0.5 %') == 2
+    assert told.count('0.5 %') == 2 and 'All strategies together: at most 1 %' in told
     assert len(list((tmp_path / 'in_audit').glob('audit_*.png'))) == 2
 
 

@@ -76,7 +76,7 @@ def test_secured_ground_by_hand():
 
 def test_no_route_says_what_the_threshold_discards():
     network = Network([[0, 0], [1, 0], [2, 0]], [0, 9, 0], [(0, 1), (1, 2)], 0, 2)
-    with pytest.raises(NoRoute, match="alpha_threshold 5 discards 1 nodes"):
+    with pytest.raises(NoRoute, match=r"from \(.*\) to \(.*\); alpha_threshold 5 discards 1 nodes"):
         solve(network, GameOptions(alpha_threshold=5.0))
 
 

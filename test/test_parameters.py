@@ -49,6 +49,13 @@ def change(node, **values):
         [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()])
 
 
+def test_a_parameter_that_there_is_not_is_told_at_the_start(capfd):
+    start(network__spaceing=2.0, game__secured_radus=50.0)
+    assert 'game.secured_radus, network.spaceing: no such parameter' in capfd.readouterr().err
+    start(network__spacing=2.0, use_sim_time=True)
+    assert 'no such parameter' not in capfd.readouterr().err
+
+
 def test_all_parameters_of_the_design_are_there(node):
     assert sorted(PARAMETERS) == sorted(NAMES)
     assert all(node.has_parameter(name) for name in NAMES)

@@ -113,6 +113,12 @@ def test_the_numbers_are_those_of_the_strategy(made, a_plan):
     assert f'{strategy.route_entropy:.4g} nats' in page.text
 
 
+def test_the_promise_names_the_ground_that_has_to_be_held(made):
+    page, _, _ = made
+    assert 'No ambusher that waits over 40 m from start and goal' in page
+    assert 'Nobody waits within 40 m of start or goal: where that ground is not held' in page
+
+
 def test_departures_settings_and_the_warning_are_there(made):
     _, page, campaign = made
     for record_ in campaign.departures:

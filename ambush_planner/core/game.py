@@ -158,14 +158,14 @@ def make_game(network: Network, options: GameOptions) -> Game:
     useful = on_some_route(network.edges[usable], count, network.source, network.target)
     if not useful[network.source]:
         reason = (
-            f"; alpha_threshold {options.alpha_threshold:g} discards {int((~allowed).sum())} nodes"
+            f"; alpha_threshold {options.alpha_threshold:g} discards {int((~allowed).sum())} nodes "
+            "on the way, allow more"
             if not allowed.all()
             else ""
         )
-        raise NoRoute(
-            f"no route leads from the source {network.source} to the target {network.target}"
-            + reason
-        )
+        ends = network.points[[network.source, network.target]].tolist()
+        raise NoRoute("no route leads from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(
+            *ends[0], *ends[1]) + reason)
     playable = usable & useful[network.tails] & useful[network.heads]
     loss = np.where(useful & _possible_sites(network, options), network.alpha, 0.0)
     return Game(

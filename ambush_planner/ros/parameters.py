@@ -114,7 +114,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'route.path_spacing': Declaration(
         0.0,
         "Largest distance of poses on the path [m]; 0: the map's resolution or the distance of "
-        'nodes, whichever is larger.'),
+        'nodes, whichever is larger. A path of more than 20000 poses is refused.'),
     'recording.enabled': Declaration(True, 'Whether each departure is recorded.'),
     'recording.directory': Declaration(
         '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
@@ -208,12 +208,26 @@ def declare_parameters(
     node.declare_parameters(
         '', [(name, each.default, each.descriptor()) for name, each in PARAMETERS.items()]
     )
+    _warn_of_unknown(node)
     parameters = parameters_from(_values(node))
     node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
     node.add_post_set_parameters_callback(
         lambda changes: changed(parameters_from(_values(node)))
     )
     return parameters
+
+
+def _warn_of_unknown(node: Node) -> None:
+    """Say which values on the command line or in a file are for no parameter that there is."""
+    # rclpy keeps them to itself. They are no error: one file may serve several nodes.
+    unknown = sorted(
+        name for name in node._parameter_overrides
+        if not node.has_parameter(name) and not name.startswith('qos_overrides.')
+    )
+    if unknown:
+        node.get_logger().warning(
+            f'{", ".join(unknown)}: no such parameter, ignored; ros2 param list shows all'
+        )
 
 
 def _options(

@@ -21,6 +21,7 @@ try:
 except ImportError:
     tf2_ros = None
 
+_LONGEST_SHOWN = 80  # letters of a frame's name
 _LOOK_UP = 0.25  # s; how soon the end of the context is noticed when nothing else happens
 
 
@@ -55,8 +56,9 @@ class FrameTransforms:
         given = pose.header.frame_id
         if given and given == frame:
             return pose
+        shown = given if len(given) <= _LONGEST_SHOWN else f'{given[:_LONGEST_SHOWN]}...'
         problem = (
-            f"{name} is given in the frame {given!r}, the map in {frame!r}; give it in the map's "
+            f"{name} is given in the frame {shown!r}, the map in {frame!r}; give it in the map's "
             'frame'
         )
         if not given:

@@ -16,6 +16,8 @@ whether routes repeat. It also says what an observer would have learnt. Standard
 audit.txt have the result in words, audit.csv the numbers; audit_<strategy>.png shows published
 and recorded frequencies on the map, audit_<strategy>_passages.csv has them edge by edge.
 The pictures and tables show secret routes: files have mode 0600, a new folder 0700.
+Fewer than five departures of one strategy are too few to tell, which is no finding, unless one of
+them cannot have been drawn at all.
 Exit code: 0 nothing suspicious; 1 a finding, or something that could not be read or audited;
 2 wrong usage.
 """

@@ -11,11 +11,11 @@ from pathlib import Path
 from textwrap import fill
 
 from ..core.audit import FEWEST_DEPARTURES, Audit, audit
-from ..core.audit_draws import NotAuditable
+from ..core.audit_draws import NotAuditable, recorded_steps
 from ..review.departures import Campaign
 from .audit_figures import audit_figure
 from .audit_files import read_all, refuse_existing, say, write_private
-from .audit_text import findings, learning_lines, passages_csv, table, title
+from .audit_text import findings, impossible_steps, learning_lines, passages_csv, table, title
 from .report_figures import as_png
 
 TEXT, NUMBERS = "audit.txt", "audit.csv"
@@ -31,11 +31,14 @@ class Audited:
     name: str  # Its files' names begin with it.
     audit: Audit | None
     reason: str = ""
+    impossible: bool = False
 
     @property
     def suspicious(self) -> bool:
         """Whether there is a finding, or there could be none."""
-        return self.audit is not None and (self.audit.blind or bool(self.audit.findings))
+        if self.audit is None:
+            return self.impossible
+        return self.audit.blind or bool(self.audit.findings)
 
 
 def run_audit(place: Path, output: Path, rate: float, replace: bool) -> bool:
@@ -60,12 +63,12 @@ def run_audit(place: Path, output: Path, rate: float, replace: bool) -> bool:
     audited = [
         _audited(campaign, name, rate / len(enough))
         if campaign in enough
-        else Audited(
-            campaign, name, None, f"Too few to tell: at least {FEWEST_DEPARTURES} are needed."
-        )
+        else _too_few(campaign, name)
         for name, campaign in zip(names, campaigns, strict=True)
     ]
     texts = ["\n".join(_lines(each)) for each in audited]
+    if len(enough) > 1:
+        texts.append(f"All strategies together: at most {100.0 * rate:g} % of audits.")
     texts += [f"UNREADABLE, and no part of the audit: {error}" for error in unreadable]
     text = "\n\n\n".join(texts)
     write_private(output, {TEXT: f"{text}\n".encode(), NUMBERS: _numbers(audited).encode()})
@@ -87,6 +90,17 @@ def _audited(campaign: Campaign, name: str, rate: float) -> Audited:
     except NotAuditable as error:
         return Audited(campaign, name, None, f"Not audited: {error}.")
     return Audited(campaign, name, result)
+
+
+def _too_few(campaign: Campaign, name: str) -> Audited:
+    """What can be said of any number of departures: whether they can have been drawn at all."""
+    strategy = campaign.strategy
+    routes = [departure.route for departure in campaign.departures]
+    _, impossible = recorded_steps(strategy.network, strategy.edge_probability, routes)
+    reason = f"Too few to tell: at least {FEWEST_DEPARTURES} are needed."
+    if impossible:
+        reason = f"FINDING (impossible): {impossible_steps(impossible)}\n{reason}"
+    return Audited(campaign, name, None, reason, impossible > 0)
 
 
 def _lines(audited: Audited) -> list[str]:

@@ -76,13 +76,11 @@ def findings(audit: Audit, strategy: Strategy) -> list[str]:
         ]
     if not audit.findings:
         return [
-            "Nothing suspicious. Departures drawn as published raise an alarm in at most "
-            f"{rate} of audits. Few departures show gross deviations only."
+            "Nothing suspicious. Departures of this strategy, drawn as published, raise an alarm "
+            f"in at most {rate} of audits. Few departures show gross deviations only."
         ]
     said = {
-        "impossible": "Steps and ends of routes that cannot have been drawn: "
-        f"{audit.impossible}. Something else was driven than was planned, or the files do not "
-        "belong together.",
+        "impossible": impossible_steps(audit.impossible),
         "frequency": "Some stretches are driven far more often, others less often, than the "
         "published probabilities say. The picture shows which.",
         "surprise": f"The routes are on the whole {_likelier(audit, strategy)} than routes drawn "
@@ -93,8 +91,17 @@ def findings(audit: Audit, strategy: Strategy) -> list[str]:
         "are used again, or the source of randomness repeats itself.",
     }
     return [f"FINDING ({name}): {said[name]}" for name in audit.findings] + [
-        f"Departures drawn as published raise an alarm in at most {rate} of audits."
+        f"Departures of this strategy, drawn as published, raise an alarm in at most {rate} of "
+        "audits."
     ]
+
+
+def impossible_steps(count: int) -> str:
+    """Say that so many steps and ends of routes are none of the strategy's."""
+    return (
+        f"Steps and ends of routes that cannot have been drawn: {count}. Something else was driven "
+        "than was planned, or the files do not belong together."
+    )
 
 
 def learning_lines(audit: Audit, strategy: Strategy) -> list[str]:

@@ -124,7 +124,7 @@ def _campaign(campaign: Campaign, pictures: Sequence[bytes], several: str) -> li
         _figure(routes, "Map of the routes of the departures",
                 f"{count}; each route was drawn afresh by the odds of the picture above."),
         _element("h3", "What is promised"),
-        *(_element("p", sentence) for sentence in words.certificate(strategy)),
+        *(_element("p", sentence) for sentence in words.certificate(campaign)),
         _element("h3", "Beside planners that leave no choice"),
         _table(words.measures(strategy), "better"),
         _element("p", MEASURES),

@@ -32,8 +32,12 @@ def percent(share: float) -> str:
     return f"{100.0 * share:.3g} %"
 
 
-def certificate(strategy: Strategy) -> list[str]:
+def certificate(campaign: Campaign) -> list[str]:
     """Say what the value and its lower bound promise, with their numbers."""
+    strategy, game = campaign.strategy, campaign.departures[0].parameters.planning.game
+    # An ambush whose reach holds the start or the goal is no site either.
+    held = max(game.secured_radius, game.ambush_radius)
+    outside = f" that waits over {distance(held)} from start and goal" if held > 0.0 else ""
     value, bound = strategy.value, strategy.lower_bound
     bounded = math.isfinite(strategy.length_budget)
     length = (
@@ -42,27 +46,31 @@ def certificate(strategy: Strategy) -> list[str]:
     apart = strategy.gap / value if value > 0.0 else 0.0
     verdict = "as good as any can be" if apart <= SAME else f"within {percent(apart)} of the best"
     return [
-        f"No ambusher, however clever, costs this convoy more than {value:.4f} a departure on "
-        "average. This holds even if he knows the map, the strategy and every route that was ever "
-        "driven; the one thing that he cannot know is the next draw.",
+        f"No ambusher{outside}, however clever, costs this convoy more than "
+        f"{value:.4f} a departure on average. This holds even if he knows the map, the strategy "
+        "and every route that was ever driven, as long as he does not know the next draw.",
         f"No planner could promise less than {bound:.4f} on this network{length}: the ambusher in "
         "the picture costs every one of them at least that much on average.",
         f"The two numbers are {strategy.gap:.1e} apart, so this strategy is {verdict}. Both were "
         "computed again from the recording for this page: they can be checked without trusting "
         "the program that found the strategy.",
-        _rules(strategy),
+        _rules(game.ambush_radius, held),
     ]
 
 
-def _rules(strategy: Strategy) -> str:
-    reach = strategy.game.ambush_radius
+def _rules(reach: float, held: float) -> str:
     hits = f"hits every route that passes within {distance(reach)} of it" if reach > 0.0 else (
         "hits the routes through its place"
+    )
+    ends = (
+        f" Nobody waits within {distance(held)} of start or goal: where that ground is not held, "
+        "nothing here is promised." if held > 0.0 else ""
     )
     return (
         "The rules behind these numbers: at each departure one ambush waits at one place, "
         f"chosen before the route is drawn, and {hits}. What it costs is what the risk map says "
-        "for that place. If the map is wrong, or there are more ambushes, the numbers are too."
+        f"for that place.{ends} If the map is wrong, or there are more ambushes, the numbers are "
+        "too."
     )
 
 

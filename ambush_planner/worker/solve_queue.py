@@ -130,7 +130,8 @@ class SolveQueue:
         except Exception as error:
             # Say, no memory for the plan here. Whatever it is: somebody waits for the outcome.
             outcome = unexpected(error)
-            self._living_worker().kill()
+            if self._worker is not None:
+                self._worker.kill()
         with self._condition:
             self._running = None
         if solve.cancelled:
