@@ -1,5 +1,6 @@
 """Session folders after a crash: put right at the next start, without touching living ones."""
 
+import errno
 import os
 import random
 import shutil
@@ -16,6 +17,7 @@ from recording_samples import (
 from rosbags.highlevel import AnyReader
 
 from ambush_planner.recording import Recorder, recordings_in
+from ambush_planner.recording import repair as repairing
 from ambush_planner.recording.folder_lock import FolderLock
 from ambush_planner.recording.repair import repair
 
@@ -139,6 +141,62 @@ def test_a_listed_file_that_lost_its_end_is_set_aside_when_the_list_is_rebuilt(s
     (session / f'{session.name}_2.mcap').unlink()
     assert ('set aside', f'{path.name}.broken') in actions(repair(session.parent))
     assert_in_order(session, 1)
+
+
+def test_when_the_list_cannot_be_written_it_still_lists_files_that_are_there(session, monkeypatch):
+    path = session / f'{session.name}_1.mcap'
+    path.write_bytes(path.read_bytes()[:-30])
+    (session / f'{session.name}_9.mcap').touch()
+    before = (session / 'metadata.yaml').read_bytes()
+    names = set(os.listdir(session))
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(repairing, 'write_durably', full)
+        assert [each.action for each in repair(session.parent)] == ['failed']
+    assert (session / 'metadata.yaml').read_bytes() == before
+    assert set(os.listdir(session)) == names
+    assert actions(repair(session.parent)) == [
+        ('listed', 'metadata.yaml'),
+        ('set aside', f'{path.name}.broken'),
+        ('set aside', f'{session.name}_9.mcap.broken'),
+    ]
+    assert_in_order(session, 2)
+
+
+def test_broken_files_that_could_not_be_set_aside_are_the_next_time(session, monkeypatch):
+    path = session / f'{session.name}_1.mcap'
+    path.write_bytes(path.read_bytes()[:-30])
+    (session / f'{session.name}_2.mcap').unlink()
+
+    def killed(*_):
+        raise OSError(errno.EIO, 'Input/output error')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(repairing, '_set_aside', killed)
+        assert actions(repair(session.parent)) == [
+            ('failed', session.name), ('listed', 'metadata.yaml')
+        ]
+    assert path.exists()
+    listed = yaml.safe_load((session / 'metadata.yaml').read_text())
+    assert listed['rosbag2_bagfile_information']['relative_file_paths'] == [
+        f'{session.name}_0.mcap'
+    ]
+    assert ('set aside', f'{path.name}.broken') in actions(repair(session.parent))
+    assert_in_order(session, 1)
+
+
+def test_a_name_that_yaml_cannot_hold_is_no_hindrance(session):
+    odd = session / os.fsdecode(b'a\xff.mcap')
+    shutil.copy(session / f'{session.name}_0.mcap', odd)
+    assert repair(session.parent) == []
+    (session / f'{session.name}_2.mcap').unlink()
+    assert actions(repair(session.parent)) == [('listed', 'metadata.yaml')]
+    assert odd.exists()
+    assert len(read_with_rosbags(session)) == 8
+    assert repair(session.parent) == []
 
 
 def test_whatever_bits_have_changed_the_folder_is_a_bag_afterwards(session):

@@ -7,6 +7,7 @@ thousands of files through a YAML library anew at each departure would take seco
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -43,6 +44,11 @@ class BagFile:
     start_ns: int
     end_ns: int
     message_counts: Mapping[RecordedTopic, int]
+
+
+def can_be_listed(name: str) -> bool:
+    """Whether ``metadata.yaml`` can hold a file's name: YAML has no bytes that are not UTF-8."""
+    return not re.search('[\ud800-\udfff]', name)
 
 
 def describe_file(name: str, data: bytes | mmap) -> BagFile:

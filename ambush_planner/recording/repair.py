@@ -16,6 +16,7 @@ from .bag_metadata import (
     MOST_METADATA_BYTES,
     BagFile,
     BagMetadata,
+    can_be_listed,
     describe_file,
     listed_files,
 )
@@ -89,21 +90,25 @@ def repair(directory: Path | str) -> list[Repair]:
 def list_files(folder: Path, done: list[Repair]) -> None:
     """Write metadata.yaml for the recordings in ``folder``, and set broken ones aside.
 
+    In this order: metadata.yaml never names a file that is not there, wherever this ends early,
+    and the next repair, which finds files that are not listed, sets them aside.
+
     Raises:
         OSError: The folder cannot be read or written.
     """
     known = set(_listed(folder) or ())
-    files = [
-        file for path in sorted(folder.glob(f'*{_RECORDING}'), key=natural_order)
-        if path.is_file() and (file := _described(path, path.name in known, done)) is not None
-    ]
-    metadata = folder / FILE_NAME
-    if files:
-        write_durably(metadata, BagMetadata(files).text())
-        done.append(Repair(metadata, 'listed', f'{len(files)} recordings'))
-    elif metadata.exists():
-        metadata.unlink()
-        done.append(Repair(metadata, 'removed', 'there are no recordings'))
+    files: list[BagFile] = []
+    broken: dict[Path, str] = {}
+    for path in sorted(folder.glob(f'*{_RECORDING}'), key=natural_order):
+        if not path.is_file() or not can_be_listed(path.name):
+            continue
+        try:
+            files.append(_described(path, path.name in known))
+        except (DamagedRecord, ValueError) as error:  # ValueError: an empty file cannot be mapped
+            broken[path] = str(error)
+    _list(folder / FILE_NAME, files, done)
+    for path, reason in broken.items():
+        _set_aside(path, reason, done)
 
 
 @contextmanager
@@ -128,7 +133,7 @@ def _is_in_order(folder: Path) -> bool:
     names = os.listdir(folder)
     if any(name.endswith(_TEMPORARY) for name in names):
         return False
-    recordings = {name for name in names if name.endswith(_RECORDING)}
+    recordings = {name for name in names if name.endswith(_RECORDING) and can_be_listed(name)}
     if FILE_NAME not in names:
         return not recordings
     listed = _listed(folder)
@@ -179,23 +184,38 @@ def _free_name(wanted: Path) -> Path:
     return path
 
 
-def _described(path: Path, known: bool, done: list[Repair]) -> BagFile | None:
-    """Describe a recording, or set it aside if it is broken.
+def _described(path: Path, known: bool) -> BagFile:
+    """Describe a recording.
 
     One that metadata.yaml listed was finished before it, so its summary is believed; one that it
     did not list may be broken anywhere.
+
+    Raises:
+        DamagedRecord, ValueError: It is broken.
     """
-    try:
-        if not known:
-            read_content(read_bytes(path))
-        with path.open('rb') as file:
-            # Only the end of the file is read. The map is closed when nothing refers to it.
-            return describe_file(path.name, mmap(file.fileno(), 0, access=ACCESS_READ))
-    except (DamagedRecord, ValueError) as error:  # ValueError: an empty file cannot be mapped
-        aside = _free_name(path.with_name(path.name + _BROKEN))
-        path.rename(aside)
-        done.append(Repair(aside, 'set aside', f'{error}; ambush_recover may save a part'))
-        return None
+    if not known:
+        read_content(read_bytes(path))
+    with path.open('rb') as file:
+        # Only the end of the file is read. The map is closed when nothing refers to it.
+        return describe_file(path.name, mmap(file.fileno(), 0, access=ACCESS_READ))
+
+
+def _list(metadata: Path, files: list[BagFile], done: list[Repair]) -> None:
+    """Let metadata.yaml list these files; without any there is none."""
+    if files:
+        write_durably(metadata, BagMetadata(files).text())
+        done.append(Repair(metadata, 'listed', f'{len(files)} recordings'))
+    elif metadata.exists():
+        metadata.unlink()
+        flush_folder(metadata.parent)
+        done.append(Repair(metadata, 'removed', 'there are no recordings'))
+
+
+def _set_aside(path: Path, reason: str, done: list[Repair]) -> None:
+    aside = _free_name(path.with_name(path.name + _BROKEN))
+    path.rename(aside)
+    flush_folder(aside.parent)
+    done.append(Repair(aside, 'set aside', f'{reason}; ambush_recover may save a part'))
 
 
 def _listed(folder: Path) -> list[str] | None:
