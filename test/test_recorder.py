@@ -1,10 +1,12 @@
 """Sessions of recordings: private folders that are bags, and files that are whole or not there."""
 
+import os
 import resource
 import shutil
 import stat
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import yaml
@@ -54,6 +56,22 @@ def test_folders_and_files_are_private_and_named_like_those_of_rosbag2(tmp_path)
         path.name: 0o600,
         'metadata.yaml': 0o600,
     }
+
+
+def test_new_folders_above_are_private_and_on_the_disk(tmp_path, monkeypatch):
+    flushed = []
+
+    def watched(descriptor, fsync=os.fsync):
+        flushed.append(Path(os.readlink(f'/proc/self/fd/{descriptor}')))
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, 'fsync', watched)
+    directory = tmp_path / 'on' / 'a' / 'disk'
+    Recorder(directory).record_departure(departure(), METADATA)
+    above = [tmp_path / 'on', tmp_path / 'on' / 'a', directory]
+    assert [mode(folder) for folder in above] == [0o700] * 3
+    # The folder that holds each new name, from the top.
+    assert flushed[:4] == [tmp_path, *above]
 
 
 def test_a_session_is_one_bag_with_a_file_a_departure(tmp_path):

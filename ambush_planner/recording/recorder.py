@@ -18,7 +18,7 @@ from mcap.writer import CompressionType
 
 from ..core.errors import InvalidOption
 from .bag_metadata import FILE_NAME, BagMetadata, describe_file
-from .durable import make_private_folder, write_durably
+from .durable import make_private_folder, make_private_folders, write_durably
 from .encoding import encode_departure
 from .errors import recording_to
 from .folder_lock import FolderLock
@@ -119,7 +119,7 @@ class _Session:
         """Make a folder for a new session, with a name that no other one has."""
         stamp = datetime.now().strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
         with recording_to(directory):
-            directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+            make_private_folders(directory)
             return cls(_make_session_folder(directory / stamp))
 
     def is_there(self) -> bool:

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from ..core.errors import AmbushPlannerError
-from ..recording.durable import make_private_folder, write_durably
+from ..recording.durable import make_private_folders, write_durably
 from ..recording.errors import UnreadableRecording
 from ..recording.reader import recordings_in
 from ..review.departures import Campaign, read_campaigns
@@ -51,10 +51,7 @@ def refuse_existing(folder: Path, names: list[str], replace: bool) -> None:
 
 
 def write_private(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files (mode 0600) to the folder, which is made with mode 0700 where it is missing."""
-    folder = folder.resolve()
-    if not folder.is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        make_private_folder(folder)
+    """Write files (mode 0600) to the folder, which is made with mode 0700 if missing."""
+    make_private_folders(folder.resolve())
     for name, data in files.items():
         write_durably(folder / name, data)
