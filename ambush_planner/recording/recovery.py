@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
-from .bag_metadata import FILE_NAME, BagMetadata, describe_file
+from .bag_metadata import FILE_NAME, BagFile, BagMetadata, can_be_listed, describe_file
 from .durable import create_durably, make_private_folder
 from .encoding import encode_content
 from .errors import RecordingFailed, UnreadableRecording, reading_from
@@ -29,12 +30,39 @@ class Recovered:
     Attributes:
         source: The file.
         target: Where what was saved of it is; None if nothing was, or nothing had to be.
-        found: What was saved and lost.
+        messages: How many of its messages were saved.
+        metadata: How many of its metadata records were.
+        attachments: How many of its attachments were.
+        stated_messages: How many messages the file says it had, if it still does.
+        rebuilt: What was broken, though nothing is missing for it.
+        unverified: How many messages are from chunks whose checksum does not hold.
+        losses: What is missing or not to be trusted.
     """
 
     source: Path
     target: Path | None
-    found: Salvage
+    messages: int
+    metadata: int
+    attachments: int
+    stated_messages: int | None
+    rebuilt: str
+    unverified: int
+    losses: tuple[Loss, ...]
+
+    @classmethod
+    def of(cls, source: Path, target: Path | None, found: Salvage) -> Recovered:
+        """Count what was found, so that nobody has to keep it."""
+        content = found.content
+        counts = len(content.messages), len(content.metadata), len(content.attachments)
+        return cls(
+            source, target, *counts, found.stated_messages, found.rebuilt, found.unverified,
+            tuple(found.losses),
+        )
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it was a whole file to begin with."""
+        return not self.losses and not self.rebuilt
 
 
 def default_target(source: Path) -> Path:
@@ -64,11 +92,11 @@ def recover_file(source: Path, target: Path | None, progress: Progress) -> Recov
     """
     data, found = _salvage(source, progress)
     if target is None and found.is_whole and source.suffix == '.mcap':
-        return Recovered(source, None, found)
+        return Recovered.of(source, None, found)
     return _save(source, target or default_target(source), data, found)
 
 
-def recover_folder(source: Path, target: Path | None, progress: Progress) -> list[Recovered]:
+def recover_folder(source: Path, target: Path | None, progress: Progress) -> Iterator[Recovered]:
     """Save what is whole in the files of a session folder in the new folder ``target``.
 
     A folder of session folders becomes one, too. Files that are whole are copied as they are. The
@@ -78,6 +106,10 @@ def recover_folder(source: Path, target: Path | None, progress: Progress) -> lis
         source: The folder; it is not changed.
         target: Must not be there yet. None for ``default_target``.
         progress: Called now and then with a file and the fraction of it that is done.
+
+    Yields:
+        What became of each file, when it is done. Close the generator where it is left early:
+        then, as after an error, metadata.yaml lists what was saved until then.
 
     Raises:
         UnreadableRecording: The folder cannot be read, or has no recordings.
@@ -92,29 +124,38 @@ def recover_folder(source: Path, target: Path | None, progress: Progress) -> lis
         raise UnreadableRecording(source, 'there is nothing to recover: no .mcap file, no session')
     if source not in sessions:
         _make_folder(target)
-    return [
-        each
-        for folder, new in sessions.items()
-        for each in _recover_session(folder, new, progress)
-    ]
+    for folder, new in sessions.items():
+        yield from _recover_session(folder, new, progress)
 
 
-def _recover_session(source: Path, target: Path, progress: Progress) -> list[Recovered]:
+def _recover_session(source: Path, target: Path, progress: Progress) -> Iterator[Recovered]:
     _make_folder(target)
     metadata = BagMetadata()
-    done = []
-    for path in _files_in(source):
-        try:
-            data, found = _salvage(path, progress)
-        except UnreadableRecording as error:
-            done.append(Recovered(path, None, Salvage.nothing(error.reason)))
-            continue
-        done.append(_save(path, _free(target / f'{_stem(path)}.mcap'), data, found))
-        if (written := done[-1].target) is not None:
-            metadata.add(describe_file(written.name, written.read_bytes()))
-    if not metadata.is_empty():
-        _create(target / FILE_NAME, metadata.text())
-    return done
+    try:
+        for path in _files_in(source):
+            recovered = _recover_into(target, path, progress)
+            if recovered.target is not None:
+                metadata.add(_described(recovered.target))
+            yield recovered
+    finally:
+        # Also where the disk is full or the user has had enough: what is there is a bag.
+        if not metadata.is_empty():
+            _create(target / FILE_NAME, metadata.text())
+
+
+def _recover_into(folder: Path, source: Path, progress: Progress) -> Recovered:
+    """Save a file in the new folder; what it holds is forgotten on return."""
+    try:
+        data, found = _salvage(source, progress)
+    except UnreadableRecording as error:
+        return Recovered.of(source, None, Salvage.nothing(error.reason))
+    return _save(source, _free(folder / f'{_listable(_stem(source))}.mcap'), data, found)
+
+
+def _described(path: Path) -> BagFile:
+    with path.open('rb') as file:
+        # Only its end is read. The map is closed when nothing refers to it.
+        return describe_file(path.name, mmap(file.fileno(), 0, access=ACCESS_READ))
 
 
 def _salvage(source: Path, progress: Progress) -> tuple[bytes, Salvage]:
@@ -148,9 +189,9 @@ def _drop_undefined(found: Salvage) -> None:
 def _save(source: Path, target: Path, data: bytes, found: Salvage) -> Recovered:
     content = found.content
     if not (content.messages or content.metadata or content.attachments):
-        return Recovered(source, None, found)
+        return Recovered.of(source, None, found)
     _create(target, data if found.is_whole else encode_content(content))
-    return Recovered(source, target, found)
+    return Recovered.of(source, target, found)
 
 
 def _files_in(folder: Path) -> list[Path]:
@@ -162,6 +203,11 @@ def _files_in(folder: Path) -> list[Path]:
 def _stem(path: Path) -> str:
     match = _NAME.fullmatch(path.name)
     return match['stem'] if match else path.name
+
+
+def _listable(name: str) -> str:
+    """``name`` with an underscore for each character that metadata.yaml cannot hold."""
+    return ''.join(each if can_be_listed(each) else '_' for each in name)
 
 
 def _free(wanted: Path) -> Path:
@@ -185,6 +231,10 @@ def _written(path: Path, write: Callable[[], None]) -> None:
     try:
         write()
     except FileExistsError as error:
-        raise RecordingFailed(path, 'it is already there; name another output (-o)') from error
+        reason = (
+            'it is already there, perhaps half done by a run that was interrupted; remove it, or '
+            'name another output (-o)'
+        )
+        raise RecordingFailed(path, reason) from error
     except OSError as error:
         raise RecordingFailed(path, error.strerror or str(error)) from error

@@ -71,7 +71,9 @@ def run_audit(place: Path, output: Path, rate: float, replace: bool) -> bool:
         texts.append(f"All strategies together: at most {100.0 * rate:g} % of audits.")
     texts += [f"UNREADABLE, and no part of the audit: {error}" for error in unreadable]
     text = "\n\n\n".join(texts)
-    write_private(output, {TEXT: f"{text}\n".encode(), NUMBERS: _numbers(audited).encode()})
+    # Names of unreadable files need not be UTF-8.
+    data = f"{text}\n".encode(errors="backslashreplace")
+    write_private(output, {TEXT: data, NUMBERS: _numbers(audited).encode()})
     for each in audited:
         if each.audit is not None:
             write_private(output, _details(each, each.audit))

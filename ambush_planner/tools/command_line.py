@@ -1,9 +1,10 @@
-"""What the commands that read recordings have in common: how they end."""
+"""What the commands that read recordings have in common: how they print and end."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from io import TextIOWrapper
 
 from ..core.errors import AmbushPlannerError
 
@@ -14,6 +15,7 @@ def exit_code(command: str, extras: str, action: Callable[[], bool]) -> int:
     ``extras`` are what to install where a package is missing: ``action`` imports what it needs
     itself, so that ``--help`` needs nothing.
     """
+    _print_any_name()
     try:
         return 0 if action() else 1
     except ModuleNotFoundError as error:
@@ -25,3 +27,9 @@ def exit_code(command: str, extras: str, action: Callable[[], bool]) -> int:
         reason = "interrupted"
     print(f"{command}: {reason}", file=sys.stderr)
     return 1
+
+
+def _print_any_name() -> None:
+    """Let standard output take names of files that are not UTF-8, as standard error does."""
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")

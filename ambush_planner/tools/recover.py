@@ -6,8 +6,11 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from .command_line import exit_code
 
 if TYPE_CHECKING:
     from ..recording.recovery import Recovered
@@ -16,7 +19,8 @@ EPILOG = """\
 It takes recordings that were cut off, have changed bits, or were left as temporary files by a
 crash, and saves every whole message, metadata record and attachment in a valid file beside the
 input (NAME.recovered.mcap; a folder becomes NAME.recovered). The input is not changed and nothing
-is overwritten. A recording that is whole needs no copy and gets one only with -o.
+is overwritten. A recording that is whole needs no copy and gets one only with -o. A run that is
+interrupted leaves whole files; remove them, or name another output, before it is repeated.
 Exit code: 0 if nothing was lost, 1 if something was, or could not be read or written, 2 for a
 wrong command line.
 """
@@ -28,51 +32,49 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Recover a file or a folder and return the exit code."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    try:
-        # Here, so that --help and the message below need no ROS.
-        from ..core.errors import AmbushPlannerError
-        from ..recording.recovery import recover_file, recover_folder
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition('.')[0]
-        return _fail(f"{package} is not installed; try: pip install 'ambush_planner[jazzy]'")
     if options.output and (options.output.exists() or options.output.is_symlink()):
-        parser.error(f'{options.output} is already there; name another output')
-    try:
-        if options.input.is_dir():
-            done = recover_folder(options.input, options.output, _Progress())
-        else:
-            done = [recover_file(options.input, options.output, _Progress())]
-    except AmbushPlannerError as error:
-        return _fail(str(error))
-    except KeyboardInterrupt:
-        return _fail('interrupted')
-    for recovered in done:
-        print('\n'.join(_report(recovered)))
-    return 1 if any(recovered.found.losses for recovered in done) else 0
+        parser.error(f'{options.output} is already there; remove it, or name another output')
+    return exit_code('ambush_recover', 'jazzy', lambda: _recover(options.input, options.output))
+
+
+def _recover(source: Path, output: Path | None) -> bool:
+    """Recover a file or a folder, tell of each file when it is done; whether nothing was lost."""
+    from ..recording.recovery import recover_file, recover_folder
+
+    if not source.is_dir():
+        return _tell(recover_file(source, output, _Progress()))
+    nothing_lost = True
+    with closing(recover_folder(source, output, _Progress())) as done:
+        for recovered in done:
+            nothing_lost &= _tell(recovered)
+    return nothing_lost
+
+
+def _tell(recovered: Recovered) -> bool:
+    print('\n'.join(_report(recovered)), flush=True)
+    return not recovered.losses
 
 
 def _report(recovered: Recovered) -> list[str]:
     """What was saved and lost of a file, in numbers; never what it says."""
-    found = recovered.found
-    content = found.content
-    stated = '' if found.stated_messages is None else f' of {found.stated_messages}'
+    stated = '' if recovered.stated_messages is None else f' of {recovered.stated_messages}'
     lines = [
-        f'{recovered.source}: messages {len(content.messages)}{stated}, '
-        f'metadata records {len(content.metadata)}, attachments {len(content.attachments)}'
+        f'{recovered.source}: messages {recovered.messages}{stated}, '
+        f'metadata records {recovered.metadata}, attachments {recovered.attachments}'
     ]
     if recovered.target is not None:
         lines.append(f'  saved in {recovered.target}')
     else:
-        lines.append('  nothing could be saved' if found.losses else '  nothing to recover')
-    if found.is_whole:
+        lines.append('  nothing could be saved' if recovered.losses else '  nothing to recover')
+    if recovered.is_whole:
         lines.append('  the file is whole')
-    if found.rebuilt:
-        lines.append(f'  rebuilt: {found.rebuilt}')
-    if found.unverified:
-        lines.append(f'  unverified: {found.unverified} of the messages, from damaged chunks')
-    lines += [f'  lost: {loss}' for loss in found.losses[:_MOST_LOSSES]]
-    if len(found.losses) > _MOST_LOSSES:
-        lines.append(f'  lost: {len(found.losses) - _MOST_LOSSES} more')
+    if recovered.rebuilt:
+        lines.append(f'  rebuilt: {recovered.rebuilt}')
+    if recovered.unverified:
+        lines.append(f'  unverified: {recovered.unverified} of the messages, from damaged chunks')
+    lines += [f'  lost: {loss}' for loss in recovered.losses[:_MOST_LOSSES]]
+    if len(recovered.losses) > _MOST_LOSSES:
+        lines.append(f'  lost: {len(recovered.losses) - _MOST_LOSSES} more')
     return lines
 
 
@@ -110,11 +112,6 @@ def _parser() -> argparse.ArgumentParser:
         help='the new file (for a folder: the new folder); must not be there yet',
     )
     return parser
-
-
-def _fail(message: str) -> int:
-    print(f'ambush_recover: {message}', file=sys.stderr)
-    return 1
 
 
 if __name__ == '__main__':
