@@ -7,6 +7,7 @@ import pytest
 from forging import NEW_ROUTE, Forger, record_runs
 from mcap.writer import CompressionType
 from recording_samples import METADATA, STRATEGY, small_departure
+from ros_harness import free_domain
 
 from ambush_planner.recording import UnreadableRecording, encoding, read_departure, recordings_in
 from ambush_planner.recording import repair as repairing
@@ -124,8 +125,10 @@ def test_recover(folder, tmp_path):
     assert run(recover.main, [folder, '-o', tmp_path / 'saved']) == 0
 
 
-def test_replay(folder):
-    assert run(replay.main, [folder, '--rate', '1000']) in (0, 1, 2)
+def test_replay(folder, monkeypatch):
+    with free_domain() as domain:
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+        assert run(replay.main, [folder, '--rate', '1000']) in (0, 1, 2)
 
 
 @pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)

@@ -41,12 +41,13 @@ def qos_from_yaml(text: str) -> QoSProfile:
     """Return the first profile of a channel's ``offered_qos_profiles``.
 
     Raises:
-        BadYaml: The text does not list complete profiles.
+        BadYaml: The text does not list complete profiles, or the first is none that a publisher
+            can have.
     """
     profiles = load_yaml(text)
     try:
         fields = profiles[0]
-        return QoSProfile(
+        profile = QoSProfile(
             history=HistoryPolicy.get_from_short_key(fields['history']),
             depth=fields['depth'],
             reliability=ReliabilityPolicy.get_from_short_key(fields['reliability']),
@@ -57,8 +58,14 @@ def qos_from_yaml(text: str) -> QoSProfile:
             liveliness_lease_duration=_duration(fields['liveliness_lease_duration']),
             avoid_ros_namespace_conventions=fields['avoid_ros_namespace_conventions'],
         )
-    except (LookupError, TypeError, ValueError, AttributeError, AssertionError) as error:
+    except (
+        LookupError, TypeError, ValueError, ArithmeticError, AttributeError, AssertionError,
+    ) as error:
         raise BadYaml('no complete quality-of-service profile') from error
+    policies = profile.history, profile.reliability, profile.durability, profile.liveliness
+    if any(policy.name == 'UNKNOWN' for policy in policies) or not 0 <= profile.depth < 2**31:
+        raise BadYaml('a quality-of-service profile that no publisher can have')
+    return profile
 
 
 @lru_cache(maxsize=256)

@@ -10,12 +10,17 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
+from ..core.errors import AmbushPlannerError
 from ..recording.types import TYPES
 
 _STEP = 0.1  # s; how soon the end of a wait is noticed
 # A listener that has been found finds the publisher a little later, and until then it misses what
 # is not latched.
 _SETTLING = 0.5  # s
+
+
+class CannotPublish(AmbushPlannerError):
+    """The middleware takes no publisher like the recorded one."""
 
 
 class Player:
@@ -26,8 +31,21 @@ class Player:
         self._publishers: dict[object, Publisher] = {}
 
     def advertise(self, key: object, topic: str, type_: str, qos: QoSProfile) -> None:
-        """Make a publisher; ``type_`` is one of ``TYPES``, ``topic`` a valid name."""
-        self._publishers[key] = self._node.create_publisher(TYPES[type_], topic, qos)
+        """Make a publisher; ``type_`` is one of ``TYPES``, ``topic`` a valid name.
+
+        Raises
+        ------
+        CannotPublish
+            The middleware refuses it.
+        """
+        try:
+            self._publishers[key] = self._node.create_publisher(TYPES[type_], topic, qos)
+        except (RuntimeError, TypeError, ValueError, ArithmeticError) as error:
+            # RCLError, and what the binding to C++ raises on numbers that do not fit.
+            reason = str(error).partition("\n")[0]
+            raise CannotPublish(
+                f"{topic} cannot be published as {type_}: {reason}; leave it out with --topics"
+            ) from error
 
     def publish(self, key: object, data: bytes) -> None:
         """Publish a serialised message."""
@@ -58,8 +76,8 @@ class Player:
             time.sleep(_STEP / 4)
         return sorted(self._unheard())
 
-    def wait_until_received(self, seconds: float, going_on: Callable[[], bool]) -> bool:
-        """Wait until all reliable listeners have all messages; return whether they do."""
+    def wait_until_received(self, seconds: float, going_on: Callable[[], bool]) -> list[str]:
+        """Wait until all reliable listeners have all; return the topics where one has not."""
         end = time.monotonic() + seconds
         waiting = [
             publisher
@@ -68,7 +86,7 @@ class Player:
         ]
         while waiting and going_on() and time.monotonic() < end:
             waiting = [p for p in waiting if not p.wait_for_all_acked(Duration(seconds=_STEP))]
-        return not waiting
+        return sorted({publisher.topic_name for publisher in waiting})
 
     def _unheard(self) -> set[str]:
         publishers = self._publishers.values()

@@ -10,11 +10,13 @@ from pathlib import Path
 
 EPILOG = """\
 The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
-recorded distances in time, long pauses too; the files of a folder follow each other in one
-timeline. Publishers are made first and wait for listeners on each topic: up to 5 s, or 1 s where
+recorded distances in time, long pauses too, such as a clock makes that was set meanwhile: each is
+told with the --start-at that skips it. The files of a folder follow each other in one timeline.
+Publishers are made first and wait for listeners on each topic: up to 5 s, or 1 s where
 only some are listened to; with --inputs-only up to 10 s. Calls of services go out as what they
 were recorded as, messages on <service>/_service_event; nobody is called. Latched messages are
-kept for late joiners until the command ends, when all that listen have all: use --loop for more.
+kept for late joiners until the command ends, when all that listen have all (30 s later if not):
+use --loop for more.
 After --ros-args follow remapping and node options as for any ROS executable, for example
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 Exit code: 0, also after Ctrl-C; 1 if a file could not be read (the others are published) or there
@@ -35,17 +37,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _replay(given: list[str]) -> int:
     try:
         # Here, so that --help and the message below need no ROS.
-        from .replay_run import FAILURES, Replay, WrongArguments, own_arguments, run_replay
+        from .replay_run import FAILURES, Replay, WrongArguments, run_replay, split_arguments
     except ModuleNotFoundError as error:
         _parser().parse_known_args(given)
         package = str(error.name).partition(".")[0]
         return _fail(f"{package} is not installed; try: pip install 'ambush_planner[jazzy]'")
     try:
-        own = own_arguments(given)
+        own, for_ros = split_arguments(given)
+        return run_replay(Replay(**vars(_parser().parse_args(own))), for_ros)
     except WrongArguments as error:
         _parser().error(str(error))
-    try:
-        return run_replay(Replay(**vars(_parser().parse_args(own))), given)
     except FAILURES as error:
         return _fail(str(error))
 
