@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from forgeries_around import AROUND
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, SEEDED_AGAIN, Forger
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
@@ -319,4 +320,5 @@ FORGERIES = [
     (NEW_ROUTE, swap_markers, True, 'are on the topic of'),
     (NEW_ROUTE, report_error, True, 'diagnostics: level, code and message'),
     (NEW_ROUTE, lose_attachment, False, "no attachment 'strategy.npz'"),
+    *AROUND,
 ]

@@ -49,6 +49,7 @@ class Forger:
         self.messages = list(recorded.messages)
         self.metadata = dict(recorded.metadata)
         self.attachments = dict(recorded.attachments)
+        self.disguise = bytes  # of the bytes of the file in the end
 
     def yaml(self, key):
         return yaml.safe_load(self.metadata[key])
@@ -102,7 +103,6 @@ class Forger:
 
     def save(self, path):
         files = [Attachment(name, '', data) for name, data in self.attachments.items()]
-        path.write_bytes(
-            encode_departure(self.messages, self.metadata, files, CompressionType.ZSTD)
-        )
+        data = encode_departure(self.messages, self.metadata, files, CompressionType.ZSTD)
+        path.write_bytes(self.disguise(data))
         return path

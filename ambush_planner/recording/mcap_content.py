@@ -1,15 +1,22 @@
-"""The content of one whole MCAP file, believed only when every checksum in it holds."""
+"""The content of one whole MCAP file.
+
+It is believed only when every checksum in it holds, and when who reads by its summary finds what
+who reads from the beginning finds.
+"""
 
 from __future__ import annotations
 
 import zlib
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from mmap import mmap
 
 from mcap import records
 from mcap.opcode import Opcode
 
+from .mcap_index import DataIndex, check_plain, check_summary
 from .mcap_records import (
+    BULKY,
     HEADER_SIZE,
     MAGIC,
     MOST_BYTES,
@@ -22,6 +29,10 @@ from .mcap_records import (
     walk,
 )
 
+_CHUNK_KINDS = frozenset({Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
+_DATA_KINDS = _CHUNK_KINDS | {
+    Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE_INDEX, Opcode.ATTACHMENT, Opcode.METADATA,
+}
 _FOOTER_CRC_SIZE = 4
 # A footer record and the magic after it.
 _TAIL_SIZE = HEADER_SIZE + 20 + len(MAGIC)
@@ -67,10 +78,35 @@ def read_content(data: bytes) -> Content:
     if not data.endswith(MAGIC) or len(data) < 2 * len(MAGIC):
         raise DamagedRecord(len(data), 'the end of the file is missing')
     view = memoryview(data)
+    raws = _framed(view)
+    ends = [place for place, raw in enumerate(raws) if raw.opcode == Opcode.DATA_END]
+    if not ends:
+        raise DamagedRecord(len(view), 'the end of the data section is missing')
     content = _StrictContent()
-    summary_start = _read_data_section(view, content)
-    _check_summary(view, summary_start, content)
+    for raw in raws[: ends[0]]:
+        content.take(raw)
+    content.index.check_message_indexes()
+    _check_data_end(view, raws[ends[0]])
+    if raws[0].opcode != Opcode.HEADER:
+        raise DamagedRecord(len(MAGIC), 'the header is missing')
+    start, footer = raws[ends[0]].end, raws[-1]
+    if footer.opcode != Opcode.FOOTER:
+        raise DamagedRecord(footer.end, 'the footer is missing')
+    _check_footer(view, start, footer)
+    check_summary(
+        raws[ends[0] + 1 : -1], footer, content.index, content.schemas, content.channels
+    )
     return content
+
+
+def _framed(view: memoryview) -> list[RawRecord]:
+    """The records between the magic at both ends."""
+    raws = []
+    for raw in walk(view[: -len(MAGIC)], len(MAGIC)):
+        raws.append(raw)
+        if len(raws) > MOST_RECORDS:
+            raise DamagedRecord(raw.offset, f'more than {MOST_RECORDS} records')
+    return raws
 
 
 @dataclass
@@ -104,58 +140,78 @@ def _read_summary(view: memoryview) -> Summary:
 
 
 class _StrictContent(Content):
-    """Content that unpacks chunks, within bounds."""
+    """Content that unpacks chunks, within bounds, and takes nothing that it does not know.
+
+    Attributes:
+        index: What the file's indexes have to say.
+    """
 
     def __init__(self) -> None:
         super().__init__()
+        self.index = DataIndex()
         self._bytes_left = MOST_BYTES
         self._records_left = MOST_RECORDS
 
     def take(self, raw: RawRecord) -> None:
         """Keep what a record of the data section holds."""
-        self._records_left -= 1
-        if self._records_left < 0:
-            raise DamagedRecord(raw.offset, f'more than {MOST_RECORDS} records')
-        if raw.opcode == Opcode.CHUNK:
-            self._take_chunk(raw)
-        elif raw.opcode != Opcode.MESSAGE_INDEX:
-            self.add(parse(raw))
+        record = self._parsed(raw, _DATA_KINDS)
+        if isinstance(record, records.Chunk):
+            self._take_chunk(raw, record)
+        elif isinstance(record, records.MessageIndex):
+            self.index.add_message_index(raw, record)
+        else:
+            self._keep(raw, record)
+        if isinstance(record, records.Message):
+            self.index.add_message(record)
+        elif isinstance(record, records.Attachment):
+            self.index.add_attachment(raw, record)
+        elif isinstance(record, records.Metadata):
+            self.index.add_metadata(raw, record)
 
-    def _take_chunk(self, raw: RawRecord) -> None:
-        chunk = parse(raw)
+    def _take_chunk(self, raw: RawRecord, chunk: records.Chunk) -> None:
         self._bytes_left -= chunk.uncompressed_size
         if self._bytes_left < 0:
             raise DamagedRecord(raw.offset, f'it unpacks to more than {MOST_BYTES} bytes')
+        messages = []
         try:
             for inner in walk(memoryview(chunk_data(chunk, raw.offset))):
-                if inner.opcode not in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
-                    raise DamagedRecord(inner.offset, f'a record of kind {inner.opcode}')
-                self.take(inner)
+                record = self._parsed(inner, _CHUNK_KINDS)
+                self._keep(inner, record)
+                if isinstance(record, records.Message):
+                    messages.append((inner.offset, record))
         except DamagedRecord as error:
             raise DamagedRecord(raw.offset, f'in a chunk, {error.reason}') from error
+        self.index.add_chunk(raw, chunk, messages)
+
+    def _parsed(self, raw: RawRecord, kinds: Collection[int]) -> records.McapRecord:
+        """Parse a record of one of these kinds: others could hold what only some readers find."""
+        self._records_left -= 1
+        if self._records_left < 0:
+            raise DamagedRecord(raw.offset, f'more than {MOST_RECORDS} records')
+        misplaced = raw.opcode == Opcode.HEADER and raw.offset != len(MAGIC)
+        if raw.opcode not in kinds or misplaced:
+            raise DamagedRecord(raw.offset, f'a record of kind {raw.opcode}')
+        record = parse(raw)
+        if raw.opcode not in BULKY:
+            check_plain(raw, record)
+        return record
+
+    def _keep(self, raw: RawRecord, record: records.McapRecord) -> None:
+        if isinstance(record, (records.Schema, records.Channel)):
+            known = self.schemas if isinstance(record, records.Schema) else self.channels
+            if known.get(record.id, record) != record:
+                raise DamagedRecord(raw.offset, 'a schema or channel is defined twice, differently')
+        self.add(record)
 
 
-def _read_data_section(view: memoryview, content: _StrictContent) -> int:
-    """Read up to the end of the data section; return where the summary begins."""
-    body = view[: -len(MAGIC)]
-    for raw in walk(body, len(MAGIC)):
-        if raw.opcode == Opcode.DATA_END:
-            stated = parse(raw).data_section_crc
-            if stated and stated != zlib.crc32(view[: raw.offset]):
-                raise DamagedRecord(raw.offset, "the data section's checksum does not hold")
-            return raw.end
-        content.take(raw)
-    raise DamagedRecord(len(view), 'the end of the data section is missing')
-
-
-def _check_summary(view: memoryview, start: int, content: Content) -> None:
-    statistics = _walk_summary(view, start, Content())
-    if statistics and statistics.message_count != len(content.messages):
-        raise DamagedRecord(start, f'{len(content.messages)} messages are not all that it states')
+def _check_data_end(view: memoryview, raw: RawRecord) -> None:
+    stated = parse(raw).data_section_crc
+    if stated and stated != zlib.crc32(view[: raw.offset]):
+        raise DamagedRecord(raw.offset, "the data section's checksum does not hold")
 
 
 def _walk_summary(view: memoryview, start: int, content: Content) -> records.Statistics | None:
-    """Check the summary, keep its schemas and channels, and return its statistics, if any."""
+    """Keep the summary's schemas and channels, and return its statistics, if any."""
     end = len(view) - len(MAGIC)
     statistics = None
     for raw in walk(view[:end], start):
@@ -171,6 +227,7 @@ def _walk_summary(view: memoryview, start: int, content: Content) -> records.Sta
 
 def _check_footer(view: memoryview, start: int, raw: RawRecord) -> None:
     footer = parse(raw)
+    check_plain(raw, footer)
     if raw.end != len(view) - len(MAGIC):
         raise DamagedRecord(raw.end, 'bytes after the footer')
     if footer.summary_start not in (0, start):

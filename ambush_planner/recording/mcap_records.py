@@ -29,7 +29,8 @@ MOST_RECORDS = 200_000
 _MOST_TABLE_BYTES = 2**24
 # What is read in one step is lost when the step fails.
 _STEP = 2**14
-_BULKY = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
+# What holds bytes at length.
+BULKY = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
 
 _TYPES = {
     Opcode.HEADER: mcap_records.Header,
@@ -113,7 +114,7 @@ def parse(record: RawRecord) -> McapRecord | None:
     type_ = _TYPES.get(record.opcode)
     if type_ is None:
         return None
-    if len(record.body) > _MOST_TABLE_BYTES and record.opcode not in _BULKY:
+    if len(record.body) > _MOST_TABLE_BYTES and record.opcode not in BULKY:
         raise DamagedRecord(record.offset, f'a {type_.__name__} of {len(record.body)} bytes')
     stream = _ExactStream(BytesIO(record.body))
     try:

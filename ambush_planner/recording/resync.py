@@ -20,6 +20,8 @@ from .mcap_records import (
 # A record's header: a kind, and a length below 4 GiB.
 _HEADER = re.compile(rb'(?=[\x01-\x0f].{4}\x00{4})', re.DOTALL)
 _LENGTH_HIGH = slice(5, 9)
+# From here on, kinds are free for private use: what is in such a record is none of the file's.
+_PRIVATE = 0x80
 _WINDOW = 2**20
 # How many times the size of the data may be parsed in search of the next record: bytes that were
 # made to look like headers everywhere would take the square of their size.
@@ -81,6 +83,10 @@ class Resync:
             end = max(offset, end - len(MAGIC))
         while offset < end:
             self._progress(offset)
+            if (private := self._private_end(offset)) is not None:
+                yield Gap(offset, private)
+                offset = private
+                continue
             raw = self.framed(offset)
             if raw is not None and self.follows(raw.end):
                 yield raw
@@ -108,12 +114,23 @@ class Resync:
             return None
         return raw
 
+    def _private_end(self, offset: int) -> int | None:
+        """The end of a record of a private kind: whatever it holds, records in it do not count."""
+        if self._data[offset] < _PRIVATE:
+            return None
+        try:
+            end = record_at(self._view, offset).end
+        except DamagedRecord:
+            return None
+        return end if self.follows(end) else None
+
     def follows(self, offset: int) -> bool:
         """Whether the data ends at ``offset`` or a record can begin there."""
         header = self._data[offset : offset + HEADER_SIZE]
         if header.startswith(MAGIC) or not header:
             return True
-        return header[0] in _LEAST_BODY and not any(header[_LENGTH_HIGH])
+        known = header[0] in _LEAST_BODY or header[0] >= _PRIVATE
+        return known and not any(header[_LENGTH_HIGH])
 
     def next_record(self, offset: int) -> int:
         """Return where the next record begins that parses and is followed by another one.

@@ -97,6 +97,7 @@ class _Salvager:
         self._records_left = MOST_RECORDS
         self._walk = Resync(data, self._knows_channel, progress)
         self._section_ended = False
+        self._defined: dict[tuple[type, int], records.Schema | records.Channel] = {}
         self._add_summary()
 
     def run(self) -> Salvage:
@@ -207,8 +208,15 @@ class _Salvager:
 
     def _keep(self, record: records.McapRecord | None) -> None:
         self._records_left -= 1
-        if self._records_left >= 0 and record is not None:
-            self._found.content.add(record)
+        if self._records_left < 0 or record is None:
+            return
+        if isinstance(record, (records.Schema, records.Channel)):
+            first = self._defined.setdefault((type(record), record.id), record)
+            if first != record:
+                self._lose(0, len(self._data), 'a schema or channel is defined twice, differently; '
+                           'the first one is saved')
+            record = first
+        self._found.content.add(record)
 
     def _add_definition(self, record: records.Schema | records.Channel) -> None:
         """Keep what no verified part of the file defines."""
