@@ -87,6 +87,32 @@ def test_an_archive_that_claims_too_much_is_not_unpacked(a_plan):
         strategy_from_file(stream.getvalue(), GameOptions())
 
 
+def with_entry(arrays, name, header_of, data):
+    """The file with an array whose header is another one's."""
+    stream = io.BytesIO()
+    np.save(stream, header_of)
+    header = stream.getvalue()[:-header_of.nbytes]
+    stream = io.BytesIO(npz({n: a for n, a in arrays.items() if n != name}))
+    with zipfile.ZipFile(stream, 'a') as archive:
+        archive.writestr(f'{name}.npy', header + data)
+    return stream.getvalue()
+
+
+def test_sizes_are_checked_before_arrays_are_made(a_plan, monkeypatch):
+    arrays = strategy_arrays(a_plan.strategy)
+    many = np.zeros((len(arrays['points']) * 9, 2), np.int64)
+    files = {
+        'as many bytes': with_entry(arrays, 'alpha', np.zeros(10**6), bytes(80)),
+        'must be of the shape': npz(arrays | {'alpha': np.zeros(10**6)}),
+        'not known': npz(arrays | {'note': np.zeros(3)}),
+        'cannot have': npz(arrays | {'edges': many, 'edge_probability': many[:, 0] * 0.5}),
+    }
+    monkeypatch.setattr(np, 'load', lambda *_, **__: pytest.fail('an array was made'))
+    for reason, data in files.items():
+        with pytest.raises(BadStrategy, match=reason):
+            strategy_from_file(data, GameOptions())
+
+
 @settings(max_examples=150, deadline=None, derandomize=True, database=None,
           suppress_health_check=list(HealthCheck))
 @given(st.data())

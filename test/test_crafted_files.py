@@ -3,6 +3,7 @@
 import os
 import time
 
+import numpy as np
 import pytest
 from forging import NEW_ROUTE, Forger, record_runs
 from mcap.writer import CompressionType
@@ -14,6 +15,7 @@ from ambush_planner.recording import repair as repairing
 from ambush_planner.recording.repair import repair
 from ambush_planner.recording.salvage import salvage
 from ambush_planner.recording.yaml_text import BadYaml, dump_yaml, load_yaml
+from ambush_planner.review import verify_plan
 from ambush_planner.tools import audit, recover, replay, report, verify
 
 PATIENCE = 30.0  # seconds, for what takes a few at most
@@ -90,12 +92,17 @@ def run(main, arguments):
 
 
 @pytest.fixture(scope='module')
-def folder(tmp_path_factory):
+def whole(tmp_path_factory):
+    """What a node recorded."""
+    return record_runs(tmp_path_factory.mktemp('whole'))[NEW_ROUTE]
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory, whole):
     """A session of crafted recordings, with a metadata.yaml like them.
 
     All but one entry of each are as a node recorded them, and its checksums are corrected.
     """
-    whole = record_runs(tmp_path_factory.mktemp('whole'))[NEW_ROUTE]
     folder = tmp_path_factory.mktemp('runs')
     for number, text in enumerate({**TEXTS_OF_ALL_KINDS, **HARMLESS}.values()):
         for key in ('inputs', 'versions', 'trip', 'parameters', 'sha256', 'route', 'departure'):
@@ -111,6 +118,34 @@ def folder(tmp_path_factory):
 
 def test_verify(folder):
     assert run(verify.main, [folder]) == 1
+
+
+@pytest.mark.parametrize(('spacing', 'skipped'), [
+    (0.003, 'build_network'), (0.01, 'build_network'), (0.9, 'plan_on'), (1e-9, 'build_network'),
+])
+def test_a_network_of_another_size_is_neither_built_nor_solved(
+    whole, tmp_path, capsys, monkeypatch, spacing, skipped
+):
+    called = []
+    monkeypatch.setattr(verify_plan, skipped, lambda *_: called.append(skipped))
+    forger = Forger(whole)
+    forger.edit_yaml('parameters', **{'network.spacing': spacing})
+    forger.correct()
+    assert verify.main([str(forger.save(tmp_path / 'x.mcap'))]) == 1
+    out = capsys.readouterr().out
+    assert 'network: it does not follow' in out or 'asks for more than' in out
+    assert not called
+
+
+def test_an_attachment_that_unpacks_to_much_more_is_refused(whole, tmp_path, capsys):
+    forger = Forger(whole)
+    forger.set_arrays(points=np.zeros((2**21, 2)))
+    forger.correct()
+    path = forger.save(tmp_path / 'x.mcap')
+    for tool, arguments in ((verify, []), (audit, ['-o', tmp_path / 'a']),
+                            (report, ['-o', tmp_path / 'r'])):
+        assert run(tool.main, [path, *arguments]) == 1
+        assert 'claims to hold' in ''.join(capsys.readouterr())
 
 
 def test_report(folder, tmp_path):

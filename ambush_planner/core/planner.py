@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -94,10 +94,21 @@ def plan(
     options = options or PlanningOptions()
     begin = time.monotonic()
     network = build_network(risk_map, start_xy, goal_xy, options.network)
+    return replace(plan_on(risk_map, network, options), seconds=time.monotonic() - begin)
+
+
+def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Plan:
+    """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
+    begin = time.monotonic()
     strategy = solve(network, options.game, options.strategy)
     bottleneck = find_bottleneck(strategy)
-    spacing = max(risk_map.resolution, chosen_spacing(risk_map, options.network))
+    spacing = node_spacing(risk_map, options.network)
     return Plan(network, strategy, bottleneck, spacing, time.monotonic() - begin)
+
+
+def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
+    """The distance of nodes, but no less than the map's resolution [m]."""
+    return max(risk_map.resolution, chosen_spacing(risk_map, options))
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -108,12 +119,25 @@ def plan_from_request(request: PlanRequest) -> Plan:
     InvalidRiskMap
         The map is malformed. All else as ``plan`` raises it.
     """
+    risk_map, goal_xy = read_request(request)
+    return plan(risk_map, request.start_xy, goal_xy, request.options)
+
+
+def read_request(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
+    """Return the risk map, and the goal moved as far as it has to be and may be [m].
+
+    Raises
+    ------
+    InvalidRiskMap
+        The map is malformed.
+    """
     risk_map = risk_map_from_occupancy(
         request.values, request.resolution, request.origin, request.occupancy
     )
     clearance = request.options.network.clearance
-    goal_xy = nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance, clearance)
-    return plan(risk_map, request.start_xy, goal_xy, request.options)
+    return risk_map, nearest_free_cell(
+        risk_map, request.goal_xy, request.goal_tolerance, clearance
+    )
 
 
 def depart(a_plan: Plan, rng: np.random.Generator) -> Route:

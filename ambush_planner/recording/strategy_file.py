@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from io import BytesIO
-from zipfile import ZipFile
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 from scipy.special import entr
@@ -23,8 +23,17 @@ NUMBERS = (
     'expected_length', 'edge_entropy', 'route_entropy',
 )
 _ARRAYS = ('points', 'alpha', 'edges', 'edge_probability', 'ambush_probability')
-# As much as a network of ten million edges takes.
-_MOST_BYTES = 2**30
+_NODE_INDICES = ('source', 'target')
+_NAMES = {*_ARRAYS, *_NODE_INDICES, *NUMBERS}
+# Lattices join a node with eight others at most, triangulations with six on average.
+_MOST_EDGES_OF_A_NODE = 8
+# What a network of a million nodes takes (the most that network.target_nodes asks for): 224
+# bytes a node with its edges.
+_MOST_BYTES = 2**28
+# What any file may unpack to, and otherwise as a multiple of its size: no two edges are the
+# same, so that real ones are packed some ten times.
+_ALWAYS_UNPACKED = 2**24
+_MOST_PACKED = 100
 
 
 class BadStrategy(ValueError):
@@ -66,10 +75,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
 
 def _content(data: bytes) -> dict[str, np.ndarray]:
     try:
-        with ZipFile(BytesIO(data)) as archive:
-            size = sum(entry.file_size for entry in archive.infolist())
-        if size > _MOST_BYTES:
-            raise BadStrategy(f'{STRATEGY_FILE} claims to hold {size} bytes')
+        _check_sizes(data)
         with np.load(BytesIO(data), allow_pickle=False) as archive:
             content = {name: archive[name] for name in archive.files}
     except BadStrategy:
@@ -77,18 +83,55 @@ def _content(data: bytes) -> dict[str, np.ndarray]:
     except Exception as error:
         # zipfile, zlib and numpy raise a dozen kinds of errors at bytes that are not theirs.
         raise BadStrategy(f'{STRATEGY_FILE} is damaged ({type(error).__name__})') from error
-    for name in (*_ARRAYS, *NUMBERS, 'source', 'target'):
-        if name not in content:
-            raise BadStrategy(f'{STRATEGY_FILE} has no array {name!r}')
     for name in NUMBERS:
         number = content[name]
         whole = number.shape == () and number.dtype.kind == 'f' and not np.isnan(number)
         if not whole or (name != 'length_budget' and not math.isfinite(number)):
             raise BadStrategy(f'{name} is not a finite number')
-    for name in ('source', 'target'):
+    for name in _NODE_INDICES:
         if content[name].shape != () or content[name].dtype.kind not in 'iu':
             raise BadStrategy(f'{name} is not a node index')
     return content
+
+
+def _check_sizes(data: bytes) -> None:
+    """Check what the file says of its arrays before any of them takes memory."""
+    most = min(_MOST_BYTES, max(_ALWAYS_UNPACKED, _MOST_PACKED * len(data)))
+    with ZipFile(BytesIO(data)) as archive:
+        entries = archive.infolist()
+        size = sum(entry.file_size for entry in entries)
+        if size > most:
+            raise BadStrategy(f'{STRATEGY_FILE} claims to hold {size} bytes, at most {most} can be')
+        names = [entry.filename.removesuffix('.npy') for entry in entries]
+        for name in sorted(_NAMES):
+            if names.count(name) != 1:
+                raise BadStrategy(f'{STRATEGY_FILE} has {names.count(name)} arrays {name!r}, not 1')
+        if unknown := sorted(set(names) - _NAMES):
+            raise BadStrategy(f'{STRATEGY_FILE} has an array {unknown[0][:60]!r}, not known')
+        shapes = {name: _shape(archive, entry) for name, entry in zip(names, entries, strict=True)}
+    nodes, edges = ((shapes[name] or (0,))[0] for name in ('points', 'edges'))
+    expected = {
+        'points': (nodes, 2), 'alpha': (nodes,), 'ambush_probability': (nodes,),
+        'edges': (edges, 2), 'edge_probability': (edges,),
+        **dict.fromkeys((*_NODE_INDICES, *NUMBERS), ()),
+    }
+    for name, shape in expected.items():
+        if shapes[name] != shape:
+            raise BadStrategy(f'{name} must be of the shape {shape}, got {shapes[name]}')
+    if edges > _MOST_EDGES_OF_A_NODE * nodes:
+        raise BadStrategy(f'{nodes} points cannot have {edges} edges')
+
+
+def _shape(archive: ZipFile, entry: ZipInfo) -> tuple[int, ...]:
+    """The shape that an array's header states, which must be that of the bytes behind it."""
+    with archive.open(entry) as file:
+        version = np.lib.format.read_magic(file)
+        read = (np.lib.format.read_array_header_1_0 if version == (1, 0)
+                else np.lib.format.read_array_header_2_0)
+        shape, _, dtype = read(file)
+        if math.prod(shape) * dtype.itemsize != entry.file_size - file.tell():
+            raise BadStrategy(f'{entry.filename[:60]} has not as many bytes as its header states')
+    return shape
 
 
 def _probabilities(content: dict[str, np.ndarray], name: str, size: int) -> np.ndarray:

@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 
 from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan, PlanningOptions, PlanRequest, plan_from_request
+from ..core.planner import PlanningOptions, PlanRequest
 from ..core.strategy import Strategy
 from ..recording.departure import RecordedDeparture
 from ..recording.errors import UnreadableRecording
@@ -42,9 +42,9 @@ from .verify_messages import (
     service_faults,
     status_faults,
 )
+from .verify_plan import PlannedAgain
 from .verify_strategy import (
     certificate_faults,
-    network_faults,
     route_faults,
     source_faults,
     strategy_faults,
@@ -133,32 +133,37 @@ class Verifier:
         strategy: Strategy,
         trip: PosedTrip,
     ) -> None:
-        """Plan again, and compare; the rest cannot be checked where that fails."""
+        """Plan again, and compare; the rest cannot be checked where that fails.
+
+        The game is solved only on the network that was recorded.
+        """
         key = _plan_key(record, trip)
-
-        def compare() -> tuple[list[str], list[str]]:
-            if faults := network_faults(strategy.network, plan.network):
-                return faults, []
-            return strategy_faults(recorded.attachment(STRATEGY_FILE), strategy, plan.strategy)
-
         try:
-            plan = self._kept['plan'].get(key, lambda: self._plan(recorded, record, trip))
+            again = self._kept['plan'].get(key, lambda: self._plan(recorded, record, trip))
+            if again.goal_xy != record.trip.goal_xy:
+                check.problems.append(
+                    'trip: its goal is not where the goal pose and the tolerance lead to'
+                )
+            check.problems += path_faults(recorded, record, strategy, again.spacing, trip)
+            if faults := again.network_faults(strategy.network):
+                check.problems += faults
+                return
+            plan = again.plan
         except AmbushPlannerError as error:
             check.problems.append(f'map, trip and parameters cannot be planned with: {error}')
             return
-        faults, notes = self._kept['comparison'].get((key, _strategy_key(record)), compare)
-        if plan.goal_xy != record.trip.goal_xy:
-            check.problems.append(
-                'trip: its goal is not where the goal pose and the tolerance lead to'
-            )
-        check.problems += faults
-        check.problems += path_faults(recorded, record, strategy, plan.spacing, trip)
-        check.problems += status_faults(recorded, record, plan)
+        faults, notes = self._kept['comparison'].get(
+            (key, _strategy_key(record)),
+            lambda: strategy_faults(recorded.attachment(STRATEGY_FILE), strategy, plan.strategy),
+        )
+        check.problems += [*faults, *status_faults(recorded, record, plan)]
         check.notes += notes
 
-    def _plan(self, recorded: RecordedDeparture, record: DepartureRecord, trip: PosedTrip) -> Plan:
+    def _plan(
+        self, recorded: RecordedDeparture, record: DepartureRecord, trip: PosedTrip
+    ) -> PlannedAgain:
         self._planning(recorded.path)
-        return plan_from_request(PlanRequest(
+        return PlannedAgain(PlanRequest(
             *occupancy_from_ros(recorded.message('map')),
             record.parameters.occupancy,
             trip.start_xy,
