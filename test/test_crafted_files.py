@@ -39,6 +39,8 @@ TEXTS_OF_ALL_KINDS = {
     'many entries': '{' + ','.join(f'k{i}' for i in range(100_000)) + '}',
     'long': 'a' * 2**21,
     'no date': '2001-99-99',
+    'a key twice': 'a: 1\na: 2',
+    'a key twice inside': '[{a: 1, a: 1}]',
 }
 HARMLESS = {'many numbers': '[' + '1, ' * 200_000 + '1]'}
 

@@ -1,5 +1,6 @@
 """Recordings of a real node are verified: as they are, damaged, and by somebody elsewhere."""
 
+import itertools
 import math
 import os
 import re
@@ -12,11 +13,14 @@ from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage
+from std_srvs.srv import Trigger
 
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.review.departures import record_from, strategy_from
 from ambush_planner.review.verify import Verifier
+from ambush_planner.ros.departures import METADATA_KEYS
 from ambush_planner.ros.paths import departure_path
+from ambush_planner.ros.session import Session
 from ambush_planner.tools import verify as tool
 
 SECRET_KEYS = ('route', 'route_entropy_source')
@@ -138,12 +142,63 @@ def test_poses_in_another_frame_are_said_not_to_be_checked(which, files, tmp_pat
         assert f"not checked: the {name} pose is in the frame 'odom', the map in 'map'" in lines[0]
 
 
-def test_other_versions_are_told(files, tmp_path, capsys):
+@pytest.mark.parametrize('name', ['ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'])
+def test_other_versions_are_told(name, files, tmp_path, capsys):
     forger = Forger(files[NEW_ROUTE])
-    forger.edit_yaml('versions', scipy='0.1')
+    if name == 'ambush_planner':
+        forger.metadata['planner_version'] = '0.0.1'
+    else:
+        forger.edit_yaml('versions', **{name: '0.0.1'})
     code, lines = verified(forger.save(tmp_path / 'old.mcap'), capsys)
     assert code == 0
-    assert "scipy '0.1', verified with" in lines[0]
+    assert f"(recorded with {name} '0.0.1', verified with {name} '" in lines[0]
+
+
+def test_the_node_records_all_entries_of_the_metadata_that_are_known(files):
+    for path in files:
+        assert read_departure(path).metadata.keys() == METADATA_KEYS
+
+
+def test_an_answer_that_tells_of_trouble_with_the_recording(tmp_path, capsys):
+    runs = tmp_path / 'runs'
+    runs.write_text('in the way of the folder')
+    with stage(runs) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        client.diagnostics(recording='failed')
+        runs.unlink()
+        answer = client.call('new_route')
+        client.diagnostics(recording='on')
+    assert '; recording failed at' in answer.message
+    assert verified(runs, capsys)[0] == 0
+    forger = Forger(recordings_in(runs)[0])
+    forger.edit(
+        forger.places(Trigger.Event)[1],
+        lambda event: setattr(event.response[0], 'message', answer.message + ' again'),
+    )
+    code, lines = verified(forger.save(tmp_path / 'x.mcap'), capsys)
+    assert code == 1 and 'response: it does not tell' in lines[0]
+
+
+def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
+    with stage(tmp_path / 'zero', {'use_sim_time': True}) as running:
+        assert running.give().call('new_route').success
+    (path,) = recordings_in(tmp_path / 'zero')
+    assert {message.stamp_ns for message in read_departure(path).messages} == {0}
+    with stage(tmp_path / 'back') as running:
+        client = running.give()
+        times = Session._now
+
+        for set_back in (1, 2, 3):  # before the path is stamped, before it leaves, and after
+            calls = itertools.count(1)
+            monkeypatch.setattr(
+                Session, '_now',
+                lambda self, calls=calls, k=set_back: times(self) - 10**12 * (next(calls) > k),
+            )
+            assert client.call('new_route').success
+    assert verified(tmp_path / 'zero', capsys)[0] == 0
+    code, lines = verified(tmp_path / 'back', capsys)
+    assert (code, lines[-1]) == (0, '3 departures: all hold')
 
 
 def test_a_copied_file_holds_twice(files, tmp_path, capsys):
@@ -206,15 +261,22 @@ def test_one_bad_file_in_a_folder_does_not_hide_the_others(files, tmp_path, caps
     assert lines[-1] == '1 of 3 departures: not consistent'
 
 
-@pytest.mark.parametrize('seed', range(4))
-def test_damaged_files_are_refused_without_a_traceback(seed, files, tmp_path, capsys):
-    rng, path = np.random.default_rng(seed), tmp_path / 'damaged.mcap'
-    for k in range(50):
-        data = bytearray(files[k % len(files)].read_bytes())
-        if k % 2:
-            del data[int(rng.integers(len(data))):]
-        else:
-            data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+def damaged(files):
+    """Recordings cut off at 200 places from the first byte to the last, or with one bit changed."""
+    whole = [path.read_bytes() for path in files]
+    for k in range(200):
+        data = whole[k % len(whole)]
+        yield data[: (len(data) - 1) * k // 199]
+    rng = np.random.default_rng(0)
+    for k in range(500):
+        data = bytearray(whole[k % len(whole)])
+        data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        yield bytes(data)
+
+
+def test_damaged_files_are_refused_without_a_traceback(files, tmp_path, capsys):
+    path = tmp_path / 'damaged.mcap'
+    for data in damaged(files):
         path.write_bytes(data)
         code, lines = verified(path, capsys)
         assert code == 1 and lines[0].startswith(f'FAILS  {path}: ')

@@ -8,8 +8,6 @@ from typing import Any
 
 import yaml
 
-# libyaml's bindings where PyYAML has them: some ten times as fast.
-_LOADER = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
 MOST_CHARACTERS = 2**20
 # The characters that an entry of a long text must have on average: tiny ones take longest.
 _LEAST_ENTRY = 16
@@ -22,6 +20,17 @@ _WHOLE_NUMBERS = re.compile(r'\[[0-9, ]*\]')
 
 class BadYaml(ValueError):
     """The text is not the YAML that was expected."""
+
+
+# libyaml's bindings where PyYAML has them: some ten times as fast.
+class _Loader(getattr(yaml, 'CSafeLoader', yaml.SafeLoader)):
+    """Refuses mappings in which a key comes twice: readers differ in which value they take."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        mapping = super().construct_mapping(node, deep)
+        if len(mapping) < len(node.value):
+            raise BadYaml('YAML with a key that comes twice')
+        return mapping
 
 
 class _Dumper(getattr(yaml, 'CSafeDumper', yaml.SafeDumper)):
@@ -40,8 +49,8 @@ def load_yaml(text: str, most: int = MOST_CHARACTERS) -> Any:
 
     Raises:
         BadYaml: It is not YAML, longer than ``most``, has too many entries, numbers of more than
-            100 digits or what is said above, or is nested so deeply that parsers (also that in
-            C) run out of stack.
+            100 digits, a key twice in a mapping or what is said above, or is nested so deeply
+            that parsers (also that in C) run out of stack.
     """
     if len(text) > most:
         raise BadYaml(f'{len(text)} characters where at most {most} are read')
@@ -53,7 +62,7 @@ def load_yaml(text: str, most: int = MOST_CHARACTERS) -> Any:
         if text.count(',') + text.count('\n') > most // _LEAST_ENTRY:
             raise BadYaml('too many entries')
         _check_events(text)
-        return yaml.load(text, _LOADER)
+        return yaml.load(text, _Loader)
     except BadYaml:
         raise
     except (
@@ -75,7 +84,7 @@ def _whole_numbers(text: str) -> Any:
     try:
         return json.loads(text)
     except ValueError:  # "[1, 2,]" and "[007]" are YAML only
-        return yaml.load(text, _LOADER)
+        return yaml.load(text, _Loader)
 
 
 def _check_events(text: str) -> None:
@@ -85,7 +94,7 @@ def _check_events(text: str) -> None:
     if is_flat and not any(mark in text for mark in '&*!'):
         return
     depth = 0
-    for event in yaml.parse(text, _LOADER):
+    for event in yaml.parse(text, _Loader):
         # An alias of a few bytes may stand for gigabytes.
         if isinstance(event, yaml.AliasEvent) or getattr(event, 'anchor', None):
             raise BadYaml('it has anchors or aliases')

@@ -5,25 +5,24 @@ from the recorded poses; the map, the trip and the parameters give the recorded 
 strategy; the recorded strategy and the source of randomness give the recorded route; and all that
 was published follows from these. It shows that a recording is consistent with itself and with the
 planner, not who made it: a recording that was made anew as a whole, say from another seed with
-the route and the path that follow from it, is as consistent as the first. Nor can it show a
-change of what has no effect on the departure: of cells far from every node, of
-``max_planning_time``, of quality-of-service profiles, of the times at which messages went out. In
-the diagnostics, the state, the level beyond whether it is an error, what the node was called and
-problems of its surroundings are not checked, nor topics that were remapped; nor, of a goal pose in
-another frame than the map's, its orientation and height.
+the route and the path that follow from it, is as consistent as the first. Nor does it show that
+times are right, but only their order: the request first, then the path, the answer last. Nor can
+it show a change of what has no effect on the departure: of cells far from every node, of
+``max_planning_time``, of quality-of-service profiles, of the stamps of markers and inputs, of the
+versions that are noted. In the diagnostics, the state, the level beyond whether it is an error,
+what the node was called and problems of its surroundings (also where the answer repeats them) are
+not checked, nor topics that were remapped; nor, of a goal pose in another frame than the map's,
+its orientation and height.
 """
 
 from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import scipy
 
 from ..core.errors import AmbushPlannerError
 from ..core.planner import PlanningOptions, PlanRequest
@@ -33,6 +32,7 @@ from ..recording.errors import UnreadableRecording
 from ..recording.reader import read_departure
 from ..recording.strategy_file import STRATEGY_FILE
 from ..ros.conversions import occupancy_from_ros
+from ..ros.departures import planner_version, software_versions
 from .departures import DepartureRecord, record_from, strategy_from
 from .verify_file import file_faults
 from .verify_messages import (
@@ -49,6 +49,7 @@ from .verify_strategy import (
     source_faults,
     strategy_faults,
 )
+from .verify_times import time_faults
 from .verify_trip import PosedTrip, metadata_faults, posed_trip
 
 # There and back again, as the node keeps plans.
@@ -114,6 +115,7 @@ class Verifier:
         check.problems += self._copy_faults(record)
         check.problems += message_faults(recorded)
         check.problems += service_faults(recorded, record)
+        check.problems += time_faults(recorded)
         strategy = self._strategy(recorded, record)
         check.summary += f', {len(strategy.network.points)} nodes, value {strategy.value:.6g}'
         check.problems += self._marker_faults(recorded, record, strategy)
@@ -244,12 +246,14 @@ def _options(record: DepartureRecord) -> PlanningOptions:
 
 
 def _version_notes(record: DepartureRecord) -> list[str]:
-    here = {'numpy': np.__version__, 'scipy': scipy.__version__}
-    there = {name: record.versions.get(name) for name in here}
-    if there == here:
+    """Tell what was recorded with another version than it is verified with."""
+    here = {'ambush_planner': planner_version(), **software_versions()}
+    there = {'ambush_planner': record.planner_version, **record.versions}
+    others = [name for name in here if there.get(name) != here[name]]
+    if not others:
         return []
-    return [f'recorded with {_in_words(there)}, verified with {_in_words(here)}']
+    return [f'recorded with {_in_words(there, others)}, verified with {_in_words(here, others)}']
 
 
-def _in_words(versions: dict[str, Any]) -> str:
-    return ' and '.join(f'{name} {str(version)[:20]!r}' for name, version in versions.items())
+def _in_words(versions: Mapping[str, Any], names: list[str]) -> str:
+    return ' and '.join(f'{name} {str(versions.get(name))[:20]!r}' for name in names)

@@ -122,12 +122,17 @@ def status_faults(recorded: RecordedDeparture, record: DepartureRecord, plan: Pl
     status = Status(plan=plan, departures=record.number, departure_id=record.id)
     tolerance = PROBABILITY_TOLERANCE * plan.strategy.value
     failing = shown.level in (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
+    again = status_to_ros(status, '', Time()).status[0]
     faults = []
+    if [each.key for each in shown.values] != [each.key for each in again.values]:
+        faults.append('diagnostics: there are not the values that the node reports')
+    if shown.hardware_id:
+        faults.append('diagnostics: the node reports no hardware')
     if failing != (told.get('code') != OK_CODE) or shown.message != told.get('message'):
         faults.append('diagnostics: level, code and message do not agree')
     return faults + [
         f'diagnostics: {each.key} is not that of the departure'
-        for each in status_to_ros(status, '', Time()).status[0].values
+        for each in again.values
         if each.key not in _UNFORESEEN
         and not _same_text(told.get(each.key), each.value, tolerance)
     ]
@@ -183,9 +188,22 @@ def _trigger_faults(
     faults = []
     if record.trip.tolerance != 0.0:
         faults.append('trip: new_route has no tolerance')
-    if not response.success or not response.message.startswith(told):
+    trouble = response.message.removeprefix(told)
+    is_told = response.message.startswith(told) and _is_reported(recorded, trouble)
+    if not response.success or not is_told:
         faults.append('response: it does not tell this departure_id, departure and topic')
     return faults
+
+
+def _is_reported(recorded: RecordedDeparture, trouble: str) -> bool:
+    """Whether an answer's text about a recording that failed is that of the diagnostics, if any."""
+    for message in recorded.messages:
+        if message.type == _DIAGNOSTICS and (statuses := recorded.decode(message).status):
+            values = {each.key: each.value for each in statuses[0].values}
+            if values.get('recording') == 'failed':
+                # Trouble with a map stands before it.
+                return trouble.startswith('; ') and f'; {statuses[0].message}'.endswith(trouble)
+    return not trouble
 
 
 def _get_plan_faults(

@@ -11,6 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 from ..recording.departure import RecordedDeparture
 from ..recording.errors import UnreadableRecording
 from ..ros.conversions import position_from_ros
+from ..ros.departures import METADATA_KEYS, software_versions
 from ..ros.parameters import PARAMETERS
 from .departures import DepartureRecord
 
@@ -72,7 +73,14 @@ def metadata_faults(recorded: RecordedDeparture, record: DepartureRecord) -> lis
     Raises:
         UnreadableRecording: The map or the path is none.
     """
-    faults = []
+    faults = [
+        f'{what}: an entry {name[:60]!r} is not known'
+        for what, found, known in (
+            ('metadata', recorded.metadata, METADATA_KEYS),
+            ('versions', record.versions, software_versions()),
+        )
+        for name in sorted(set(found) - set(known))
+    ]
     for role, kind in (('map', OccupancyGrid), ('path', PathMessage)):
         message = recorded.message(role)
         if not isinstance(message, kind):

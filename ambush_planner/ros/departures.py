@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from io import BytesIO
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,12 @@ from .inputs import Received, Trip
 from .outbox import LATEST
 from .parameters import NodeParameters
 
+# The entries of the metadata, all of them.
+METADATA_KEYS = frozenset({
+    'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
+    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'sha256',
+})
+
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
@@ -40,7 +47,7 @@ class ServiceCall:
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """One convoy's departure; times in nanoseconds of the node's clock.
+    """One convoy's departure; times in nanoseconds of the node's clock, the end last.
 
     ``path`` and ``others`` (markers, diagnostics) are what was published.
     """
@@ -61,11 +68,15 @@ class Departure:
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
-    """Return inputs, request, publications and answer, none earlier than the request."""
+    """Return inputs, request, publications and answer.
+
+    None is earlier than the request or later than the answer: markers may be of a departure
+    before, and the clock may have been set since.
+    """
     trip, begin = departure.trip, departure.begin_ns
     inputs = [_received(each, begin) for each in (trip.map.received, trip.start, trip.goal)]
     published = [
-        replace(each, stamp_ns=max(begin, each.stamp_ns))
+        replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
         for each in (*departure.others, departure.path)
     ]
     return [*inputs, _request(departure), *published, _response(departure)]
@@ -94,7 +105,8 @@ def recorded_metadata(departure: Departure, strategy: bytes) -> dict[str, str]:
     }
     return {
         'format': FORMAT,
-        **_versions(),
+        'planner_version': planner_version(),
+        'versions': dump_yaml(dict(software_versions())),
         'service': departure.call.name.rsplit('/', 1)[-1],
         'departure': str(departure.number),
         'departure_id': departure.id,
@@ -162,15 +174,18 @@ def _hashes(contents: Mapping[str, bytes]) -> dict[str, str]:
 
 
 @cache
-def _versions() -> Mapping[str, str]:
-    """Versions of the planner and of what it computes with; they do not change while it runs."""
-    versions = {
+def planner_version() -> str:
+    """The version of the planner; it does not change while it runs."""
+    return _version_of('ambush_planner')
+
+
+@cache
+def software_versions() -> Mapping[str, str]:
+    """The versions of what the planner computes with."""
+    return MappingProxyType({
         'python': platform.python_version(), 'numpy': np.__version__, 'scipy': scipy.__version__,
         'rclpy': _version_of('rclpy'),
-    }
-    return {
-        'planner_version': _version_of('ambush_planner'), 'versions': dump_yaml(versions),
-    }
+    })
 
 
 def _version_of(package: str) -> str:

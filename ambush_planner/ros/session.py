@@ -14,6 +14,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.time import Time
 from std_msgs.msg import Header
 
 from ..core.errors import AmbushPlannerError, InvalidOption
@@ -22,7 +23,7 @@ from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
 from .departures import Departure, ServiceCall
-from .diagnostics import Status, status_to_ros
+from .diagnostics import Problem, Status, status_to_ros
 from .inputs import Inputs, Received, Trip
 from .later import then
 from .outbox import Outbox
@@ -107,8 +108,9 @@ class Session:
         trip = self._inputs.trip()
         where = self._outbox.topic_name('path')
 
-        def respond(departure_id: str, number: int, _: DeparturePath) -> _Outcome:
-            failed = self._status.problems.get('recording')
+        def respond(
+            departure_id: str, number: int, _: DeparturePath, failed: Problem | None
+        ) -> _Outcome:
             trouble = f'; {failed.message}' if failed else ''
             return answer(f'departure {number} ({departure_id}) is published on {where}{trouble}')
 
@@ -156,9 +158,12 @@ class Session:
             )
 
     def _depart(
-        self, trip: Trip, call: ServiceCall, respond: Callable[[str, int, DeparturePath], _Outcome]
+        self,
+        trip: Trip,
+        call: ServiceCall,
+        respond: Callable[[str, int, DeparturePath, Problem | None], _Outcome],
     ) -> Future[_Outcome]:
-        begin, parameters = self._clock.now().nanoseconds, self._parameters
+        begin, parameters = self._now(), self._parameters
 
         def leave(plan: Plan) -> _Outcome:
             return self._leave(plan, trip, call, parameters, begin, respond)
@@ -189,7 +194,7 @@ class Session:
         call: ServiceCall,
         parameters: NodeParameters,
         begin: int,
-        respond: Callable[[str, int, DeparturePath], _Outcome],
+        respond: Callable[[str, int, DeparturePath, Problem | None], _Outcome],
     ) -> _Outcome:
         """Draw a route, publish its path, and have it recorded; return the response."""
         self._refuse_when_closing()
@@ -198,22 +203,26 @@ class Session:
         departure_id, number = str(uuid4()), self._status.departures + 1
         source = route_entropy_source(parameters.seed, number)
         route = depart(plan, np.random.default_rng(source))
+        # Within a departure no time is before an earlier one, though the clock may be set.
+        leaving = max(begin, self._now())
         path = departure_path(
             route.points,
             parameters.path_spacing or plan.spacing,
             trip.start_pose.pose,
             trip.goal_pose.pose,
-            self._header(trip),
+            self._header(trip, leaving),
         )
         published = self._outbox.publish('path', path.to_bytes())
-        report = self._change(lambda s: replace(
-            s.without_problem('request'), departures=number, departure_id=departure_id
-        ))
-        response = respond(departure_id, number, path)
+        with self._status_lock:  # the answer tells what the diagnostics tell
+            report = self._change(lambda s: replace(
+                s.without_problem('request'), departures=number, departure_id=departure_id
+            ))
+            failed = self._status.problems.get('recording')
+        response = respond(departure_id, number, path, failed)
         if parameters.recording.enabled:
             self._record(Departure(
                 departure_id, number, call, response, trip, parameters, plan, source, route,
-                begin, self._clock.now().nanoseconds, published,
+                begin, max(leaving, self._now()), published,
                 tuple(filter(None, (*self._markers, report))),
             ))
         return response
@@ -224,7 +233,7 @@ class Session:
 
     def _show(self, plan: Plan, trip: Trip) -> None:
         """Publish the markers of the plan that is in force from now on."""
-        header, strategy = self._header(trip), plan.strategy
+        header, strategy = self._header(trip, self._now()), plan.strategy
         self._markers = tuple(
             self._outbox.publish(topic, message)
             for topic, message in (
@@ -236,8 +245,12 @@ class Session:
         )
         self._change(lambda s: replace(s, plan=plan))
 
-    def _header(self, trip: Trip) -> Header:
-        return Header(frame_id=trip.map.frame, stamp=self._clock.now().to_msg())
+    def _now(self) -> int:
+        """The time of the node's clock [ns]."""
+        return self._clock.now().nanoseconds
+
+    def _header(self, trip: Trip, stamp_ns: int) -> Header:
+        return Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
 
     def _record(self, departure: Departure) -> None:
         try:
@@ -266,7 +279,9 @@ class Session:
             return self.report() if self._status != before else None
 
 
-def _planned(_id: str, _number: int, path: DeparturePath) -> GetPlan.Response:
+def _planned(
+    _id: str, _number: int, path: DeparturePath, _failed: Problem | None
+) -> GetPlan.Response:
     return GetPlan.Response(plan=path.to_message())
 
 

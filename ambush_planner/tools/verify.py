@@ -13,16 +13,21 @@ EPILOG = """\
 Each departure is planned again from its recorded map, start, goal and parameters, and its route
 drawn again. It holds if network, strategy, value and route are the same (numbers to 1e-9, the
 probabilities to 1e-6 where another processor or release of numpy or scipy rounds otherwise), if
-the strategy's certificate closes, and if all that was recorded and answered follows from these.
+the strategy's certificate closes, if path, markers, answer and the strategy's numbers in the
+diagnostics follow from these, if the request came first and the answer last, and if nothing
+stands in the file that the planner does not record or that some readers of MCAP would not find.
 Standard output has a line a departure, which names what does not hold; standard error the
 progress. Departures of one strategy take one solve. Numbers are compared best with the releases
-of numpy and scipy that recorded them; the line says where they are others.
+of all software that recorded them; the line says where they are others.
 
-This shows that a recording is consistent with itself and with the planner, not who made it: one
-that was made anew as a whole, say from another seed, is found to be consistent as well, and so is
-a folder from which a file was taken away. Where that matters, sign the files. What had no effect
-on a departure can be changed unnoticed by whoever corrects the checksums, too; so can the state,
-the name and the kind of warning in the diagnostics, and the names of topics that were remapped.
+Not shown is who made a recording: one that was made anew as a whole, say from another seed, is
+found to be consistent as well, and so is a folder from which a file was taken away. Nor that its
+times are right: only their order within a departure is checked, and all of them can be moved
+together. Where that matters, sign the files. By whoever corrects the checksums, these can be
+changed unnoticed, too: what had no effect on the departure (cells far from all nodes, time
+limits, quality of service, stamps of markers and inputs), the versions of software; in the
+diagnostics the state, the name, the kind of warning, and trouble with a map or with recording,
+which the answer repeats; and the names of topics that were remapped.
 Exit code: 0 all departures hold; 1 one does not, or could not be read; 2 wrong usage.
 """
 
