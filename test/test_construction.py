@@ -20,6 +20,7 @@ from ambush_planner import (
     StartBlocked,
     build_network,
 )
+from ambush_planner.core.construction import expected_nodes
 from ambush_planner.core.obstacles import ObstacleField
 
 
@@ -42,6 +43,18 @@ def lattice_pairs(network) -> set:
     """Pairs of nodes by (column, row) of a lattice of spacing 1, start and goal by their cells."""
     place = [tuple(int(c) for c in np.floor(point)) for point in network.points]
     return {frozenset((place[i], place[j])) for i, j in joined(network)}
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("clearance", [0.0, 0.6])
+def test_the_expected_number_of_nodes_is_about_the_real_one(method, clearance):
+    risk_map = random_map(3, 60, 0.05, 0.0)
+    options = NetworkOptions(method, 0.4, clearance)
+    places = np.stack(np.meshgrid(*[np.arange(60) + 0.5] * 2), axis=-1).reshape(-1, 2)
+    free = ObstacleField(risk_map).clear_points(places, clearance)
+    ends = risk_map.to_world(places[free][[0, -1]])
+    count = len(build_network(risk_map, *ends, options).points)
+    assert expected_nodes(risk_map, options) == pytest.approx(count, rel=0.15)
 
 
 @st.composite
