@@ -18,6 +18,9 @@ from mcap.records import (
 )
 from mcap.writer import CompressionType, IndexType, Writer
 from recording_samples import METADATA, START_NS, STRATEGY, small_departure
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as BagWriter
+from rosbags.typesys import Stores, get_typestore
 from two_faced import (
     PRIVATE,
     assembled,
@@ -177,6 +180,16 @@ def test_whatever_conforming_writers_leave_out_is_read(options):
         [*rows, (third, 0)])
     assert [file.name for file in content.attachments] == ['f']
     assert content.metadata[0].metadata == METADATA
+
+
+def test_the_writer_of_rosbags_is_read(tmp_path):
+    kind, store = 'std_msgs/msg/String', get_typestore(Stores.ROS2_HUMBLE)
+    with BagWriter(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        used, _ = [writer.add_connection(name, kind, typestore=store) for name in ('/a', '/b')]
+        for stamp in (5, 3, 9):
+            writer.write(used, stamp, store.serialize_cdr(store.types[kind]('x'), kind))
+    (path,) = (tmp_path / 'bag').glob('*.mcap')
+    assert sorted(m.log_time for m in read_content(path.read_bytes()).messages) == [3, 5, 9]
 
 
 def test_files_without_messages_are_read():

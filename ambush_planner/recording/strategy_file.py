@@ -31,9 +31,9 @@ _MOST_EDGES_OF_A_NODE = 8
 # bytes a node with its edges.
 _MOST_BYTES = 2**28
 # What any file may unpack to, and otherwise as a multiple of its size: no two edges are the
-# same, so that real ones are packed some ten times.
+# same, so that even an empty lattice is packed 13 times only.
 _ALWAYS_UNPACKED = 2**24
-_MOST_PACKED = 100
+_MOST_PACKED = 40
 
 
 class BadStrategy(ValueError):
