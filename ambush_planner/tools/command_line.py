@@ -1,12 +1,31 @@
-"""What the commands that read recordings have in common: how they print and end."""
+"""What the commands that read recordings have in common: what they take, how they print and end."""
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections.abc import Callable
 from io import TextIOWrapper
+from pathlib import Path
 
 from ..core.errors import AmbushPlannerError
+
+
+def parser_of(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return a parser of a command that takes ``recordings``; ``epilog`` stands as it is."""
+    parser = argparse.ArgumentParser(
+        prog=command,
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        "recordings",
+        type=Path,
+        metavar="FILE_OR_FOLDER",
+        help="a recording, a session folder, or the recording.directory with all of them",
+    )
+    return parser
 
 
 def exit_code(command: str, extras: str, action: Callable[[], bool]) -> int:

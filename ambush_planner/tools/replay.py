@@ -6,7 +6,8 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from pathlib import Path
+
+from .command_line import parser_of
 
 EPILOG = """\
 The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
@@ -52,17 +53,10 @@ def _replay(given: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="ambush_replay",
-        description="Publish recorded departures again, for RViz or for a running planner.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        metavar="FILE_OR_FOLDER",
-        help="a recording, a session folder, or the recording.directory with all of them",
+    parser = parser_of(
+        "ambush_replay",
+        "Publish recorded departures again, for RViz or for a running planner.",
+        EPILOG,
     )
     parser.add_argument(
         "-r", "--rate", type=_positive, default=1.0,

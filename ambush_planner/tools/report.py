@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import exit_code
+from .command_line import exit_code, parser_of
 
 EPILOG = """\
 The page, report.html, has the map, the strategy, the routes, how they compare with planners that
@@ -30,17 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="ambush_report",
-        description="Recorded departures on one HTML page, for people without RViz or Foxglove.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        metavar="FILE_OR_FOLDER",
-        help="one recording, a session folder, or the recording.directory with all of them",
+    parser = parser_of(
+        "ambush_report",
+        "Recorded departures on one HTML page, for people without RViz or Foxglove.",
+        EPILOG,
     )
     parser.add_argument(
         "-o",

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from .command_line import exit_code
+from .command_line import exit_code, parser_of
 
 EPILOG = """\
 Each departure is planned again from its recorded map, start, goal and parameters, and its route
@@ -45,19 +44,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="ambush_verify",
-        description="Plan recorded departures again and compare: do they follow from their inputs?",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    return parser_of(
+        "ambush_verify",
+        "Plan recorded departures again and compare: do they follow from their inputs?",
+        EPILOG,
     )
-    parser.add_argument(
-        "recordings",
-        type=Path,
-        metavar="FILE_OR_FOLDER",
-        help="a recording, a session folder, or the recording.directory with all of them",
-    )
-    return parser
 
 
 if __name__ == "__main__":
