@@ -198,7 +198,7 @@ def test_no_time_at_all_is_a_time_limit(solver):
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_no_route(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
-    with pytest.raises(NoRoute, match="source 0 to the target 2"):
+    with pytest.raises(NoRoute, match=r"from \(0.000, 0.000\) to \(2.000, 0.000\)"):
         solve(network, options=StrategyOptions(solver))
 
 
