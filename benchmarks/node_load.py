@@ -38,8 +38,9 @@ from std_srvs.srv import Trigger
 
 CLIENTS = 4
 DEPTHS = (10, 1000)
-# Without an answer for so long [s] the rest is missing.
-STALL = 60.0  # s; others may be answered first
+# Without an answer for so long [s], and for so long a call that may be answered first, the rest is
+# missing.
+STALL, STALL_A_CALL = 10.0, 0.05
 CELLS, RESOLUTION = 60, 0.5
 START, GOAL = pose(2.0, 15.0), pose(28.0, 15.0)
 
@@ -70,16 +71,16 @@ def ask(
         together.wait(TIMEOUT)
         begin = time.monotonic()
         futures = [client.call_async(request) for _ in range(calls)]
-        last = gather(caller, futures)
+        last = gather(caller, futures, STALL + STALL_A_CALL * CLIENTS * calls)
     done = [future.result() for future in futures if future.done()]
     good = sum(bool(each.plan.poses if kind is GetPlan else each.success) for each in done)
     answers.put((len(done), good, last - begin))
 
 
-def gather(caller: Caller, futures: Sequence[Future]) -> float:
-    """Take answers until there are all or no more come; when the last one came."""
+def gather(caller: Caller, futures: Sequence[Future], stall: float) -> float:
+    """Take answers until there are all or none came for ``stall`` [s]; when the last one came."""
     count, last = 0, time.monotonic()
-    while count < len(futures) and time.monotonic() - last < STALL:
+    while count < len(futures) and time.monotonic() - last < stall:
         caller.idle_until(time.monotonic() + 0.02)
         done = sum(future.done() for future in futures)
         if done > count:
