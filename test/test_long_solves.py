@@ -114,6 +114,17 @@ def test_one_solve_for_all_who_ask_for_the_same():
         assert {answer(each).message for each in futures} == {'the solve was cancelled'}
 
 
+def test_who_allows_another_time_waits_for_another_solve(submitted):
+    with solving() as (running, future):
+        client, before = running.client, len(submitted)
+        use(running, {'max_planning_time': 1.0})
+        impatient = client.send('new_route')
+        wait_until(lambda: len(submitted) == before + 1, 'the request')
+        assert client.call('cancel').success
+        assert answer(future).message == 'the solve was cancelled'
+        assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
+
+
 def test_many_wait_and_all_are_answered():
     with solving() as (running, future):
         client = running.client

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
@@ -14,9 +14,14 @@ _First, _Second = TypeVar('_First'), TypeVar('_Second')
 
 
 def then(
-    first: Future[_First], work: Callable[[Future[_First]], _Second], executor: Executor
+    first: Future[_First],
+    work: Callable[[Future[_First]], _Second],
+    submit: Callable[[Callable[[], None]], object],
 ) -> Future[_Second]:
-    """Have ``executor`` do ``work`` with ``first`` once it is done; return the work's outcome."""
+    """Submit ``work`` with ``first`` once it is done; return the work's outcome.
+
+    That is an error of ``submit``, too.
+    """
     outcome: Future[_Second] = Future()
 
     def settle() -> None:
@@ -25,7 +30,13 @@ def then(
         except Exception as error:
             outcome.set_exception(error)
 
-    first.add_done_callback(lambda _: executor.submit(settle))
+    def begin(_: Future[_First]) -> None:
+        try:
+            submit(settle)
+        except Exception as error:
+            outcome.set_exception(error)
+
+    first.add_done_callback(begin)
     return outcome
 
 

@@ -51,7 +51,9 @@ class Plans:
         SolveCancelled
             The plans are closed.
         """
-        solve = self._solves.submit(_key(trip, parameters), _request(trip, parameters))
+        # Whoever allows another time waits for another solve.
+        key = (_key(trip, parameters), parameters.planning.strategy.time_limit)
+        solve = self._solves.submit(key, _request(trip, parameters))
         solve.add_done_callback(lambda done: self._keep(trip, parameters, done))
         return solve
 

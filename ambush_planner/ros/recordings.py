@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from queue import Empty, Full, Queue
-from threading import Thread
+from threading import Condition, Thread
 from weakref import WeakKeyDictionary
 
 from ..core.errors import AmbushPlannerError
@@ -24,13 +25,13 @@ from .departures import (
 )
 from .parameters import RecordingOptions
 
-# Departures that may wait for the disk. Few enough that all of them are written when the node is
-# told to end.
-_LONGEST_QUEUE = 16
-# How long the next one waits for a place [s]: a disk that is that slow does not answer at all, and
-# until it does, no other one waits.
-_PATIENCE = 0.5
-_LOOK_UP = 0.05  # s; how soon the end is noticed
+# Writing [s] that may be owed to the disk: little enough that all of it is done when the node is
+# told to end. Who departs beyond that waits.
+_MOST_OWED = 0.5
+# A write that takes longer [s] is of a disk that does not answer. Nobody waits for that one, but
+# only so many departures are kept for it.
+_PATIENCE, _MOST_KEPT = 2.0, 16
+_LOOK_UP = 0.05  # s; how soon that is noticed
 
 
 class Recordings:
@@ -57,51 +58,77 @@ class Recordings:
         self._options: RecordingOptions | None = None
         self._recorder: Recorder | None = None
         self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
-        self._queue: Queue[Departure] = Queue(_LONGEST_QUEUE)
-        self._closing = self._stuck = False
+        # What the last write of a plan's departures took [s].
+        self._costs: WeakKeyDictionary[Plan, float] = WeakKeyDictionary()
+        # What is not written yet; the first one is being written since `_begin`.
+        self._unwritten: deque[Departure] = deque()
+        self._begin = 0.0
+        self._condition = Condition()
+        self._hurry = self._closing = False
         if options.enabled:
             Thread(target=self._repair, args=(options,), name='repair', daemon=True).start()
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
         self._thread.start()
 
     def record(self, departure: Departure) -> None:
-        """Queue a departure.
+        """Queue a departure; wait while more is owed to the disk than may be.
 
         Raises
         ------
         RecordingFailed
             The disk does not answer, and too many departures wait for it already.
         """
-        try:
-            self._queue.put(departure, block=not self._stuck, timeout=_PATIENCE)
-        except Full as error:
-            self._stuck = True
-            raise RecordingFailed(
-                Path(departure.parameters.recording.directory),
-                f'{_LONGEST_QUEUE} departures wait for the disk, which does not answer; departure '
-                f'{departure.number} is not recorded',
-            ) from error
+        with self._condition:
+            if self._stuck() and len(self._unwritten) > _MOST_KEPT:
+                raise RecordingFailed(
+                    Path(departure.parameters.recording.directory),
+                    f'{_MOST_KEPT} departures wait for the disk, which does not answer; departure '
+                    f'{departure.number} is not recorded',
+                )
+            if not self._unwritten:
+                self._begin = time.monotonic()
+            self._unwritten.append(departure)
+            self._condition.notify_all()
+            while self._owed() > _MOST_OWED and not self._hurry and not self._stuck():
+                self._condition.wait(_LOOK_UP)
+
+    def hurry(self) -> None:
+        """Let nobody wait any more, now and from now on: the node ends."""
+        with self._condition:
+            self._hurry = True
+            self._condition.notify_all()
 
     def close(self, seconds: float) -> int:
-        """Write what waits, but for no longer than this; return how many are not written."""
-        deadline, self._closing = time.monotonic() + seconds, True
-        self._thread.join(max(0.0, deadline - time.monotonic()))
-        return self._queue.unfinished_tasks
+        """Write what is owed, but for no longer than this; return how many are not written."""
+        with self._condition:
+            self._closing = True
+            self._condition.notify_all()
+        self._thread.join(max(0.0, seconds))
+        return len(self._unwritten)
+
+    def _owed(self) -> float:
+        # How long the first one of a plan takes nobody knows: it is waited for.
+        return sum(self._costs.get(each.plan, math.inf) for each in self._unwritten)
+
+    def _stuck(self) -> bool:
+        return bool(self._unwritten) and time.monotonic() - self._begin > _PATIENCE
 
     def _work(self) -> None:
-        while True:
-            try:
-                departure = self._queue.get(timeout=_LOOK_UP)
-            except Empty:
-                if self._closing:
-                    break
-                continue
+        while (departure := self._next()) is not None:
             self._write(departure)
+            with self._condition:
+                now = time.monotonic()
+                self._costs[departure.plan], self._begin = now - self._begin, now
+                self._unwritten.popleft()
+                self._condition.notify_all()
             del departure  # with its plan, until the next one comes
-            self._queue.task_done()
-            self._stuck = False
         if self._recorder is not None:
             self._recorder.close()
+
+    def _next(self) -> Departure | None:
+        with self._condition:
+            self._condition.wait_for(lambda: self._unwritten or self._closing)
+            return self._unwritten[0] if self._unwritten else None
 
     def _write(self, departure: Departure) -> None:
         error: AmbushPlannerError | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
@@ -33,8 +34,8 @@ from .planning import Plans, route_entropy_source
 from .recordings import Recordings
 from .transforms import FrameTransforms
 
-# Of the two seconds that the node has to end in.
-_LAST_RECORDINGS = 1.0  # s
+# Of the two seconds that the node has to end in: from being told to the last recording.
+_LAST_RECORDINGS = 1.2  # s
 
 _Outcome = TypeVar('_Outcome')
 
@@ -62,7 +63,7 @@ class Session:
         self._plans = Plans()
         self._markers: tuple[RecordedMessage, ...] = ()
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
-        self._closing = False
+        self._told_to_end: float | None = None
         self._status = Status(
             missing=self._inputs.missing, recording=_recording_state(parameters)
         )
@@ -71,14 +72,17 @@ class Session:
 
     def stop_solving(self) -> None:
         """End all solves: whoever waits for one, or for a departure, is told."""
-        self._closing = True
+        if self._told_to_end is None:
+            self._told_to_end = time.monotonic()
+        self._recordings.hurry()
         self._plans.close()
 
     def close(self) -> None:
         """Tell all who wait, write the last recordings, and end."""
         self.stop_solving()
         self._departures.shutdown()
-        if left := self._recordings.close(_LAST_RECORDINGS):
+        left_to_us = self._told_to_end + _LAST_RECORDINGS - time.monotonic()
+        if left := self._recordings.close(left_to_us):
             self._logger.error(f'recording: {left} departures could not be written before the end')
 
     def reconfigure(self, parameters: NodeParameters) -> None:
@@ -171,8 +175,7 @@ class Session:
         plan = self._plans.find(trip, parameters)
         if plan is None:
             return self._when_solved(trip, parameters, leave)
-        self._refuse_when_closing()
-        return self._departures.submit(leave, plan)
+        return self._in_turn(lambda: leave(plan))
 
     def _when_solved(
         self, trip: Trip, parameters: NodeParameters, go_on: Callable[[Plan], _Outcome]
@@ -185,7 +188,15 @@ class Session:
             self._change(lambda s: s)
             return go_on(done.result())
 
-        return then(solve, solved, self._departures)
+        return then(solve, solved, self._in_turn)
+
+    def _in_turn(self, work: Callable[[], _Outcome]) -> Future[_Outcome]:
+        """Have work done in the thread of departures."""
+        try:
+            return self._departures.submit(work)
+        except RuntimeError:  # the thread has ended
+            self._refuse_when_closing()
+            raise
 
     def _leave(
         self,
@@ -228,7 +239,7 @@ class Session:
         return response
 
     def _refuse_when_closing(self) -> None:
-        if self._closing:
+        if self._told_to_end is not None:
             raise SolveCancelled('the planner is shutting down')
 
     def _show(self, plan: Plan, trip: Trip) -> None:

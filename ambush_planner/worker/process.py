@@ -120,6 +120,7 @@ class WorkerProcess:
             raise (late if expired else WorkerFailed(self._last_words())) from error
         finally:
             timer.cancel()
+            timer.join()  # or one that expires just now would kill the next solve's process
 
     def _last_words(self) -> str:
         code = self._process.wait()
