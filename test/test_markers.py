@@ -23,6 +23,7 @@ from ambush_planner.ros.markers import (
 )
 
 ALL = (edge_probabilities, mean_direction, ambush_sites)
+BLUE, ORANGE = np.array([0.0, 0.2, 1.0]), np.array([0.9, 0.3, 0.0])
 
 
 @pytest.fixture(scope='module')
@@ -95,6 +96,20 @@ def test_sites_are_where_the_ambusher_waits(strategy):
     assert alphas(marker).max() == pytest.approx(1.0)
 
 
+def test_nobody_waits_where_no_ambush_costs_anything(strategy):
+    free = solve(strategy.network, GameOptions(secured_radius=100.0))
+    marker = only(ambush_sites(free, header()))
+    assert (len(marker.points), marker.action) == (0, Marker.DELETE)
+
+
+def test_the_convoy_is_blue_and_who_waits_for_it_orange(strategy):
+    for build, colour in ((edge_probabilities, BLUE), (ambush_sites, ORANGE)):
+        colours = np.array([(c.r, c.g, c.b) for c in only(build(strategy, header())).colors])
+        other = BLUE + ORANGE - colour
+        nearer = np.linalg.norm(colours - colour, axis=1) < np.linalg.norm(colours - other, axis=1)
+        assert nearer.all()
+
+
 def test_sites_are_as_wide_as_the_ambush_reaches(strategy):
     reaching = solve(strategy.network, GameOptions(ambush_radius=1.2))
     scale = only(ambush_sites(reaching, header())).scale
@@ -110,7 +125,7 @@ def test_network_draws_each_pair_once(strategy):
     assert 0.0 < marker.color.a < 1.0
 
 
-@pytest.mark.parametrize('build', ALL)
+@pytest.mark.parametrize('build', [edge_probabilities, mean_direction])
 def test_a_single_edge_is_drawn(build):
     points = np.array([[0.0, 0.0], [1.0, 0.0]])
     strategy = solve(Network(points, np.zeros(2), np.array([[0, 1]]), 0, 1))

@@ -208,6 +208,13 @@ def test_a_bottleneck_at_the_ends_is_warned_of():
         assert float(report['secured_value']) < float(report['value'])
 
 
+def test_a_game_that_is_none_is_warned_of():
+    with stage(parameters={'game.secured_radius': 100.0}) as running:
+        assert running.give().call('new_route').success
+        report = running.client.diagnostics(departures='1', level=b'\1')
+        assert report['message'].startswith('ready; the value is 0: no ambush that is possible')
+
+
 def test_diagnostics_have_stable_keys_once_a_second():
     with stage() as running:
         client = running.client

@@ -292,6 +292,15 @@ def test_sessions_are_listed_in_the_order_of_time(tmp_path):
     assert [path.parent.name for path in recordings_in(tmp_path)] == names
 
 
+def test_a_loose_recording_hides_no_session(tmp_path):
+    for name in ('run_1/run_1_0.mcap', 'run_2/run_2_0.mcap', 'one.mcap',
+                 'run_1.recovered/run_1_0.mcap'):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    found = [path.relative_to(tmp_path).as_posix() for path in recordings_in(tmp_path)]
+    assert found == ['one.mcap', 'run_1/run_1_0.mcap', 'run_2/run_2_0.mcap']
+
+
 @pytest.mark.parametrize('make', [lambda p: None, lambda p: p.mkdir()])
 def test_folders_without_recordings(tmp_path, make):
     path = tmp_path / 'runs'

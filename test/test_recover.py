@@ -256,6 +256,14 @@ def test_a_folder_of_sessions(session, tmp_path):
         assert mode(folder) == 0o700
 
 
+def test_a_loose_recording_hides_no_session(session, tmp_path):
+    loose = session.parent / 'one.mcap'
+    shutil.copy(session / f'{session.name}_1.mcap', loose)
+    main([str(session.parent), '--output', str(tmp_path / 'out')])
+    assert read_departure(tmp_path / 'out' / 'one.mcap').metadata == METADATA
+    assert len(read_with_rosbags(tmp_path / 'out' / session.name)) >= 12
+
+
 def test_two_files_of_one_name_are_both_kept(session):
     shutil.copy(session / f'{session.name}_1.mcap', session / f'{session.name}_1.mcap.tmp')
     main([str(session)])

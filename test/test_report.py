@@ -1,5 +1,6 @@
 """The report: one whole page, safe against what files may hold, with the right numbers."""
 
+import dataclasses
 import re
 from base64 import b64decode
 from html.parser import HTMLParser
@@ -204,12 +205,23 @@ def test_distances_and_shares_are_readable():
     assert report_words.percent(0.1064) == '10.6 %'
 
 
+def test_where_no_ambush_costs_anything_nobody_waits(made):
+    _, _, campaign = made
+    free = dataclasses.replace(campaign.strategy, value=0.0)
+    figure = report_figures.strategy_figure(campaign.risk_map, free, 0.0)
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend == ['impassable']
+    words = dict(report_words.quantities(free))
+    assert words['places where the best ambusher waits'] == 'none: no ambush costs anything'
+
+
 def test_more_routes_than_colours_are_drawn(made):
     _, _, campaign = made
     routes = [campaign.strategy.network.points[d.route] for d in campaign.departures]
     figure = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes, 0.0)
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ['latest departures', 'earlier ones', 'impassable']
+    assert legend == ['latest departures, each in its colour', 'earlier ones', 'impassable']
     few = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes[:2], 40.0)
     legend = [text.get_text() for text in few.legends[0].get_texts()]
-    assert legend == ['latest departures', 'impassable', 'held ground: nobody can wait here']
+    assert legend == ['latest departures, each in its colour', 'impassable',
+                      'held ground: nobody can wait here']

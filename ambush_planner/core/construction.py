@@ -175,9 +175,11 @@ def _check_ends(
                 f"(x, y, yaw) {risk_map.origin}"
             )
         if not field.clear_points(uv[k : k + 1], clearance)[0]:
+            near = f" or within the clearance {clearance:g} m of one" if clearance else ""
+            lower = ", or lower the clearance" if clearance else ""
             raise blocked(
-                f"{where} lies in an obstacle or within the clearance {clearance:g} m of one; "
-                "move it, or lower the clearance"
+                f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
+                "unless they are given a loss"
             )
     if np.array_equal(ends[0], ends[1]):
         raise InvalidNetwork(f"start and goal are the same position, {tuple(ends[0].tolist())}")

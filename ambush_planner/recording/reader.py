@@ -57,8 +57,8 @@ def recordings_in(path: Path | str) -> list[Path]:
 
     Returns:
         The file itself; the files of a folder in the order of its metadata.yaml, or else by
-        their numbers; those of all session folders in a folder, in the order of time. Folders
-        ``*.recovered`` in it are left out, for they hold copies that ambush_recover made; to
+        their numbers; behind them those of all session folders in it, in the order of time.
+        Folders ``*.recovered`` are left out, for they hold copies that ambush_recover made; to
         read one, name it.
 
     Raises:
@@ -69,11 +69,9 @@ def recordings_in(path: Path | str) -> list[Path]:
         if not path.is_dir():
             path.stat()
             return [path]
-        found = _files_of(path)
-        if not found:
-            # The names of session folders hold the times at which the sessions began.
-            folders = sorted((p for p in path.iterdir() if _is_session(p)), key=natural_order)
-            found = [file for folder in folders for file in _files_of(folder)]
+        # The names of session folders hold the times at which the sessions began.
+        folders = sorted((p for p in path.iterdir() if is_session(p)), key=natural_order)
+        found = [file for folder in (path, *folders) for file in _files_of(folder)]
     if not found:
         raise UnreadableRecording(path, 'there is no .mcap file in this folder; name another one')
     return found
@@ -104,7 +102,8 @@ class _NotADeparture(Exception):
     """A whole MCAP file that is no departure of this format; the text says why."""
 
 
-def _is_session(path: Path) -> bool:
+def is_session(path: Path) -> bool:
+    """Whether it may be a session folder: one that no recovery has made."""
     return path.is_dir() and path.suffix != _RECOVERED
 
 

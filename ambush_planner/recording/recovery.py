@@ -14,7 +14,7 @@ from .encoding import encode_content
 from .errors import RecordingFailed, UnreadableRecording, reading_from
 from .mcap_content import read_summary
 from .mcap_records import DamagedRecord
-from .reader import natural_order, read_bytes
+from .reader import is_session, natural_order, read_bytes
 from .salvage import Loss, Salvage, salvage
 
 # What the recorder, its repair and their crashes leave: x.mcap, x.mcap.tmp, x.mcap.broken-2 ...
@@ -99,8 +99,9 @@ def recover_file(source: Path, target: Path | None, progress: Progress) -> Recov
 def recover_folder(source: Path, target: Path | None, progress: Progress) -> Iterator[Recovered]:
     """Save what is whole in the files of a session folder in the new folder ``target``.
 
-    A folder of session folders becomes one, too. Files that are whole are copied as they are. The
-    new folders have mode 0700 and a metadata.yaml, so that ``ros2 bag`` takes them.
+    Session folders in it become folders in that one; those of earlier recoveries are left out.
+    Files that are whole are copied as they are. The new folders have mode 0700 and a
+    metadata.yaml, so that ``ros2 bag`` takes them.
 
     Args:
         source: The folder; it is not changed.
@@ -118,7 +119,7 @@ def recover_folder(source: Path, target: Path | None, progress: Progress) -> Ite
     target = target or default_target(source)
     sessions = {source: target} if _files_in(source) else {}
     with reading_from(source):
-        folders = [] if sessions else sorted(p for p in source.iterdir() if p.is_dir())
+        folders = sorted(p for p in source.iterdir() if is_session(p))
     sessions |= {folder: target / folder.name for folder in folders if _files_in(folder)}
     if not sessions:
         raise UnreadableRecording(source, 'there is nothing to recover: no .mcap file, no session')

@@ -83,13 +83,18 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         return DiagnosticStatus.ERROR, problems[0].code, message
     if status.missing:
         return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
-    if status.plan is not None and (warning := _bottleneck_warning(status.plan.bottleneck)):
+    if status.plan is not None and (warning := _warning(status.plan.bottleneck)):
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
 
 
-def _bottleneck_warning(bottleneck: Bottleneck) -> str:
-    """Say so where the minimum cut hugs the start or the goal."""
+def _warning(bottleneck: Bottleneck) -> str:
+    """Say so where there is no game, or where the minimum cut hugs the start or the goal."""
+    if not bottleneck.value > 0.0:
+        return (
+            'the value is 0: no ambush that is possible costs anything, so the routes are random '
+            'but need not be; check the map and game.secured_radius'
+        )
     if not bottleneck.near_ends:
         return ''
     return (

@@ -20,8 +20,10 @@ from .cdr import marker_array
 # Edges and nodes used less than once in 10 000 departures are left out, and so are sites held that
 # much less often than the first: they would be all but transparent.
 _SELDOM = 1e-4
-# Seldom to always: blue, yellow, red; seldom is more transparent.
-_RAMP = np.array([[0.20, 0.35, 0.85, 0.25], [0.95, 0.80, 0.20, 0.70], [0.85, 0.05, 0.10, 1.0]])
+# Seldom to always: the convoy in blues, who waits for it in oranges, as in all pictures; seldom is
+# more transparent.
+_CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
+_AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 1.0]])
 _SHADES = 64
 _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
@@ -35,7 +37,7 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
     shown = np.flatnonzero(p >= _SELDOM)
     marker = _marker('edge_probabilities', Marker.LINE_LIST, header)
     marker.scale.x = 0.12 * _edge_length(network)
-    colours = _colours(np.repeat(np.sqrt(p[shown]), 2))
+    colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
     return marker_array(marker, network.points[network.edges[shown].ravel()], colours)
 
 
@@ -52,22 +54,25 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
     marker = _marker('mean_direction', Marker.LINE_LIST, header)
     marker.scale.x = 0.06 * length
     arrows = _arrows(network.points[shown], 0.8 * length * direction)
-    return marker_array(marker, arrows, _colours(np.repeat(np.sqrt(x[shown]), 6)))
+    return marker_array(marker, arrows, _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
 
 
 def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     """One list of flat discs where the ambusher would wait, coloured by how often.
 
-    A disc has the ambush's radius where there is one.
+    A disc has the ambush's radius where there is one. Where no ambush costs anything, the list is
+    empty and deletes an earlier one.
     """
     network, q = strategy.network, strategy.ambush_probability
     often = float(q.max())
-    shown = np.flatnonzero(q >= _SELDOM * often)
+    shown = np.flatnonzero((q >= _SELDOM * often) & (strategy.value > 0.0))
     length = _edge_length(network)
     diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
     marker = _marker('ambush_sites', Marker.SPHERE_LIST, header)
     marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
-    return marker_array(marker, network.points[shown], _colours(q[shown] / often))
+    if not shown.size:
+        marker.action = Marker.DELETE
+    return marker_array(marker, network.points[shown], _colours(_AMBUSHER, q[shown] / often))
 
 
 def network_lines(network: Network, header: Header) -> bytes:
@@ -97,11 +102,11 @@ def _pairs(network: Network) -> IndexArray:
     return np.stack(np.divmod(keys, count), axis=1)
 
 
-def _colours(shares: FloatArray) -> npt.NDArray[np.float32]:
-    """Return a colour (K, 4) for each share (K,) in 0..1."""
-    at = np.linspace(0.0, 1.0, len(_RAMP))
-    ramp = [np.interp(np.linspace(0.0, 1.0, _SHADES), at, channel) for channel in _RAMP.T]
-    shades = np.stack(ramp, axis=1).astype(np.float32)
+def _colours(ramp: FloatArray, shares: FloatArray) -> npt.NDArray[np.float32]:
+    """Return a colour (K, 4) of the ramp for each share (K,) in 0..1."""
+    at = np.linspace(0.0, 1.0, len(ramp))
+    channels = [np.interp(np.linspace(0.0, 1.0, _SHADES), at, channel) for channel in ramp.T]
+    shades = np.stack(channels, axis=1).astype(np.float32)
     return shades[np.rint(np.clip(shares, 0.0, 1.0) * (_SHADES - 1)).astype(np.int64)]
 
 

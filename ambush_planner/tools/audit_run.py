@@ -74,10 +74,11 @@ def run_audit(place: Path, output: Path, rate: float, replace: bool) -> bool:
     # Names of unreadable files need not be UTF-8.
     data = f"{text}\n".encode(errors="backslashreplace")
     write_private(output, {TEXT: data, NUMBERS: _numbers(audited).encode()})
-    for each in audited:
-        if each.audit is not None:
-            write_private(output, _details(each, each.audit))
-    print(f"{text}\n\nIn {output}: {TEXT}, {NUMBERS}, pictures and passages. They are secret.")
+    pictures = [each for each in audited if each.audit is not None]
+    for each in pictures:
+        write_private(output, _details(each, each.audit))
+    more = ", pictures and passages" if pictures else ""
+    print(f"{text}\n\nIn {output}: {TEXT}, {NUMBERS}{more}. They are secret.")
     failed = unreadable or not campaigns
     refused = any(each.audit is None and each.campaign in enough for each in audited)
     return not (failed or refused or any(each.suspicious for each in audited))

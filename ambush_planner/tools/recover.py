@@ -19,7 +19,8 @@ EPILOG = """\
 It takes recordings that were cut off, have changed bits, or were left as temporary files by a
 crash, and saves every whole message, metadata record and attachment in a valid file beside the
 input (NAME.recovered.mcap; a folder becomes NAME.recovered). The input is not changed and nothing
-is overwritten. A recording that is whole needs no copy and gets one only with -o. A run that is
+is overwritten. A single recording that is whole needs no copy and gets one only with -o; a folder
+is saved whole, what is not broken in it as a copy. A run that is
 interrupted leaves whole files; remove them, or name another output, before it is repeated.
 Exit code: 0 if nothing was lost, 1 if something was, or could not be read or written, 2 for a
 wrong command line.

@@ -71,12 +71,15 @@ def strategy_figure(risk_map: RiskMap, strategy: Strategy, secured_radius: float
     figure, axes = _panel(risk_map, 1.3)
     _ground(axes, risk_map, strategy, secured_radius)
     edges = draw_edges(axes, strategy.network, strategy.edge_probability)
-    draw_ambush_sites(axes, strategy.network, strategy.ambush_probability)
+    waits = []
+    if strategy.value > 0.0:
+        draw_ambush_sites(axes, strategy.network, strategy.ambush_probability)
+        look = {"marker": "o", "markersize": 10, "color": AMBUSHER, "markeredgecolor": "white"}
+        label = "here the best ambusher waits"
+        waits = [Line2D([], [], linestyle="none", label=label, **look)]
     bar = _bar(figure, axes, edges, "chance that a departure drives here")
     bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda p, _: f"{100.0 * p:.3g} %"))
-    look = {"marker": "o", "markersize": 10, "color": AMBUSHER, "markeredgecolor": "white"}
-    waits = Line2D([], [], linestyle="none", label="here the best ambusher waits", **look)
-    _legend(figure, [waits, _obstacles(), *_secured(secured_radius)])
+    _legend(figure, [*waits, _obstacles(), *_secured(secured_radius)])
     return figure
 
 
@@ -90,7 +93,8 @@ def routes_figure(
     for route in earlier:
         axes.plot(*route.T, color="#33557f", linewidth=0.8, alpha=0.5, zorder=3)
     draw_routes(axes, latest)
-    colours = [Line2D([], [], color=ROUTES[0], linewidth=1.9, label="latest departures")]
+    label = "latest departures, each in its colour"
+    colours = [Line2D([], [], color=ROUTES[0], linewidth=1.9, label=label)]
     thin = [Line2D([], [], color="#33557f", linewidth=0.8, label="earlier ones")]
     _legend(figure, [*colours, *(thin if earlier else []), _obstacles(), *_secured(secured_radius)])
     return figure

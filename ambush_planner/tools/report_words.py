@@ -114,8 +114,9 @@ def quantities(strategy: Strategy) -> list[tuple[str, str]]:
         ("route entropy", f"{strategy.route_entropy:.4g} nats"),
         ("effective number of routes", _routes(strategy)),
         ("network", f"{len(network.points):,} places, {len(network.edges):,} connections"),
-        ("places where the ambusher may wait",
-         f"{int((strategy.ambush_probability > 1e-6).sum()):,}"),
+        ("places where the best ambusher waits",
+         f"{int((strategy.ambush_probability > 1e-6).sum()):,}" if strategy.value > 0.0
+         else "none: no ambush costs anything"),
     ]
 
 
