@@ -4,6 +4,7 @@ import itertools
 import math
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -47,6 +48,17 @@ def test_what_a_node_records_holds(files, capsys):
         assert re.fullmatch(
             rf'holds  {re.escape(str(path))}: departure \d, \d+ nodes, value [\d.]+', line
         )
+
+
+def test_departures_that_are_missing_between_others_are_told(files, capsys, tmp_path):
+    session = tmp_path / 'session'
+    shutil.copytree(files[0].parent, session)
+    paths = recordings_in(session)
+    assert len(paths) > 2
+    paths[1].unlink()
+    code, lines = verified(session, capsys)
+    assert (code, lines[-1]) == (0, f'{len(paths) - 1} departures: all hold')
+    assert lines[-2].startswith(f'{session}: no recording of departures 2 to 2; recording was off')
 
 
 def test_each_strategy_is_planned_once(files):

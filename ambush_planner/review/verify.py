@@ -62,12 +62,14 @@ class Verdict:
 
     Attributes:
         path: The file.
-        summary: Which departure it is; empty if that could not be read.
+        number: Which departure of its session it is; 0 if that could not be read.
+        summary: The same in words, with its strategy; empty if it could not be read.
         problems: What does not hold; each begins with the part of the recording that it is about.
         notes: What could not be checked, and how the computers differ.
     """
 
     path: Path
+    number: int
     summary: str
     problems: tuple[str, ...]
     notes: tuple[str, ...]
@@ -109,7 +111,7 @@ class Verifier:
     def _check(self, check: _Check) -> None:
         recorded = read_departure(check.path)
         record = record_from(recorded)
-        check.summary = f'departure {record.number}'
+        check.number, check.summary = record.number, f'departure {record.number}'
         check.problems += file_faults(check.path)
         check.problems += metadata_faults(recorded, record)
         check.problems += self._copy_faults(record)
@@ -204,12 +206,14 @@ class _Check:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.summary = ''
+        self.number, self.summary = 0, ''
         self.problems: list[str] = []
         self.notes: list[str] = []
 
     def verdict(self) -> Verdict:
-        return Verdict(self.path, self.summary, tuple(self.problems), tuple(self.notes))
+        return Verdict(
+            self.path, self.number, self.summary, tuple(self.problems), tuple(self.notes)
+        )
 
 
 class _Cache:

@@ -15,15 +15,16 @@ probabilities to 1e-6 where another processor or release of numpy or scipy round
 the strategy's certificate closes, if path, markers, answer and the strategy's numbers in the
 diagnostics follow from these, if the request came first and the answer last, and if nothing
 stands in the file that the planner does not record or that some readers of MCAP would not find.
-Standard output has a line a departure, which names what does not hold; standard error the
-progress. Departures of one strategy take one solve. Numbers are compared best with the releases
-of all software that recorded them; the line says where they are others.
+Standard output has a line a departure, which names what does not hold, and one for departures
+that are missing between others, which is no failure; standard error the progress. Departures of
+one strategy take one solve. Numbers are compared best with the releases of all software that
+recorded them; the line says where they are others.
 
 Not shown is who made a recording: one that was made anew as a whole, say from another seed, is
-found to be consistent as well, and so is a folder from which a file was taken away. Nor that its
-times are right: only their order within a departure is checked, and all of them can be moved
-together. Where that matters, sign the files. By whoever corrects the checksums, these can be
-changed unnoticed, too: what had no effect on the departure (cells far from all nodes, time
+found to be consistent as well, and so is a folder whose first or last file was taken away. Nor
+that its times are right: only their order within a departure is checked, and all of them can be
+moved together. Where that matters, sign the files. By whoever corrects the checksums, these can
+be changed unnoticed, too: what had no effect on the departure (cells far from all nodes, time
 limits, quality of service, stamps of markers and inputs), the versions of software; in the
 diagnostics the state, the name, the kind of warning, and trouble with a map or with recording,
 which the answer repeats; and the names of topics that were remapped.

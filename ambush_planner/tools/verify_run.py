@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 
 from ..recording.reader import recordings_in
@@ -26,12 +29,13 @@ def run_verify(place: Path) -> bool:
         say(f"planning again: {path}")
 
     verifier = Verifier(planning)
-    failed = 0
+    verdicts = []
     for path in paths:
-        verdict = verifier.verify(path)
-        failed += not verdict.holds
-        print(line(verdict), flush=True)
-    say(f"planned {len(solves)} times")
+        verdicts.append(verifier.verify(path))
+        print(line(verdicts[-1]), flush=True)
+    say(f"planned {_count(len(solves), 'time')}")
+    print("".join(f"{gap}\n" for gap in gaps(verdicts)), end="")
+    failed = sum(not verdict.holds for verdict in verdicts)
     what = f"{failed} of " * bool(failed) + _count(len(paths), "departure")
     print(f"{what}: {'not consistent' if failed else 'all hold'}")
     return not failed
@@ -42,6 +46,20 @@ def line(verdict: Verdict) -> str:
     found = [text for text in (verdict.summary, *verdict.problems) if text]
     noted = f" ({'; '.join(verdict.notes)})" * bool(verdict.notes)
     return f"{'holds' if verdict.holds else 'FAILS'}  {verdict.path}: {'; '.join(found)}{noted}"
+
+
+def gaps(verdicts: Iterable[Verdict]) -> list[str]:
+    """Which departures of a session are missing between others, a line for each such place."""
+    sessions: dict[Path, set[int]] = defaultdict(set)
+    for verdict in verdicts:
+        if verdict.number:
+            sessions[verdict.path.parent].add(verdict.number)
+    return [
+        f"{folder}: no recording of departures {before + 1} to {after - 1}; recording was off, it "
+        "failed, or files were taken away"
+        for folder, numbers in sessions.items()
+        for before, after in pairwise(sorted(numbers)) if after > before + 1
+    ]
 
 
 def _count(number: int, what: str) -> str:
