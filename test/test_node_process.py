@@ -142,6 +142,19 @@ def _shared_memory(pid):
     return {Path(line.split()[5]) for line in lines if ' /dev/shm/' in line}
 
 
+@pytest.mark.parametrize('arguments, word', [
+    (('--params-file', '/nowhere/my.yaml'), '/nowhere/my.yaml'), (('--no-such-flag',), 'no-such'),
+])
+def test_unusable_arguments_stop_the_start_and_are_named(arguments, word):
+    done = subprocess.run(
+        [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', *arguments],
+        capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    assert (done.returncode, done.stdout) == (1, '')
+    *_, last = done.stderr.splitlines()  # rcl may have said something before
+    assert last.startswith('ambush_planner: cannot start: ') and word in last
+    assert 'Traceback' not in done.stderr
+
+
 @pytest.mark.parametrize('parameter, words', [
     ('map.alpha_min:=20.0', 'alpha_min 20.0 and alpha_max 10.0'),
     ('strategy.max_detour:=0.5', 'out of range'),

@@ -23,7 +23,8 @@ from recording_samples import (
 )
 
 from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
-from ambush_planner.recording import Recorder, RecordingFailed
+from ambush_planner.recording import Recorder, RecordingFailed, recordings_in
+from ambush_planner.recording import recorder as recorder_module
 
 
 def mode(path):
@@ -190,6 +191,16 @@ def test_a_full_disk_at_the_metadata_keeps_the_file_and_the_old_metadata(tmp_pat
     assert len(read_with_rosbags(session / f'{session.name}_21.mcap')) == 1
     recorder.record_departure([message], METADATA)
     assert bag_information(session)['message_count'] == 23
+
+
+def test_a_session_that_is_full_is_followed_by_a_new_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_module, 'MOST_FILES', 3)
+    with Recorder(tmp_path) as recorder:
+        paths = [recorder.record_departure(departure(), METADATA) for _ in range(7)]
+    folders = list(dict.fromkeys(path.parent for path in paths))
+    assert [len(list(folder.glob('*.mcap'))) for folder in folders] == [3, 3, 1]
+    assert all(len(read_with_rosbags(folder)) for folder in folders)
+    assert recordings_in(tmp_path) == paths
 
 
 def test_a_session_folder_that_was_taken_away_is_followed_by_a_new_one(tmp_path):

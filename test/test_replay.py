@@ -250,6 +250,7 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['none.mcap'], 1, 'No such file'),
+    ([__file__], 1, 'not an MCAP file'),
     (['{}', '--rate', '0'], 2, '--rate'),
     (['{}', '--start-at', 'nan'], 2, '--start-at'),
     (['{}', '--start-at', '5'], 1, 'after the end, 1.0 s'),

@@ -129,6 +129,8 @@ def read_summary(data: bytes | mmap) -> Summary:
 
 
 def _read_summary(view: memoryview) -> Summary:
+    if view[: len(MAGIC)] != MAGIC:
+        raise DamagedRecord(0, 'not an MCAP file')
     footer = parse(record_at(view, max(0, len(view) - _TAIL_SIZE)))
     if not isinstance(footer, records.Footer) or not footer.summary_start:
         raise DamagedRecord(max(0, len(view) - _TAIL_SIZE), 'there is no summary')

@@ -25,6 +25,8 @@ from .folder_lock import FolderLock
 from .messages import Attachment, RecordedMessage
 
 SESSION_PREFIX = 'ambush_planner_'
+# Of a session: metadata.yaml, which lists all of them, is written anew with each.
+MOST_FILES = 500
 
 COMPRESSIONS = {
     'zstd': CompressionType.ZSTD,
@@ -36,9 +38,9 @@ COMPRESSIONS = {
 class Recorder:
     """Records departures below ``directory``, one session folder a recorder.
 
-    The folder is made at the first departure, and a new one when it has been taken away. It is
-    locked (``flock``) until ``close`` or the end of the process, so that ``repair`` leaves it
-    alone. Safe to be used from several threads; also a context manager.
+    The folder is made at the first departure, and a new one when it has been taken away or holds
+    ``MOST_FILES``. It is locked (``flock``) until ``close`` or the end of the process, so that
+    ``repair`` leaves it alone. Safe to be used from several threads; also a context manager.
 
     Args:
         directory: Where session folders are made; made itself, with mode 0700, if missing.
@@ -82,7 +84,7 @@ class Recorder:
             raise ValueError('a departure without messages cannot be recorded')
         data = encode_departure(messages, metadata, attachments, self._compression)
         with self._lock:
-            if self._session is not None and not self._session.is_there():
+            if self._session is not None and not self._session.takes_more():
                 self._end_session()
             if self._session is None:
                 self._session = _Session.begin(self._directory)
@@ -112,7 +114,7 @@ class _Session:
         self.folder = folder
         self._lock = FolderLock(folder)
         self._metadata = BagMetadata()
-        self._numbers = count()
+        self._next = 0
 
     @classmethod
     def begin(cls, directory: Path) -> _Session:
@@ -122,14 +124,15 @@ class _Session:
             make_private_folders(directory)
             return cls(_make_session_folder(directory / stamp))
 
-    def is_there(self) -> bool:
-        """Whether the folder of this session still stands under its name."""
-        return self._lock.is_of(self.folder)
+    def takes_more(self) -> bool:
+        """Whether the folder still stands under its name, and is not full."""
+        return self._next < MOST_FILES and self._lock.is_of(self.folder)
 
     def add(self, data: bytes) -> Path:
         """Write the finished MCAP file ``data`` and the metadata that now holds."""
         # A number is never used twice: a gap is a departure whose recording failed.
-        path = self.folder / f'{self.folder.name}_{next(self._numbers)}.mcap'
+        path = self.folder / f'{self.folder.name}_{self._next}.mcap'
+        self._next += 1
         file = describe_file(path.name, data)
         with recording_to(path):
             write_durably(path, data)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from threading import Event
 from typing import Any, TypeVar
@@ -28,8 +26,9 @@ from std_srvs.srv import Trigger
 
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..worker.errors import for_the_log, unexpected
-from .departures import ServiceCall
+from .departures import ServiceCall, planner_version
 from .errors import UnreadableMessage
+from .heap import share_one_heap
 from .inputs import Received
 from .later import answers_later
 from .outbox import LATCHED, LATEST, REQUESTS, Outbox
@@ -39,7 +38,6 @@ from .transforms import FrameTransforms
 
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
-_M_ARENA_MAX = -8  # malloc.h
 _LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
 # For requests, `cancel`, and all else; none of them waits for anything.
 THREADS = 3
@@ -247,13 +245,11 @@ def _failure(reason: object) -> Trigger.Response:
     return Trigger.Response(success=False, message=str(reason))
 
 
-def _share_one_heap() -> None:
-    """Keep glibc from giving each thread a heap, which keeps what was freed in it.
-
-    With one heap the node grows half as much in thousands of departures (benchmarks/node_soak.py).
-    """
-    with suppress(AttributeError, OSError):  # not glibc
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+def _init(args: list[str] | None) -> None:
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # say, a parameter file that is not there
+        raise InvalidOption(str(error)) from error
 
 
 def main(args: list[str] | None = None) -> int:
@@ -264,11 +260,15 @@ def main(args: list[str] | None = None) -> int:
     stop = Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    _share_one_heap()
+    share_one_heap()
     executor, node = None, None
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        _init(args)
         node = PlannerNode()
+        node.get_logger().info(
+            f'version {planner_version()}; it needs alpha_map, start_pose and goal_pose; '
+            '~/new_route is a departure'
+        )
         executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
         while rclpy.ok() and not stop.is_set():

@@ -25,6 +25,7 @@ from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
 from .departures import Departure, ServiceCall
 from .diagnostics import Problem, Status, status_to_ros
+from .heap import give_back
 from .inputs import Inputs, Received, Trip
 from .later import then
 from .outbox import Outbox
@@ -255,6 +256,7 @@ class Session:
             )
         )
         self._change(lambda s: replace(s, plan=plan))
+        give_back()  # the plan and the markers before
 
     def _now(self) -> int:
         """The time of the node's clock [ns]."""
