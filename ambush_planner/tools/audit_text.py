@@ -117,7 +117,7 @@ def learning_lines(audit: Audit, strategy: Strategy) -> list[str]:
     share = f"{100.0 * LEARNT:.0f} %"
     known = (
         f"An ambusher who knows the strategy causes a mean loss of {learning.value:.4g} a "
-        "departure, and nobody causes more. One who has only watched, and then waits where it "
+        "departure, and nobody can expect more. One who has only watched, and then waits where it "
         "would have cost most so far, "
     )
     if learning.departures_to_learn is None:
@@ -129,9 +129,9 @@ def learning_lines(audit: Audit, strategy: Strategy) -> list[str]:
         )
     lines.append(
         f"Watching and waiting at once, he would have met {learning.ambushes} of the {n - 1} "
-        f"departures after the first, a mean loss of {learning.ambusher_loss:.3g}. Had one of "
-        f"their routes been driven every time, he would have met all, a mean loss of "
-        f"{learning.fixed_loss:.3g}."
+        "departures after the first, by luck or for want of it: a mean loss of "
+        f"{learning.ambusher_loss:.3g}. Had one of their routes been driven every time, he would "
+        f"have met all, a mean loss of {learning.fixed_loss:.3g}."
     )
     return lines
 
