@@ -1,5 +1,7 @@
 """Work that goes on when something else is done: whoever waits is told, whatever happens."""
 
+import gc
+import weakref
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import pytest
@@ -37,3 +39,16 @@ def test_nobody_waits_for_an_executor_that_has_ended():
     executor.shutdown()
     with pytest.raises(RuntimeError, match='after shutdown'):
         then(finished(4), double, executor.submit).result(5.0)
+
+
+def test_nothing_waits_for_the_garbage_collector():
+    gc.disable()
+    try:
+        first = finished(4)
+        with ThreadPoolExecutor(1) as executor:
+            assert then(first, double, executor.submit).result(5.0) == 8
+        gone = weakref.ref(first)
+        del first
+        assert gone() is None
+    finally:
+        gc.enable()

@@ -9,16 +9,16 @@ import ctypes
 from contextlib import suppress
 
 _M_ARENA_MAX = -8  # malloc.h
-_NOT_GLIBC = (AttributeError, OSError)
+_C = ctypes.CDLL(None)
 
 
 def share_one_heap() -> None:
     """Keep glibc from giving each thread a heap, which keeps what was freed in it."""
-    with suppress(*_NOT_GLIBC):
-        ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1)
+    with suppress(AttributeError):
+        _C.mallopt(_M_ARENA_MAX, 1)
 
 
 def give_back() -> None:
     """Return what lies free between what is in use; takes milliseconds."""
-    with suppress(*_NOT_GLIBC):
-        ctypes.CDLL(None).malloc_trim(0)
+    with suppress(AttributeError):
+        _C.malloc_trim(0)

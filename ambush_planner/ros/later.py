@@ -24,15 +24,17 @@ def then(
     """
     outcome: Future[_Second] = Future()
 
-    def settle() -> None:
+    # `first` keeps its callbacks: none of them may hold it, or it and all that hangs on it would
+    # stay until Python looks for cycles.
+    def settle(done: Future[_First]) -> None:
         try:
-            outcome.set_result(work(first))
+            outcome.set_result(work(done))
         except Exception as error:
             outcome.set_exception(error)
 
-    def begin(_: Future[_First]) -> None:
+    def begin(done: Future[_First]) -> None:
         try:
-            submit(settle)
+            submit(partial(settle, done))
         except Exception as error:
             outcome.set_exception(error)
 
