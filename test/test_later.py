@@ -44,9 +44,11 @@ def test_nobody_waits_for_an_executor_that_has_ended():
 def test_nothing_waits_for_the_garbage_collector():
     gc.disable()
     try:
-        first = finished(4)
+        first = Future()
         with ThreadPoolExecutor(1) as executor:
-            assert then(first, double, executor.submit).result(5.0) == 8
+            outcome = then(first, double, executor.submit)
+            first.set_result(4)
+            assert outcome.result(5.0) == 8
         gone = weakref.ref(first)
         del first
         assert gone() is None
