@@ -1,5 +1,6 @@
 """Bad input: the answer names the thing and the numbers, and the node goes on."""
 
+import gc
 import math
 import re
 
@@ -7,6 +8,8 @@ import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
 from ros_harness import pose, risk_grid, stage
+
+from ambush_planner.ros.inputs import Trip
 
 NAN = math.nan
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
@@ -118,6 +121,19 @@ def test_no_route():
         assert not answer.success
         assert 'no route from (1.500, 5.500) to (8.500, 5.500)' in answer.message
         running.client.diagnostics(code='NO_VALID_PATH')
+
+
+def test_requests_that_fail_leave_nothing_for_the_garbage_collector(client):
+    outside = pose(*START), pose(100.0, 5.5)
+    gc.collect()
+    gc.disable()
+    try:
+        for _ in range(5):
+            assert not client.get_plan(*outside).poses
+        client.diagnostics(code='GOAL_OUTSIDE_MAP', state='ready')
+        assert sum(isinstance(each, Trip) for each in gc.get_objects()) <= 1
+    finally:
+        gc.enable()
 
 
 def test_all_unknown():

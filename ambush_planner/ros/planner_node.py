@@ -25,7 +25,7 @@ from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
 from ..core.errors import AmbushPlannerError, InvalidOption
-from ..worker.errors import for_the_log, unexpected
+from ..worker.errors import for_the_log, forget_frames, unexpected
 from .departures import ServiceCall, planner_version
 from .errors import UnreadableMessage
 from .heap import share_one_heap
@@ -216,6 +216,8 @@ class PlannerNode(Node):
             known: AmbushPlannerError = error
         except Exception as error:
             known = unexpected(error)
+            forget_frames(error)
+        forget_frames(known)
         if self.context.ok():
             self.get_logger().error(f'{what}: {for_the_log(known)}')
             self._session.fail(concern, known)

@@ -35,6 +35,17 @@ def unexpected(error: Exception) -> Unexpected:
     return Unexpected(f'internal error ({type(error).__name__}); the log says where', frames)
 
 
+def forget_frames(error: BaseException | None) -> None:
+    """Let an error that is kept or has been told hold nothing but its words.
+
+    The frames of its traceback hold maps and messages, and often the error itself: such a cycle
+    stays until Python looks for it.
+    """
+    while error is not None:
+        error.__traceback__ = None
+        error = error.__cause__ or error.__context__
+
+
 def for_the_log(error: Exception) -> str:
     """The message, and where it came from if that is not known otherwise."""
     return f'{error}, at\n{error.frames}' if isinstance(error, Unexpected) else str(error)

@@ -10,7 +10,7 @@ from threading import Condition, Thread
 
 from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan, PlanRequest
-from .errors import SolveCancelled, WorkerFailed, unexpected
+from .errors import SolveCancelled, WorkerFailed, forget_frames, unexpected
 from .process import WorkerProcess
 
 _CANCELLED = 'the solve was cancelled'
@@ -130,10 +130,13 @@ class SolveQueue:
         except Exception as error:
             # Say, no memory for the plan here. Whatever it is: somebody waits for the outcome.
             outcome = unexpected(error)
+            forget_frames(error)
             if self._worker is not None:
                 self._worker.kill()
         with self._condition:
             self._running = None
+        if isinstance(outcome, AmbushPlannerError):
+            forget_frames(outcome)
         if solve.cancelled:
             solve.plan.set_exception(SolveCancelled(solve.cancelled))
         elif isinstance(outcome, AmbushPlannerError):
