@@ -36,7 +36,7 @@ from .recordings import Recordings
 from .transforms import FrameTransforms
 
 # Of the two seconds that the node has to end in: from being told to the last recording.
-_LAST_RECORDINGS = 1.2  # s
+_LAST_RECORDINGS = 1.0  # s
 
 _Outcome = TypeVar('_Outcome')
 
