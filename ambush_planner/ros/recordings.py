@@ -15,7 +15,7 @@ from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan
 from ..recording import Recorder, RecordingFailed
 from ..recording.repair import repair
-from ..worker.errors import unexpected
+from ..worker.errors import forget_frames, unexpected
 from .departures import (
     Departure,
     recorded_messages,
@@ -138,6 +138,7 @@ class Recordings:
             error = known
         except Exception as unknown:  # nothing may end the thread that writes the next one
             error = unexpected(unknown)
+        forget_frames(error)
         # A node that is shutting down may be unable to tell anybody.
         with suppress(Exception):
             self._done(departure.parameters.recording, error)
