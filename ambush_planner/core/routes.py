@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from itertools import accumulate, pairwise
+
 import numpy as np
 
 from .network import IndexArray, Network
@@ -21,9 +24,14 @@ class RouteSampler:
         used = np.flatnonzero(p > 0.0)
         order = used[np.argsort(network.tails[used], kind="stable")]
         self._source, self._target = network.source, network.target
-        self._heads = network.heads[order]
-        self._weights = p[order]
-        self._first = np.searchsorted(network.tails[order], np.arange(len(network.points) + 1))
+        # Lists, not arrays: a step looks at a few numbers, where an array costs ten times as much.
+        self._heads = network.heads[order].tolist()
+        tails = network.tails[order]
+        self._first = np.searchsorted(tails, np.arange(len(network.points) + 1)).tolist()
+        weights = p[order].tolist()
+        self._steps = [
+            step for first, end in pairwise(self._first) for step in accumulate(weights[first:end])
+        ]
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
         """Return one route (K,): node indices, source first, target last, none twice."""
@@ -40,10 +48,9 @@ class RouteSampler:
         return np.array(route, dtype=np.int64)
 
     def _next(self, node: int, rng: np.random.Generator) -> int:
-        choices = slice(self._first[node], self._first[node + 1])
-        steps = np.cumsum(self._weights[choices])
-        choice = int(np.searchsorted(steps, rng.random() * steps[-1], side="right"))
-        return int(self._heads[choices][min(choice, len(steps) - 1)])
+        first, last = self._first[node], self._first[node + 1] - 1
+        at = bisect_right(self._steps, rng.random() * self._steps[last], first, last)
+        return self._heads[at]
 
 
 def route_edges(network: Network, route: IndexArray) -> IndexArray:
