@@ -1,8 +1,11 @@
-"""An acyclic part of the network that keeps a given acyclic strategy.
+"""An acyclic part of the network: one order of the nodes, and the edges that go forward in it.
 
-Nodes are put in one order: along the edges that the strategy uses, and otherwise by *progress*
-d(source, j) - d(j, target). Only edges that go forward in this order stay, so every strategy on
-what is left is acyclic, and the given one, with its value and its length, is among them.
+On such a part every strategy's p and x are probabilities and every drawn route is simple. The
+order is that of the *harmonic potential*: the voltage when the edges are resistors as long as they
+are, the source is at 0 and the target at 1. Every node but these two lies between its neighbours,
+so on a two-way network every node that can lie on a route has a forward edge out of it and one
+into it, and each edge is kept in one of its two directions. Where a given strategy has to stay
+possible, its edges come first and the potential only decides between them.
 """
 
 from __future__ import annotations
@@ -10,61 +13,89 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
+from scipy.sparse import coo_matrix, diags
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
 
-from .game import BoolArray, Game
-from .network import IndexArray
-from .paths import distances_from, on_some_route
-from .risk_map import FloatArray
+from .arrays import BoolArray, FloatArray, IndexArray, sums
+from .game import Game
+from .network import Network
+from .paths import distances_between, edge_matrix
 
-
-def acyclic_edges(game: Game, p: FloatArray) -> BoolArray:
-    """Edges (M,) that go forward in an order in which p's edges do, and lie on some route.
-
-    ``p`` must be acyclic. The result is a directed acyclic graph on which every node lies on a
-    route from the source to the target.
-    """
-    return forward_edges(game, forward_rank(game, p))
+# Nodes up to which the potential is solved for; beyond, progress takes its place.
+POTENTIAL_NODES = 250_000
 
 
-def forward_edges(game: Game, rank: FloatArray | IndexArray) -> BoolArray:
-    """Playable edges (M,) along which ``rank`` (N,) rises and that lie on some such route."""
-    network = game.network
-    forward = game.playable & (rank[network.tails] < rank[network.heads])
-    useful = on_some_route(
-        network.edges[forward], game.node_count, network.source, network.target
-    )
-    kept: BoolArray = forward & useful[network.tails] & useful[network.heads]
-    return kept
+def order_potential(game: Game) -> FloatArray:
+    """A number for each node (N,) that rises from the source to the target; inf off every route."""
+    driven = np.zeros(game.node_count, dtype=bool)
+    driven[game.network.edges[game.playable]] = True
+    if driven.sum() > POTENTIAL_NODES:
+        return progress(game)
+    return harmonic_potential(game, np.flatnonzero(driven))
+
+
+def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
+    """Voltage (N,) with the source at 0 and the target at 1; inf off the nodes ``driven`` (K,)."""
+    network, edges = game.network, game.network.edges[game.playable]
+    lengths = network.lengths[game.playable]
+    conductance = 1.0 / np.maximum(lengths, 1e-9 * max(float(lengths.mean()), 1e-300))
+    place = np.full(game.node_count, -1)
+    place[driven] = np.arange(len(driven))
+    tail, head = place[edges].T
+    shape = (len(driven), len(driven))
+    one_way = coo_matrix((conductance, (tail, head)), shape=shape).tocsr()
+    joined = one_way + one_way.T
+    laplacian = diags(np.asarray(joined.sum(axis=1)).ravel()) - joined
+    potential = np.full(game.node_count, np.inf)
+    potential[network.source], potential[network.target] = 0.0, 1.0
+    inner = driven[(driven != network.source) & (driven != network.target)]
+    if len(inner):
+        rows = laplacian.tocsr()[place[inner]]
+        pull = -rows[:, [place[network.target]]].toarray().ravel()
+        system = rows[:, place[inner]].tocsc()
+        potential[inner] = spsolve(system, pull, permc_spec="MMD_AT_PLUS_A")
+    return potential
 
 
 def progress(game: Game) -> FloatArray:
     """d(source, j) - d(j, target) over length [m] for each node (N,); inf off every route."""
-    network = game.network
-    edges, lengths = network.edges[game.playable], network.lengths[game.playable]
-    ahead = distances_from(edges, lengths, game.node_count, network.source)
-    behind = distances_from(edges[:, ::-1], lengths, game.node_count, network.target)
+    network, playable = game.network, game.playable
+    ahead, behind = distances_between(
+        network.edges[playable], network.lengths[playable], game.node_count, network.source,
+        network.target,
+    )
     off = ~(np.isfinite(ahead) & np.isfinite(behind))
-    return np.where(off, np.inf, np.where(off, 0.0, ahead) - np.where(off, 0.0, behind))
+    risen = np.where(off, np.inf, np.where(off, 0.0, ahead) - np.where(off, 0.0, behind))
+    risen[network.source], risen[network.target] = -np.inf, np.finfo(float).max
+    return risen
 
 
-def forward_rank(game: Game, p: FloatArray) -> IndexArray:
-    """Position (N,) of each node: source first, target last, p's edges forward.
+def rank_by(potential: FloatArray) -> IndexArray:
+    """Position (N,) of each node in the order of the potential."""
+    rank = np.empty(len(potential), dtype=np.int64)
+    rank[np.argsort(potential, kind="stable")] = np.arange(len(potential))
+    return rank
 
-    Among the nodes whose predecessors under p are all placed, the one of least progress comes
-    next.
+
+def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
+    """Position (N,) of each node in an order in which the edges of an acyclic p (M,) go forward.
+
+    Among the nodes whose predecessors under p are all placed, the one of least potential comes
+    next; the source is first and the target last.
     """
     network, n = game.network, game.node_count
-    urgency = progress(game)
-    urgency[network.source], urgency[network.target] = -np.inf, np.inf
     used = np.flatnonzero(p > 0.0)
     order = used[np.argsort(network.tails[used], kind="stable")]
     first = np.searchsorted(network.tails[order], np.arange(n + 1)).tolist()
     heads = network.heads[order].tolist()
     waiting = np.bincount(network.heads[used], minlength=n)
-    waiting[network.target] += 1  # free only when everything else is placed
-    free = [(urgency[j], j) for j in np.flatnonzero(waiting == 0).tolist()]
+    waiting[network.target] += 1  # placed only when everything else is
+    key = potential.tolist()
+    key[network.source] = -np.inf
+    free = [(key[j], j) for j in np.flatnonzero(waiting == 0).tolist()]
     heapq.heapify(free)
-    pending, key = waiting.tolist(), urgency.tolist()
+    pending = waiting.tolist()
     rank = np.full(n, n, dtype=np.int64)
     place = 0
     while free:
@@ -76,3 +107,98 @@ def forward_rank(game: Game, p: FloatArray) -> IndexArray:
             if pending[head] == 0:
                 heapq.heappush(free, (key[head], head))
     return rank
+
+
+def forward_part(game: Game, rank: IndexArray) -> Game | None:
+    """The game on the edges along which ``rank`` (N,) rises; None if no route is among them."""
+    return game.restricted_to(rank[game.network.tails] < rank[game.network.heads])
+
+
+def without_cycles(network: Network, p: FloatArray) -> FloatArray:
+    """Return p less the flow that goes round in cycles: same trips, no node visited more often."""
+    p = p.copy()
+    while len(circling := _circling_edges(network, p)):
+        _cancel_cycles(network.edges, p, circling)
+    return p
+
+
+def is_acyclic(network: Network, p: FloatArray) -> bool:
+    """Tell whether the edges with p > 0 form no cycle."""
+    return len(_circling_edges(network, p)) == 0
+
+
+def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
+    """Edges with p > 0 that lie on a cycle of such edges: both ends in one strong component."""
+    used = np.flatnonzero(p > 0.0)
+    edges = network.edges[used]
+    graph = edge_matrix(edges, np.ones(len(used)), len(network.points))
+    _, component = connected_components(graph, directed=True, connection="strong")
+    same: IndexArray = used[component[edges[:, 0]] == component[edges[:, 1]]]
+    return same
+
+
+def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> None:
+    """Walk the circling edges; on meeting a node again, take the least p off that cycle."""
+    leaving: dict[int, list[int]] = {}
+    for k in circling.tolist():
+        leaving.setdefault(int(edges[k, 0]), []).append(k)
+    while leaving:
+        node = next(iter(leaving))
+        position, walk = {node: 0}, []
+        while leaving.get(node):
+            k = leaving[node][-1]
+            walk.append(k)
+            node = int(edges[k, 1])
+            if node in position:
+                _take_off(edges, p, walk[position[node] :], leaving)
+                break
+            position[node] = len(walk)
+        else:
+            # A dead end: what led here lies on no cycle any more.
+            leaving.pop(node, None)
+            if walk:
+                leaving[int(edges[walk[-1], 0])].pop()
+
+
+def _take_off(
+    edges: IndexArray, p: FloatArray, cycle: list[int], leaving: dict[int, list[int]]
+) -> None:
+    p[cycle] -= p[cycle].min()
+    for k in cycle:
+        if p[k] <= 0.0:
+            leaving[int(edges[k, 0])].remove(k)
+
+
+def conserved(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
+    """Turn an almost conserved p (M,) into an exact, acyclic strategy with the same shares.
+
+    Edges with p <= ``negligible`` are left out. Where p circles, the cycles are taken off first.
+    None: what is left holds no route.
+    """
+    part = game.restricted_to(p > negligible)
+    if part is None:
+        return None
+    network = game.network
+    flow = without_cycles(network, np.where(part.playable, p, 0.0))
+    part = part.restricted_to(flow > 0.0)
+    if part is None:
+        return None
+    flow = np.where(part.playable, flow, 0.0)
+    out = sums(network.tails, flow, game.node_count)
+    share = np.divide(flow, out[network.tails], out=np.zeros_like(flow), where=flow > 0.0)
+    x = _walk_visits(network, part.playable, share, game.node_count)
+    return np.where(part.playable, x[network.tails] * share, 0.0)
+
+
+def _walk_visits(
+    network: Network, used: BoolArray, share: FloatArray, count: int
+) -> FloatArray:
+    """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
+    edges = network.edges[used]
+    tail, head = edges.T
+    system = diags(np.ones(count), format="csc") - coo_matrix(
+        (share[used], (head, tail)), shape=(count, count)
+    )
+    start = np.zeros(count)
+    start[network.source] = 1.0
+    return np.maximum(spsolve(system.tocsc(), start), 0.0)

@@ -1,4 +1,4 @@
-"""Small array helpers: read-only copies for the frozen records, sums by index."""
+"""The arrays that the records are made of: their types, read-only copies, sums by index."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IndexArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
@@ -15,8 +19,6 @@ def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
     return array
 
 
-def sums(
-    index: npt.NDArray[np.int64], values: npt.NDArray[np.float64], count: int
-) -> npt.NDArray[np.float64]:
+def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:
     """Add up ``values`` (K,) by ``index`` (K,): result (count,)."""
     return np.asarray(np.bincount(index, weights=values, minlength=count), dtype=np.float64)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import frozen_array
-from .game import BoolArray, Game, without_sites
-from .game_value import solve_by_cut
-from .network import IndexArray
+from .arrays import BoolArray, IndexArray, frozen_array
+from .certificate import Budget, lower_bound
+from .errors import TimeLimit
+from .game import Game
+from .max_entropy import max_entropy_strategy
 from .strategy import Strategy
 
 # Sites this many median edges from the source or the target are said to hug it.
 NEAR = 2.0
 # Share of the ambusher's mass that makes a site count.
 COUNTS = 1e-6
+# Slack of the secured value's strategy, of which only the bound is used.
+ROUGH = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +39,11 @@ class Bottleneck:
     secured_value: float
 
 
-def find_bottleneck(strategy: Strategy) -> Bottleneck:
-    """Report the sites that decide the value (a max-flow at the most; no linear program).
+def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottleneck:
+    """Report the sites that decide the strategy's value.
 
-    The secured value is that of the plain game without a length budget: exact where that is the
-    strategy's game, otherwise a lower bound of what securing the ends would leave.
+    The secured value is the least one within the strategy's own budgets if nobody could wait near
+    the ends; at ``deadline`` (``time.monotonic``) it is what is known by then, a lower bound.
     """
     game, q = strategy.game, strategy.ambush_probability
     network = game.network
@@ -49,7 +53,8 @@ def find_bottleneck(strategy: Strategy) -> Bottleneck:
     near = _within(game, network.source, distance) | _within(game, network.target, distance)
     secured = strategy.value
     if near[sites].any():
-        secured = min(solve_by_cut(without_sites(game, near)).value, strategy.value)
+        least = _least_value(game.without_sites(near), strategy, deadline)
+        secured = min(least, strategy.value)
     return Bottleneck(
         frozen_array(sites, np.int64),
         int(near[sites].sum()),
@@ -57,6 +62,23 @@ def find_bottleneck(strategy: Strategy) -> Bottleneck:
         strategy.value,
         secured,
     )
+
+
+def _least_value(game: Game, strategy: Strategy, deadline: float) -> float:
+    """Least value of a game within the budgets of a strategy, by its certificate's bound."""
+    network = game.network
+    length = Budget(
+        game, network.lengths, strategy.length_budget, strategy.shortest_length, "detour", "m"
+    )
+    exposure = Budget(
+        game, network.edge_exposure, strategy.exposure_budget, strategy.least_exposure,
+        "exposure", "loss x m",
+    )
+    try:
+        outcome = max_entropy_strategy(game, (length, exposure), ROUGH, deadline)
+    except TimeLimit:
+        return 0.0
+    return lower_bound(game, outcome.q, (length, exposure), outcome.prices)
 
 
 def _within(game: Game, node: int, distance: float) -> BoolArray:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .strategy import Strategy
+
 
 class AmbushPlannerError(Exception):
     """Base of every error that the planner raises on purpose."""
@@ -44,7 +49,14 @@ class BudgetInfeasible(AmbushPlannerError):
 
 
 class TimeLimit(AmbushPlannerError):
-    """The time limit passed before the strategy was found."""
+    """The time limit passed before the strategy was found.
+
+    ``strategy`` is what was reached, with its own value, bound and gap; None if there was none.
+    """
+
+    def __init__(self, message: str, strategy: Strategy | None = None) -> None:
+        super().__init__(message)
+        self.strategy = strategy
 
 
 class SolverFailed(AmbushPlannerError):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .arrays import FloatArray, IndexArray
+from .certificate import upper_bound
 from .game import Game
-from .network import IndexArray
 from .paths import distances_from
-from .risk_map import FloatArray
 from .routes import always, shortest_route
 from .strategy import Strategy
 
@@ -78,7 +78,7 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = always(game.network, route)
-    worst = game.upper_bound(p)
+    worst = upper_bound(game, p)
     return Measures(
         planner,
         float(p @ game.network.lengths),

@@ -1,8 +1,9 @@
-"""The ambush game on a network: who may wait where, what it costs, and bounds on the value.
+"""The ambush game on a network: where the convoy may drive, who may wait where, what it costs.
 
-Letters follow the paper: p (M,) expected uses of each edge, q (N,) the ambusher's probabilities,
-z the value, alpha the losses, ``A p = b`` the conservation of flow, ``D`` the losses by site and
-edge: row j of ``D p`` is what an ambush at site j costs on average (the paper's equation 1).
+Letters follow the paper: p (M,) expected uses of each edge, x (N,) visits, q (N,) the ambusher's
+probabilities, z the value, alpha the losses, ``A p = b`` the conservation of flow, ``D`` the
+losses by site and edge: row j of ``D p`` is what an ambush at site j costs on average (the
+paper's equation 1).
 """
 
 from __future__ import annotations
@@ -12,17 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 
-from .arrays import frozen_array, sums
+from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
+from .discs import entering_edges, inside
 from .errors import InvalidOption, NoRoute
-from .network import IndexArray, Network
-from .paths import distances_from, on_some_route
-from .risk_map import FloatArray
-from .sites import entering_edges
-
-BoolArray = npt.NDArray[np.bool_]
+from .network import Network
+from .options import check_at_least, check_whole
+from .paths import on_some_route
 
 
 @dataclass(frozen=True)
@@ -37,38 +35,39 @@ class GameOptions:
     secured_radius
         Nobody can wait within this distance of the source or the target [m].
     alpha_threshold
-        Nodes whose alpha is over it are not driven through (the paper's "forbid areas").
+        Nodes whose alpha is over it are not driven through (the paper's "forbid areas"). With a
+        reach the ambusher can wait there all the same.
     ambushers
-        Number of sites held at once; only 1 is available.
+        Number of different sites held at once; their losses add up.
+    ambush_in_obstacles
+        With a reach, the ambusher can also hide in obstacle cells (``Network.cover_points``).
 
     Raises
     ------
     InvalidOption
-        A value is out of range or not available.
+        A value is out of range or of another type.
     """
 
     ambush_radius: float = 0.0
     secured_radius: float = 0.0
     alpha_threshold: float = math.inf
     ambushers: int = 1
+    ambush_in_obstacles: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("ambush_radius", "secured_radius"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidOption(f"{name} must be finite and >= 0 [m], got {value}")
-        if not self.alpha_threshold >= 0.0:
-            raise InvalidOption(f"alpha_threshold must be >= 0, got {self.alpha_threshold}")
-        if self.ambushers != 1:
+        check_at_least("ambush_radius", self.ambush_radius, 0.0, "m")
+        check_at_least("secured_radius", self.secured_radius, 0.0, "m")
+        check_at_least("alpha_threshold", self.alpha_threshold, 0.0, finite=False)
+        check_whole("ambushers", self.ambushers, 1)
+        if not isinstance(self.ambush_in_obstacles, bool | np.bool_):
             raise InvalidOption(
-                f"ambushers must be 1, got {self.ambushers}: games against several ambushers at "
-                "once are not available"
+                f"ambush_in_obstacles must be true or false, got {self.ambush_in_obstacles!r}"
             )
 
 
 @dataclass(frozen=True, eq=False)
 class Game:
-    """A network with the rows and bounds of its ambush game.
+    """A network with the rows of its ambush game.
 
     ``playable`` (M,) marks the edges that lie on some route once forbidden nodes are gone;
     ``loss`` (N,) is alpha where an ambush is possible, else 0.
@@ -76,6 +75,7 @@ class Game:
 
     network: Network
     ambush_radius: float
+    ambushers: int
     playable: BoolArray
     loss: FloatArray
 
@@ -93,8 +93,7 @@ class Game:
     def hits(self) -> csr_matrix:
         """(S, M) 0/1: which edges' use puts a route in each site's reach.
 
-        Radius 0: the edges into the node. Otherwise the edges that enter the disc: their segment
-        meets it and their tail lies outside, so that each passage counts once.
+        Radius 0: the edges into the node. Otherwise the edges that enter the disc.
         """
         if self.ambush_radius > 0.0:
             return entering_edges(self.network, self.sites, self.ambush_radius)
@@ -110,23 +109,10 @@ class Game:
         losses: FloatArray = self.loss[self.sites] * (self.hits @ p)
         return losses
 
-    def upper_bound(self, p: FloatArray) -> float:
-        """z(p) = max_j alpha_j x_j: what the best ambush against p costs on average."""
-        return float(self.site_losses(p).max(initial=0.0))
-
-    def lower_bound(self, q: FloatArray, length_price: float = 0.0, budget: float = 0.0) -> float:
-        """Value that no strategy of expected length <= ``budget`` can beat, given q (N,).
-
-        For every such strategy p, every price >= 0 and every q >= 0 that sums to 1,
-        ``z(p) >= q' D p >= q' D p + price (l' p - budget)``, and the right side is at least its
-        minimum over single routes: one Dijkstra with the weights ``D' q + price l``.
-        """
-        price = self.hits.T @ (self.loss * q)[self.sites] + length_price * self.network.lengths
-        price = np.maximum(price, 0.0)[self.playable]
-        distance = distances_from(
-            self.network.edges[self.playable], price, self.node_count, self.network.source
-        )
-        return float(distance[self.network.target]) - (length_price and length_price * budget)
+    def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
+        """``D' q`` (M,): what the ambusher's strategy q (N,) costs on average on each edge."""
+        on_edges: FloatArray = self.hits.T @ (self.loss * q)[self.sites]
+        return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
         """Expected visits x (N,) of each node; the source is visited once more than entered."""
@@ -134,14 +120,24 @@ class Game:
         x[self.network.source] += 1.0
         return x
 
-    def conservation_residual(self, p: FloatArray) -> float:
-        """Largest violation of ``A p = b``: one unit leaves the source and enters the target."""
-        network = self.network
-        balance = sums(network.tails, p, self.node_count)
-        balance -= sums(network.heads, p, self.node_count)
-        balance[network.source] -= 1.0
-        balance[network.target] += 1.0
-        return float(np.abs(balance).max())
+    def restricted_to(self, edges: BoolArray) -> Game | None:
+        """The game on those of ``edges`` (M,) that still lie on a route; None if there is none."""
+        network, usable = self.network, self.playable & edges
+        useful = on_some_route(
+            network.edges[usable], self.node_count, network.source, network.target
+        )
+        if not useful[network.source]:
+            return None
+        kept = usable & useful[network.tails] & useful[network.heads]
+        return replace(self, playable=frozen_array(kept, np.bool_))
+
+    def past_all_sites(self) -> Game | None:
+        """The game on the edges that no ambush hits; None if no route is left."""
+        return self.restricted_to(np.asarray(self.hits.getnnz(axis=0) == 0))
+
+    def without_sites(self, nodes: BoolArray) -> Game:
+        """The game in which nobody can wait at ``nodes`` (N,)."""
+        return replace(self, loss=frozen_array(np.where(nodes, 0.0, self.loss), np.float64))
 
 
 def make_game(network: Network, options: GameOptions) -> Game:
@@ -152,40 +148,45 @@ def make_game(network: Network, options: GameOptions) -> Game:
     NoRoute
         Nothing leads from the source to the target, perhaps because of ``alpha_threshold``.
     """
+    if options.ambush_in_obstacles and options.ambush_radius > 0.0:
+        network = network.with_cover()
     allowed = network.alpha <= options.alpha_threshold
-    usable = allowed[network.tails] & allowed[network.heads]
-    count = len(network.points)
-    useful = on_some_route(network.edges[usable], count, network.source, network.target)
-    if not useful[network.source]:
-        reason = (
-            f"; alpha_threshold {options.alpha_threshold:g} discards {int((~allowed).sum())} nodes "
-            "on the way, allow more"
-            if not allowed.all()
-            else ""
-        )
-        ends = network.points[[network.source, network.target]].tolist()
-        raise NoRoute("no route leads from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(
-            *ends[0], *ends[1]) + reason)
-    playable = usable & useful[network.tails] & useful[network.heads]
-    loss = np.where(useful & _possible_sites(network, options), network.alpha, 0.0)
-    return Game(
+    everywhere = Game(
         network,
         options.ambush_radius,
-        frozen_array(playable, np.bool_),
-        frozen_array(loss, np.float64),
+        options.ambushers,
+        frozen_array(np.ones(len(network.edges)), np.bool_),
+        frozen_array(np.where(_possible_sites(network, options), network.alpha, 0.0), np.float64),
     )
+    game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
+    if game is None:
+        raise NoRoute(_no_route(network, options, int((~allowed).sum())))
+    if options.ambush_radius > 0.0:
+        return game
+    driven = np.zeros(len(network.points), dtype=bool)
+    driven[network.heads[game.playable]] = True
+    return game.without_sites(~driven)
 
 
-def without_sites(game: Game, nodes: BoolArray) -> Game:
-    """The game in which nobody can wait at ``nodes`` (N,)."""
-    return replace(game, loss=frozen_array(np.where(nodes, 0.0, game.loss), np.float64))
+def _no_route(network: Network, options: GameOptions, forbidden: int) -> str:
+    (x, y), (u, v) = network.points[[network.source, network.target]].tolist()
+    text = f"no route leads from ({x:.3f}, {y:.3f}) to ({u:.3f}, {v:.3f})"
+    if forbidden == 0:
+        return text
+    return (
+        f"{text}; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, allow "
+        "more"
+    )
 
 
 def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     """Nodes (N,) where the ambusher can wait."""
-    ends = network.points[[network.source, network.target]]
-    gap = np.linalg.norm(network.points[:, None, :] - ends, axis=2).min(axis=1)
     # A radius of 0 is none: nodes may share the place of the ends, as where places do not matter.
     radius = max(options.secured_radius, options.ambush_radius)
-    possible: BoolArray = (gap > radius) | (radius == 0.0)
-    return possible
+    if radius == 0.0:
+        return np.ones(len(network.points), dtype=bool)
+    near = [
+        inside(network.points - network.points[end], radius)
+        for end in (network.source, network.target)
+    ]
+    return ~(near[0] | near[1])

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-import time
-import warnings
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-import scipy
-from scipy.optimize import OptimizeResult, OptimizeWarning, linprog
+from scipy.optimize import OptimizeResult
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from .errors import BudgetInfeasible, SolverFailed, TimeLimit
+from . import highs
+from .arrays import FloatArray, IndexArray
+from .certificate import Budget, upper_bound
+from .cut import indifferent_ambusher, solve_by_cut
+from .errors import BudgetInfeasible, InvalidOption
 from .game import Game
-from .game_value import indifferent_ambusher, solve_by_cut
-from .network import IndexArray
-from .outcome import Outcome
-from .paths import distances_from, on_some_route
-from .risk_map import FloatArray
+from .max_entropy import Outcome
 from .routes import always, shortest_route
 
-LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 1, 2, 4
-# ipm_optimality_tolerance, one after the other until HiGHS is content; its default is 1e-8.
-OPTIMALITY = (1e-11, 1e-8, 1e-7)
-# HiGHS' own tolerances, far below the certificate's.
-TOLERANCE = 1e-9
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
 # A unit this near to the value or nearer serves; from far above it is lowered, so often at most.
@@ -102,30 +93,39 @@ def _conservation(game: Game, edge: IndexArray) -> tuple[csr_matrix, FloatArray]
 
 
 def linear_program_strategy(
-    game: Game, solver: str, budget: float, length_weight: float, deadline: float
-) -> Outcome:
+    game: Game, solver: str, length: Budget, length_weight: float, deadline: float
+) -> tuple[Outcome, Budget]:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only when the solution without it is too long, so that where the
-    budget does not bind the program is the paper's own.
+    budget does not bind the program is the paper's own. Returns the outcome and the budget that
+    its price is for: with a length weight, the solution's own expected length.
 
     Raises
     ------
+    InvalidOption
+        The game has several ambushers.
     BudgetInfeasible, TimeLimit, SolverFailed
         As the names say.
     """
+    if game.ambushers > 1:
+        raise InvalidOption(f"the solver {solver} takes one ambusher; max_entropy takes more")
     if length_weight == 0.0:
-        game = _past_all_sites(game, budget) or game
+        game = _past_all_sites(game, length.limit) or game
     program = linear_program(game, length_weight, np.inf, _unit(game))
     result = _run(program, solver, deadline)
-    row_added = float(game.network.lengths[program.edge] @ result.x[:-1]) > budget * (1 + 1e-9)
+    lengths = game.network.lengths
+    row_added = float(lengths[program.edge] @ result.x[:-1]) > length.limit * (1 + 1e-9)
     if row_added:
-        program, result = _within_budget(game, solver, budget, length_weight, deadline)
-    p = np.zeros(len(game.network.edges))
+        program, result = _within_budget(game, solver, length, length_weight, deadline)
+    p = np.zeros(len(lengths))
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
-    reference = budget if length_weight == 0.0 else float(p @ game.network.lengths)
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    return _with_ambusher(game, program, p, result, price, reference)
+    outcome = _with_ambusher(game, program, p, result, price)
+    own = replace(length, limit=float(p @ lengths))
+    if length_weight > 0.0:
+        return outcome, own
+    return outcome, own if outcome.prices[0] == 0.0 and own.limit > length.limit else length
 
 
 def _past_all_sites(game: Game, budget: float) -> Game | None:
@@ -133,15 +133,11 @@ def _past_all_sites(game: Game, budget: float) -> Game | None:
 
     Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
     """
-    untouched = game.playable & (game.hits.getnnz(axis=0) == 0)
-    network, count = game.network, game.node_count
-    edges = network.edges[untouched]
-    length = distances_from(edges, network.lengths[untouched], count, network.source)
-    if not np.isfinite(length[network.target]) or length[network.target] > budget * (1 + 1e-9):
+    safe = game.past_all_sites()
+    if safe is None:
         return None
-    useful = on_some_route(edges, count, network.source, network.target)
-    untouched &= useful[network.tails] & useful[network.heads]
-    return replace(game, playable=untouched)
+    route = always(game.network, shortest_route(game.network, np.flatnonzero(safe.playable)))
+    return safe if float(route @ game.network.lengths) <= budget * (1 + 1e-9) else None
 
 
 def _unit(game: Game) -> float:
@@ -155,13 +151,13 @@ def _unit(game: Game) -> float:
 
 
 def _within_budget(
-    game: Game, solver: str, budget: float, length_weight: float, deadline: float
+    game: Game, solver: str, length: Budget, length_weight: float, deadline: float
 ) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
     unit = _shortest_route_loss(game) or 1.0
     for _ in range(MAX_UNITS):
-        program = linear_program(game, length_weight, budget, unit)
-        result = _run(program, solver, deadline, budget)
+        program = linear_program(game, length_weight, length.limit, unit)
+        result = _run(program, solver, deadline)
         value = float(result.x[-1])
         if value > NEAR_UNIT:
             break
@@ -172,7 +168,7 @@ def _within_budget(
 def _shortest_route_loss(game: Game) -> float:
     """What the best ambush costs against always driving the shortest route."""
     route = shortest_route(game.network, np.flatnonzero(game.playable))
-    return game.upper_bound(always(game.network, route))
+    return upper_bound(game, always(game.network, route))
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
@@ -189,8 +185,7 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
 
 
 def _with_ambusher(
-    game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float,
-    budget: float,
+    game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float
 ) -> Outcome:
     """Read q off the duals of the sites' rows; q and ``price`` share their scale."""
     loss = game.loss[game.sites]
@@ -200,68 +195,15 @@ def _with_ambusher(
     q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
     total = q.sum()
     if total <= 0.0:
-        return Outcome(p, indifferent_ambusher(game), budget, 0.0, int(result.nit))
-    if price == 0.0:
-        budget = max(budget, float(p @ game.network.lengths))
-    return Outcome(p, q / total, budget, price / total, int(result.nit))
+        return Outcome(p, indifferent_ambusher(game), (0.0, 0.0), int(result.nit))
+    return Outcome(p, q / total, (max(price / total, 0.0), 0.0), int(result.nit))
 
 
-def _run(
-    program: LinearProgram, solver: str, deadline: float, budget: float = np.inf
-) -> OptimizeResult:
-    options: dict[str, Any] = {
-        "primal_feasibility_tolerance": TOLERANCE,
-        "dual_feasibility_tolerance": TOLERANCE,
-    }
-    left = deadline - time.monotonic()
-    if left <= 0.0:
-        raise TimeLimit(f"{solver}: time is up before the first iteration")
-    if np.isfinite(left):
-        options["time_limit"] = left
-    if solver == "interior_point":
-        result = _run_interior_point(program, options)
-    else:
-        result = _linprog(program, "highs-ds", options)
-    if result.status == LIMIT_REACHED:
-        raise TimeLimit(f"{solver}: time is up after {result.nit} iterations")
-    if result.status == INFEASIBLE and np.isfinite(budget):
-        raise BudgetInfeasible(f"{solver}: no strategy fits the length budget of {budget:.3f} m")
-    if result.x is None or result.status != 0:
-        raise SolverFailed(f"{solver}: {result.message}")
+def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
+    flat = highs.Program(
+        program.cost, program.inequalities, program.limits, program.equalities, program.rhs
+    )
+    result = highs.run(flat, solver, deadline)
+    if result.status == highs.INFEASIBLE:
+        raise BudgetInfeasible(f"{solver}: no strategy fits the length budget; raise max_detour")
     return result
-
-
-def _run_interior_point(program: LinearProgram, options: dict[str, Any]) -> OptimizeResult:
-    """Run without crossover; where HiGHS ends in an unknown state, another tolerance may help.
-
-    HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing, or nothing feasible.
-    """
-    options = {**options, "run_crossover": _no_crossover()}
-    for presolve in (True, False):
-        for tolerance in OPTIMALITY:
-            tried = {"presolve": presolve, "ipm_optimality_tolerance": tolerance}
-            result = _linprog(program, "highs-ipm", options | tried)
-            if result.status != NUMERICAL_TROUBLE:
-                return result
-    return result
-
-
-def _linprog(program: LinearProgram, method: str, options: dict[str, Any]) -> OptimizeResult:
-    with warnings.catch_warnings():
-        # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
-        warnings.simplefilter("ignore", OptimizeWarning)
-        return linprog(
-            program.cost,
-            A_ub=program.inequalities if program.inequalities.shape[0] else None,
-            b_ub=program.limits if program.inequalities.shape[0] else None,
-            A_eq=program.equalities,
-            b_eq=program.rhs,
-            method=method,
-            options=options,
-        )
-
-
-def _no_crossover() -> bool | str:
-    """HiGHS' option as the scipy at hand takes it: a bool before 1.15, then a string."""
-    major, minor = (int(part) for part in scipy.__version__.split(".")[:2])
-    return False if (major, minor) < (1, 15) else "off"

@@ -9,11 +9,9 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import frozen_array
+from .arrays import FloatArray, IndexArray, frozen_array
 from .errors import InvalidNetwork
 
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +32,9 @@ class Network:
         (tail, head) of each directed edge; no self-loops, no duplicates.
     source, target : int
         Where every route starts and ends.
+    cover_points, cover_alpha : (K, 2) and (K,) float
+        Places off the network where an ambusher can hide, such as obstacle cells [m], and the
+        loss there; none by default.
 
     Raises
     ------
@@ -46,6 +47,8 @@ class Network:
     edges: IndexArray
     source: int
     target: int
+    cover_points: FloatArray = field(default_factory=lambda: np.empty((0, 2)), repr=False)
+    cover_alpha: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
     dropped_edges: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -63,6 +66,12 @@ class Network:
                 f"{target} were dropped: no route uses them",
                 stacklevel=3,
             )
+        cover = _floats("cover_points", self.cover_points)
+        hidden = _floats("cover_alpha", self.cover_alpha)
+        if len(cover):
+            _check_nodes(np.vstack((cover, cover)), np.concatenate((hidden, hidden)))
+        object.__setattr__(self, "cover_points", cover)
+        object.__setattr__(self, "cover_alpha", hidden)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "alpha", alpha)
         object.__setattr__(self, "edges", frozen_array(edges[~outside], np.int64))
@@ -75,6 +84,28 @@ class Network:
         """Length of each edge (M,) [m]."""
         tail, head = self.edges.T
         return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
+
+    @cached_property
+    def edge_exposure(self) -> FloatArray:
+        """Integral of alpha along each edge (M,) [loss x m]: its length times its ends' mean.
+
+        An end without a loss of its own, the source or the target, takes the other end's.
+        """
+        own = self.alpha.copy()
+        tail, head = own[self.tails], own[self.heads]
+        tail = np.where(self.tails == self.source, head, tail)
+        head = np.where(self.heads == self.target, tail, head)
+        return frozen_array(self.lengths * (tail + head) / 2.0, np.float64)
+
+    def with_cover(self) -> Network:
+        """The network with the places of cover as nodes that no edge leads to."""
+        return Network(
+            np.vstack((self.points, self.cover_points)),
+            np.concatenate((self.alpha, self.cover_alpha)),
+            self.edges,
+            self.source,
+            self.target,
+        )
 
     @property
     def tails(self) -> IndexArray:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, dijkstra
 
-from .network import IndexArray
-from .risk_map import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
+from .arrays import BoolArray, FloatArray, IndexArray
 
 
 def edge_matrix(edges: IndexArray, weights: FloatArray, count: int) -> csr_matrix:
@@ -33,12 +29,21 @@ def on_some_route(edges: IndexArray, count: int, source: int, target: int) -> Bo
     return reachable_from(edges, count, source) & reachable_from(edges[:, ::-1], count, target)
 
 
-def distances_from(
-    edges: IndexArray, weights: FloatArray, count: int, node: int
-) -> FloatArray:
+def distances_from(edges: IndexArray, weights: FloatArray, count: int, node: int) -> FloatArray:
     """Least weight of a path from ``node`` to each node (count,); inf where there is none."""
     distance: FloatArray = dijkstra(edge_matrix(edges, weights, count), indices=node)
     return distance
+
+
+def distances_between(
+    edges: IndexArray, weights: FloatArray, count: int, source: int, target: int
+) -> tuple[FloatArray, FloatArray]:
+    """Least weight from ``source`` to each node and from each node to ``target``, (count,) each.
+
+    For edge k, ``ahead[tail] + weight + behind[head]`` is the least weight of a path through it.
+    """
+    ahead = distances_from(edges, weights, count, source)
+    return ahead, distances_from(edges[:, ::-1], weights, count, target)
 
 
 def shortest_path(

@@ -7,9 +7,10 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from .network import IndexArray, Network
+from .acyclic import is_acyclic
+from .arrays import FloatArray, IndexArray
+from .network import Network
 from .paths import shortest_path
-from .risk_map import FloatArray
 
 
 class RouteSampler:
@@ -32,6 +33,7 @@ class RouteSampler:
         self._steps = [
             step for first, end in pairwise(self._first) for step in accumulate(weights[first:end])
         ]
+        self._acyclic = is_acyclic(network, p)
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
         """Return one route (K,): node indices, source first, target last, none twice."""
@@ -46,6 +48,30 @@ class RouteSampler:
                 position[node] = len(route)
                 route.append(node)
         return np.array(route, dtype=np.int64)
+
+    def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
+        """Return ``n`` routes; where p is acyclic they all go on by a step at once."""
+        if not self._acyclic:
+            return [self.draw(rng) for _ in range(n)]
+        heads, first = np.array(self._heads), np.array(self._first)
+        steps = np.array(self._steps)
+        total = steps[np.maximum(first[1:] - 1, 0)] if len(steps) else np.zeros(len(first) - 1)
+        tails = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        # Shares of each node's steps, after the node's number: one sorted array to search in.
+        keys = tails + np.minimum(steps / total[tails], 1.0 - 1e-15)
+        keys[first[1:][np.diff(first) > 0] - 1] = np.unique(tails) + 1.0
+        at, moving = np.full(n, self._source), np.arange(n)
+        seen, whose = [at.copy()], [moving]
+        while len(moving):
+            node = at[moving]
+            step = np.searchsorted(keys, node + rng.random(len(moving)), side="right")
+            at[moving] = heads[np.minimum(step, first[node + 1] - 1)]
+            seen.append(at[moving])
+            whose.append(moving)
+            moving = moving[at[moving] != self._target]
+        route, nodes = np.concatenate(whose), np.concatenate(seen)
+        order = np.argsort(route, kind="stable")
+        return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n))[:-1])
 
     def _next(self, node: int, rng: np.random.Generator) -> int:
         first, last = self._first[node], self._first[node + 1] - 1

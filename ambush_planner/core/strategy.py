@@ -1,28 +1,29 @@
-"""The convoy's optimal mixed strategy: the stages risk, slack, unpredictability, and the record."""
+"""The convoy's mixed strategy: its options, the record with its certificate, and ``solve``."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .arrays import frozen_array, sums
-from .errors import InvalidOption, SolverFailed
+from .arrays import FloatArray, IndexArray, frozen_array, sums
+from .certificate import Budget, Certificate, certify, lower_bound, upper_bound
+from .errors import InvalidNetwork, InvalidOption, TimeLimit
 from .game import Game, GameOptions, make_game
-from .lexicographic import max_entropy_strategy
 from .linear_program import linear_program_strategy
-from .network import IndexArray, Network
-from .outcome import Outcome
+from .max_entropy import Law, Outcome, max_entropy_strategy
+from .network import Network
+from .options import check_at_least
 from .paths import distances_from
-from .risk_map import FloatArray
 from .routes import RouteSampler
 
 SOLVERS = ("max_entropy", "interior_point", "simplex")
-# A published strategy is this near to optimal, relative to its value.
-CERTIFICATE_TOLERANCE = 1e-6
-CONSERVATION_TOLERANCE = 1e-8
+# A published value is at most (1 + risk_slack + this) times its bound.
+CERTIFICATE_TOLERANCE = 1e-5
+# Losses outside of this range leave no room for the products that a certificate is made of.
+LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
 
 
 @dataclass(frozen=True)
@@ -32,13 +33,18 @@ class StrategyOptions:
     Parameters
     ----------
     solver
-        'max_entropy': least risk, then most unpredictable, on an acyclic network. 'interior_point'
-        and 'simplex': the paper's linear program by HiGHS' interior point method without
-        crossover or by its dual simplex method; their solutions may wander in circles.
+        'max_entropy': least risk, then the most unpredictable routes, on an acyclic network.
+        'interior_point' and 'simplex': the paper's linear program by HiGHS' interior point method
+        without crossover or by its dual simplex method; their solutions may wander in circles.
     max_detour
         The expected length is at most this many times the shortest route's; ``inf``: any length.
+        The most unpredictable strategy uses all of it, so it is a target as well.
+    max_exposure
+        The expected exposure, the integral of alpha along the route, is at most this many times
+        the least one's; ``inf``: any ('max_entropy' only).
     risk_slack
-        Accept values up to (1 + risk_slack) times the least one ('max_entropy' only).
+        Accept values up to (1 + risk_slack) times the least one; 0: within 1e-5 of the bound. The
+        linear programs take the least value whatever it is.
     length_weight
         w: minimise (1 - w) z + w sum p l, the paper's 0.99 / 0.01 variant (linear programs only).
     time_limit
@@ -47,33 +53,39 @@ class StrategyOptions:
     Raises
     ------
     InvalidOption
-        A value is out of range, or an option does not go with the solver.
+        A value is out of range or of another type, or an option does not go with the solver.
     """
 
     solver: str = "max_entropy"
-    max_detour: float = 1.5
-    risk_slack: float = 0.0
+    max_detour: float = 1.2
+    max_exposure: float = math.inf
+    risk_slack: float = 0.01
     length_weight: float = 0.0
     time_limit: float = math.inf
 
     def __post_init__(self) -> None:
-        if self.solver not in SOLVERS:
+        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
-        if not self.max_detour >= 1.0:
-            raise InvalidOption(f"max_detour must be >= 1, got {self.max_detour}")
-        if not (math.isfinite(self.risk_slack) and self.risk_slack >= 0.0):
-            raise InvalidOption(f"risk_slack must be finite and >= 0, got {self.risk_slack}")
-        if not 0.0 <= self.length_weight < 1.0:
+        check_at_least("max_detour", self.max_detour, 1.0, finite=False)
+        check_at_least("max_exposure", self.max_exposure, 1.0, finite=False)
+        check_at_least("risk_slack", self.risk_slack, 0.0)
+        check_at_least("length_weight", self.length_weight, 0.0)
+        check_at_least("time_limit", self.time_limit, 0.0, "s", finite=False)
+        if self.length_weight >= 1.0:
             raise InvalidOption(f"length_weight must be in [0, 1), got {self.length_weight}")
-        if not self.time_limit > 0.0:
-            raise InvalidOption(f"time_limit must be positive [s], got {self.time_limit}")
-        if self.solver == "max_entropy" and self.length_weight > 0.0:
+        if self.time_limit == 0.0:
+            raise InvalidOption("time_limit must be positive [s], got 0")
+        plain = self.solver == "max_entropy"
+        if plain and self.length_weight > 0.0:
             raise InvalidOption(
                 f"length_weight {self.length_weight} goes with the solvers interior_point and "
                 "simplex; max_entropy bounds the length with max_detour"
             )
-        if self.solver != "max_entropy" and self.risk_slack > 0.0:
-            raise InvalidOption(f"risk_slack goes with the solver max_entropy, not {self.solver}")
+        if not plain and math.isfinite(self.max_exposure):
+            raise InvalidOption(
+                f"max_exposure {self.max_exposure} goes with the solver max_entropy, not "
+                f"{self.solver}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +101,12 @@ class Strategy:
     visit_probability : (N,)
         x: expected visits of each node, 1 at the source and the target.
     ambush_probability : (N,)
-        q: the ambusher's equilibrium strategy, sums to 1.
+        q: the ambusher's equilibrium strategy, sums to the number of ambushers.
     value : float
-        z(p): what the best ambush costs on average.
+        z(p): what the best ambush costs on average. With a reach every entry into its disc
+        counts, so it is an upper bound where a route comes back to a disc.
     lower_bound : float
-        No strategy within ``length_budget`` has a smaller value (one Dijkstra over q).
+        No strategy within the budgets has a smaller value (one Dijkstra over q).
     gap : float
         value - lower_bound.
     edge_entropy, route_entropy : float
@@ -102,10 +115,15 @@ class Strategy:
     expected_length, shortest_length, length_budget : float
         [m]; the shortest route is the whole network's. With ``length_weight`` the budget is the
         strategy's own expected length.
-    length_price : float
-        Fall of the value per metre that the budget grows.
+    expected_exposure, least_exposure, exposure_budget : float
+        Integral of alpha along the route [loss x m]: its mean, the least of any route's, and the
+        budget.
+    length_price, exposure_price : float
+        Fall of the value per unit that the budget grows.
     iterations : int
-        Iterations of the interior point or simplex method.
+        Evaluations of the law, or iterations of the interior point or simplex method.
+    law : Law or None
+        The Gibbs law's multipliers, for a warm start.
     """
 
     game: Game
@@ -121,7 +139,12 @@ class Strategy:
     shortest_length: float
     length_budget: float
     length_price: float
+    expected_exposure: float
+    least_exposure: float
+    exposure_budget: float
+    exposure_price: float
     iterations: int
+    law: Law | None = field(repr=False)
     _sampler: RouteSampler = field(repr=False)
 
     @property
@@ -132,6 +155,10 @@ class Strategy:
     def sample_route(self, rng: np.random.Generator) -> IndexArray:
         """Draw a route (K,): node indices, source first, target last, none twice."""
         return self._sampler.draw(rng)
+
+    def sample_routes(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
+        """Draw ``n`` routes, many times faster than one by one."""
+        return self._sampler.draw_many(n, rng)
 
     def mean_direction(self) -> FloatArray:
         """Mean direction (N, 2) in which the convoy leaves each node; 0 where it never comes.
@@ -153,83 +180,139 @@ def solve(
     network: Network,
     game: GameOptions | None = None,
     options: StrategyOptions | None = None,
+    warm: Law | None = None,
 ) -> Strategy:
     """Find the convoy's optimal mixed strategy.
 
+    ``warm`` is the law of a strategy for the same nodes, with other losses, budgets or slack: the
+    search starts from there.
+
     Raises
     ------
+    InvalidNetwork
+        A loss is too large or too small to compute with.
     NoRoute
         Nothing leads from the source to the target.
     BudgetInfeasible
-        Every route left is longer than the budget.
-    TimeLimit, SolverFailed
-        No certified strategy was found in time, or at all.
+        Every route left is longer, or more exposed, than the budget.
+    TimeLimit
+        Time was up, or rounding stood in the way, before the value was within the slack of its
+        bound; ``strategy`` is what was reached.
     """
     options = options or StrategyOptions()
     deadline = time.monotonic() + options.time_limit
+    _check_losses(network)
     prepared = make_game(network, game or GameOptions())
-    shortest = float(
-        distances_from(network.edges, network.lengths, len(network.points), network.source)[
-            network.target
-        ]
-    )
-    budget = options.max_detour * shortest if math.isfinite(options.max_detour) else math.inf
+    budgets = make_budgets(prepared, options)
     if options.solver == "max_entropy":
-        outcome = max_entropy_strategy(prepared, budget, options.risk_slack, deadline)
-    else:
-        outcome = linear_program_strategy(
-            prepared, options.solver, budget, options.length_weight, deadline
+        outcome = max_entropy_strategy(
+            prepared, budgets, options.risk_slack, deadline, warm
         )
-    # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
-    weighed = outcome.length_price * outcome.budget if options.length_weight > 0.0 else 0.0
-    return _certified(prepared, outcome, shortest, options.risk_slack, weighed)
+    else:
+        outcome, length = linear_program_strategy(
+            prepared, options.solver, budgets[0], options.length_weight, deadline
+        )
+        budgets = (length, budgets[1])
+    return _published(prepared, outcome, budgets, options)
 
 
-def _certified(
-    game: Game, outcome: Outcome, shortest: float, risk_slack: float, weighed: float
+def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
+    """The budgets of length and exposure, measured from the best routes of the whole network.
+
+    Raises
+    ------
+    BudgetInfeasible
+        The best playable route is over a budget.
+    """
+    network = game.network
+    costs = (network.lengths, network.edge_exposure)
+    factors = (options.max_detour, options.max_exposure)
+    names = (("detour", "m"), ("exposure", "loss x m"))
+    budgets = []
+    for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
+        least = float(
+            distances_from(network.edges, cost, len(network.points), network.source)[
+                network.target
+            ]
+        )
+        limit = factor * least if math.isfinite(factor) else math.inf
+        budgets.append(Budget(game, cost, limit, least, name, unit))
+    return budgets[0], budgets[1]
+
+
+def revalue(strategy: Strategy, network: Network) -> Certificate:
+    """Value and bound of a strategy where the losses of its network's nodes have changed.
+
+    ``network`` has the same nodes and edges as the strategy's; the bound is its old ambusher's.
+    """
+    game = replace(
+        strategy.game,
+        network=network,
+        loss=frozen_array(np.where(strategy.game.loss > 0.0, network.alpha, 0.0), np.float64),
+    )
+    q = strategy.ambush_probability
+    return Certificate(upper_bound(game, strategy.edge_probability), lower_bound(game, q))
+
+
+def _check_losses(network: Network) -> None:
+    """Refuse losses that products of probabilities would take out of floating point."""
+    odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
+    if odd.any():
+        node = int(np.argmax(odd))
+        raise InvalidNetwork(
+            f"alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g} for the game to be solved, got "
+            f"{network.alpha[node]:g} at node {node}; scale the losses"
+        )
+
+
+def _published(
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions
 ) -> Strategy:
-    """Compute what is published from p and q alone; refuse what is not near enough to optimal."""
+    """The strategy as computed from p, q and prices alone; TimeLimit if its gap is too wide."""
+    certificate = certify(game, outcome.p, outcome.q, budgets, outcome.prices)
+    strategy = _strategy(game, outcome, budgets, certificate)
+    slack = options.risk_slack if options.solver == "max_entropy" else 0.0
+    slack += CERTIFICATE_TOLERANCE
+    # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
+    weighed = options.length_weight > 0.0
+    extra = outcome.prices[0] * strategy.expected_length if weighed else 0.0
+    if certificate.value + extra <= (certificate.bound + extra) * (1.0 + slack):
+        return strategy
+    raise TimeLimit(
+        f"the value {certificate.value:.6g} is not within {slack:.3g} of its bound "
+        f"{certificate.bound:.6g} after {outcome.iterations} steps; allow more time",
+        strategy,
+    )
+
+
+def _strategy(
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate
+) -> Strategy:
     network, p = game.network, outcome.p
-    value = game.upper_bound(p)
-    bound = min(game.lower_bound(outcome.q, outcome.length_price, outcome.budget), value)
-    length = float(p @ network.lengths)
-    _check(game, outcome, value / (1.0 + risk_slack) - bound, value + weighed, length)
-    visits = game.visits(p)
     leaving = sums(network.tails, p, game.node_count)
+    length, exposure = budgets
     return Strategy(
         game=game,
         edge_probability=frozen_array(p, np.float64),
-        visit_probability=frozen_array(visits, np.float64),
+        visit_probability=frozen_array(game.visits(p), np.float64),
         ambush_probability=frozen_array(outcome.q, np.float64),
-        value=value,
-        lower_bound=bound,
-        gap=value - bound,
+        value=certificate.value,
+        lower_bound=certificate.bound,
+        gap=certificate.value - certificate.bound,
         edge_entropy=_entropy(p, np.ones_like(p)),
         route_entropy=_entropy(p, leaving[network.tails]),
-        expected_length=length,
-        shortest_length=shortest,
-        length_budget=outcome.budget,
-        length_price=outcome.length_price,
+        expected_length=length.mean(p),
+        shortest_length=length.least,
+        length_budget=length.limit,
+        length_price=outcome.prices[0],
+        expected_exposure=exposure.mean(p),
+        least_exposure=exposure.least,
+        exposure_budget=exposure.limit,
+        exposure_price=outcome.prices[1],
         iterations=outcome.iterations,
+        law=outcome.law,
         _sampler=RouteSampler(network, p),
     )
-
-
-def _check(game: Game, outcome: Outcome, gap: float, optimum: float, length: float) -> None:
-    """Refuse to publish what is not a strategy, not near enough to optimal, or too long."""
-    residual = game.conservation_residual(outcome.p)
-    if not residual <= CONSERVATION_TOLERANCE:
-        raise SolverFailed(f"the solver's strategy is no flow: residual {residual:.1e}")
-    if not length <= outcome.budget * (1.0 + CERTIFICATE_TOLERANCE):
-        raise SolverFailed(
-            f"the solver's strategy is {length:.9g} m long, over the budget of "
-            f"{outcome.budget:.9g} m"
-        )
-    scale = max(optimum, 1e-6 * float(game.loss.max(initial=0.0)))
-    if not gap <= CERTIFICATE_TOLERANCE * scale:
-        raise SolverFailed(
-            f"the strategy's certificate does not close: optimum {optimum:.9g}, gap {gap:.3g}"
-        )
 
 
 def _entropy(p: FloatArray, whole: FloatArray) -> float:

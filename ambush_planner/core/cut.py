@@ -14,13 +14,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from .arrays import sums
-from .cycles import without_cycles
+from .arrays import BoolArray, FloatArray, IndexArray, sums
+from .acyclic import without_cycles
 from .errors import SolverFailed
-from .game import BoolArray, Game
-from .network import IndexArray
-from .paths import distances_from, reachable_from
-from .risk_map import FloatArray
+from .game import Game
+from .paths import distances_from
 from .routes import always, shortest_route
 
 # scipy's maximum flow counts in int32. Capacities are scaled so that the flow that is still
@@ -41,40 +39,27 @@ class GameValue:
 
 
 def solve_by_cut(game: Game) -> GameValue:
-    """Solve the plain game (ambush radius 0, no length budget) by a minimum node cut.
+    """Solve the plain game (one ambusher, radius 0, no budget) by a minimum node cut.
 
     Raises
     ------
     SolverFailed
-        The flow and the cut do not meet.
+        The game has a reach or several ambushers, or the flow and the cut do not meet.
     """
-    free = _free_route_nodes(game)
-    if free is not None:
-        return _worthless_game(game, free)
+    if game.ambush_radius > 0.0 or game.ambushers > 1:
+        raise SolverFailed("a cut solves games of one ambusher without a reach")
+    safe = game.past_all_sites()
+    if safe is not None:
+        p = always(game.network, shortest_route(game.network, np.flatnonzero(safe.playable)))
+        return GameValue(0.0, p, indifferent_ambusher(game), np.empty(0, dtype=np.int64))
     return _solve_by_rounds(game, _SplitNetwork(game))
-
-
-def _free_route_nodes(game: Game) -> BoolArray | None:
-    """Nodes without loss, if some route uses them alone; else None."""
-    network, harmless = game.network, game.loss == 0.0
-    usable = game.playable & harmless[network.tails] & harmless[network.heads]
-    reached = reachable_from(network.edges[usable], game.node_count, network.source)
-    return harmless if reached[network.target] else None
-
-
-def _worthless_game(game: Game, harmless: BoolArray) -> GameValue:
-    """Value 0: a shortest route past every ambush; the ambusher is indifferent."""
-    network = game.network
-    edges = np.flatnonzero(game.playable & harmless[network.tails] & harmless[network.heads])
-    p = always(network, shortest_route(network, edges))
-    return GameValue(0.0, p, indifferent_ambusher(game), np.empty(0, dtype=np.int64))
 
 
 def indifferent_ambusher(game: Game) -> FloatArray:
     """Any q is optimal when the value is 0: spread over the sites, or over all nodes."""
     q = np.zeros(game.node_count)
-    q[game.sites if len(game.sites) else slice(None)] = 1.0
-    return q / q.sum()
+    q[game.sites if len(game.sites) >= game.ambushers else slice(None)] = 1.0
+    return q * (game.ambushers / q.sum())
 
 
 def _solve_by_rounds(game: Game, split: _SplitNetwork) -> GameValue:

@@ -1,0 +1,270 @@
+"""The least value where no cut tells it: with budgets, a reach, or several ambushers.
+
+With f = p / z in units of a loss near the value, the program is to send as much as possible,
+
+    maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
+
+because the budget's row is homogeneous in f. It is solved by HiGHS' interior point method on an
+acyclic part of the network; its duals are the ambusher's q and the prices of the budgets. If the
+certificate then finds better routes outside that part, their edges join it, and so on.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, hstack, vstack
+
+from . import highs
+from .acyclic import conserved
+from .arrays import BoolArray, FloatArray
+from .certificate import Budget, lower_bound, upper_bound
+from .errors import BudgetInfeasible, SolverFailed, TimeLimit
+from .game import Game
+from .paths import distances_between
+
+# Value and bound are this near to each other, relative, when the program is solved.
+CLOSED = 1e-6
+# Flows below this are the interior point method's rounding.
+NEGLIGIBLE = 1e-8
+# Edges that only routes over budget by this many times its room use are left for later.
+FAR_OVER_BUDGET = 4.0
+# A unit of loss is this near to the value, or the program is built again.
+UNIT_RANGE = 1e3
+MAX_ROUNDS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class LeastRisk:
+    """An optimal strategy p (M,), acyclic, with its value, and the ambusher's side.
+
+    ``level`` (S,) is what each site's mean loss may be; ``prices`` of the budgets, in loss per
+    unit of cost; ``bound`` is the certificate's.
+    """
+
+    value: float
+    bound: float
+    p: FloatArray
+    q: FloatArray
+    prices: tuple[float, ...]
+    level: FloatArray
+
+
+def least_risk(
+    game: Game, part: Game, budgets: tuple[Budget, ...], deadline: float
+) -> LeastRisk:
+    """Solve the value program, starting on the edges of ``part``.
+
+    Raises
+    ------
+    BudgetInfeasible
+        No strategy fits all budgets.
+    TimeLimit
+        The deadline passed before the first solution.
+    """
+    chosen = part.playable & _near_budget(part, budgets)
+    unit = _unit_of(part)
+    best: LeastRisk | None = None
+    for _ in range(MAX_ROUNDS):
+        restricted = game.restricted_to(chosen)
+        try:
+            if restricted is None:
+                raise SolverFailed("the chosen edges hold no route")
+            found, unit = _solve(game, restricted, budgets, unit, deadline)
+        except (SolverFailed, BudgetInfeasible):
+            if chosen.sum() == game.playable.sum():
+                raise
+            chosen = game.playable
+            continue
+        except TimeLimit:
+            if best is None:
+                raise
+            return best
+        best = _better(best, found)
+        added = _missing(game, chosen, found, budgets)
+        if best.bound >= best.value * (1.0 - CLOSED) or not added.any():
+            return best
+        chosen = chosen | added
+        if time.monotonic() > deadline:
+            return best
+    return best  # type: ignore[return-value]
+
+
+def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
+    """The better strategy with the better bound, each with what belongs to it."""
+    if best is None:
+        return found
+    lower = found if found.bound >= best.bound else best
+    upper = found if found.value <= best.value else best
+    return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
+
+
+def _near_budget(part: Game, budgets: tuple[Budget, ...]) -> BoolArray:
+    """Edges (M,) that some route not too far over the budgets uses."""
+    near = np.ones(len(part.network.edges), dtype=bool)
+    for budget in budgets:
+        if budget.binds:
+            through = _through(part, budget.excess)
+            near &= through <= FAR_OVER_BUDGET * budget.room
+    return near
+
+
+def _through(game: Game, weights: FloatArray) -> FloatArray:
+    """Least weight (M,) of a playable route through each edge; inf off the game."""
+    network, playable = game.network, game.playable
+    ahead, behind = distances_between(
+        network.edges[playable], weights[playable], game.node_count, network.source,
+        network.target,
+    )
+    through = np.full(len(weights), np.inf)
+    tail, head = network.edges[playable].T
+    through[playable] = ahead[tail] + weights[playable] + behind[head]
+    return through
+
+
+def _missing(
+    game: Game, chosen: BoolArray, found: LeastRisk, budgets: tuple[Budget, ...]
+) -> BoolArray:
+    """Edges (M,) outside the program on routes that are better than its value."""
+    weights = game.mean_loss_on_edges(found.q)
+    paid = 0.0
+    for budget, price in zip(budgets, found.prices, strict=True):
+        if price > 0.0:
+            weights = weights + price * budget.excess
+            paid += price * budget.room
+    missing: BoolArray = ~chosen & (_through(game, weights) - paid < found.value * (1 - CLOSED / 2))
+    return missing
+
+
+def _unit_of(game: Game) -> float:
+    """A loss near the value, to begin with: the least loss of any site, or the largest."""
+    loss = game.loss[game.sites]
+    return float(np.median(loss)) if len(loss) else 1.0
+
+
+def _solve(
+    game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, deadline: float
+) -> tuple[LeastRisk, float]:
+    """Solve on the edges of ``part``, in a unit of loss that is brought near the value."""
+    for _ in range(6):
+        program = _FlowProgram(part, budgets, unit)
+        size, f, duals = program.solve(deadline)
+        if 1.0 / UNIT_RANGE < size < UNIT_RANGE:
+            break
+        unit = unit / max(size, 1e-9)
+    q, prices = program.ambusher(duals)
+    p = conserved(part, f / size, NEGLIGIBLE)
+    if p is None:
+        raise SolverFailed("the program's flow holds no route")
+    value = upper_bound(game, p)
+    bound = lower_bound(game, q, budgets, prices)
+    return LeastRisk(value, bound, p, q, prices, program.levels(p)), unit
+
+
+class _FlowProgram:
+    """The linear program on the edges of a game, and what its solution means."""
+
+    def __init__(self, game: Game, budgets: tuple[Budget, ...], unit: float) -> None:
+        self.game, self.unit = game, unit
+        self.budgets = budgets
+        self.edge = np.flatnonzero(game.playable)
+        rows = game.hits[:, self.edge]
+        self.row = np.flatnonzero(rows.getnnz(axis=1) > 0)
+        loss = game.loss[game.sites][self.row] / unit
+        scaled = csr_matrix(rows[self.row].multiply(loss[:, None]))
+        out = (game.network.tails[self.edge] == game.network.source).astype(float)
+        bound = [b for b in budgets if b.binds]
+        over = [csr_matrix(b.excess[self.edge] / b.room - out) for b in bound]
+        several = game.ambushers > 1
+        sites = len(self.row)
+        extra = 1 + sites if several else 0
+        blocks = [hstack((scaled, _shared_loss(sites))) if several else scaled]
+        blocks += [hstack((row, csr_matrix((1, extra)))) if several else row for row in over]
+        limits = [np.zeros(sites) if several else np.ones(sites), np.zeros(len(over))]
+        if several:
+            total = np.concatenate((np.zeros(len(out)), [game.ambushers], np.ones(sites)))
+            blocks.append(csr_matrix(total))
+            limits.append(np.ones(1))
+        self._over, self._several = len(over), several
+        conservation = _conservation(game)
+        self.program = highs.Program(
+            np.concatenate((-out, np.zeros(extra))),
+            csr_matrix(vstack(blocks)),
+            np.concatenate(limits),
+            csr_matrix(hstack((conservation, csr_matrix((conservation.shape[0], extra))))),
+            np.zeros(conservation.shape[0]),
+        )
+
+    def solve(self, deadline: float) -> tuple[float, FloatArray, FloatArray]:
+        """Return |f|, f (M,) and the duals of the inequalities."""
+        try:
+            result = highs.run(self.program, "interior_point", deadline)
+        except SolverFailed:
+            result = highs.run(self.program, "simplex", deadline)
+        size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
+        if not size > 1e-12:
+            names = " and ".join(f"max_{b.name}" for b in self.budgets if b.binds)
+            raise BudgetInfeasible(f"no strategy fits all budgets at once; raise {names}")
+        f = np.zeros(len(self.game.network.edges))
+        f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
+        return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+
+    def ambusher(self, duals: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
+        """q (N,) and the budgets' prices; a site too costly ever to be passed stays barred."""
+        sites, k = len(self.row), self.game.ambushers
+        q = np.zeros(self.game.node_count)
+        q[self.game.sites[self.row]] = duals[:sites]
+        total = q.sum() / k
+        if not total > 0.0:
+            raise SolverFailed("the program has no ambusher")
+        q = at_most_one(q / total, k)
+        price = iter(duals[sites : sites + self._over] / total * self.unit)
+        return q, tuple(
+            float(next(price)) / budget.room if budget.binds else 0.0 for budget in self.budgets
+        )
+
+    def levels(self, p: FloatArray) -> FloatArray:
+        """Mean loss (S,) that each site may cause: the k-th worst one's, or its own if worse."""
+        losses = self.game.site_losses(p)
+        kth = np.sort(losses)[-min(self.game.ambushers, len(losses))]
+        return np.maximum(losses, kth)
+
+
+def _shared_loss(sites: int) -> csr_matrix:
+    """Columns for loss_j <= t + s_j: t first, then one s_j a site; k t + sum s <= 1 elsewhere."""
+    entries = np.full(2 * sites, -1.0)
+    row = np.tile(np.arange(sites), 2)
+    column = np.concatenate((np.zeros(sites, dtype=int), 1 + np.arange(sites)))
+    return csr_matrix((entries, (row, column)), shape=(sites, 1 + sites))
+
+
+def _conservation(game: Game) -> csr_matrix:
+    """Rows of ``A`` for the nodes between source and target, over the playable edges."""
+    network = game.network
+    tail, head = network.edges[game.playable].T
+    column = np.arange(len(tail))
+    entries = np.concatenate((np.ones(len(tail)), -np.ones(len(tail))))
+    full = csr_matrix(
+        (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
+        shape=(game.node_count, len(tail)),
+    )
+    inner = np.unique(tail[tail != network.source])
+    return full[inner]
+
+
+def at_most_one(q: FloatArray, ambushers: int) -> FloatArray:
+    """Bring q (N,), which sums to the number of ambushers, below 1 everywhere."""
+    for _ in range(100):
+        over = q >= 1.0
+        missing = ambushers - float(np.minimum(q, 1.0).sum())
+        q = np.minimum(q, 1.0)
+        if missing <= 0.0:
+            break
+        rest = float(q[~over].sum())
+        if rest <= 0.0:
+            q[~over] += missing / max(int((~over).sum()), 1)
+            break
+        q[~over] *= 1.0 + missing / rest
+    return q
