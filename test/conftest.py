@@ -2,16 +2,20 @@
 
 import faulthandler
 import os
-import sys
+import signal
 import threading
 import time
-from uuid import uuid4
 
 import leftovers
 import pytest
+from hypothesis import HealthCheck, settings
 
-# Each process that a run starts inherits it: so they are found, whoever started them.
-MARK = 'AMBUSH_PLANNER_TEST_RUN'
+# How fast the machine is decides nothing; HUNT looks for new examples, as in games.py.
+settings.register_profile('suite', deadline=None, derandomize='HUNT' not in os.environ,
+                          database=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile('suite')
+# Tests run side by side: numpy, not loaded yet, would only get in its own way with more threads.
+os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
@@ -20,8 +24,22 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    faulthandler.register(signal.SIGUSR1, os.dup(2))
+    config.option.loadscopereorder = False  # xdist's: the files of most tests first
     if not hasattr(config, 'workerinput'):
         config.pluginmanager.register(Guard(float(config.getini('session_limit'))), 'guard')
+
+
+def pytest_collection_modifyitems(items):
+    """Files with slow tests first, so that in the end no worker waits for another."""
+    slow = {item.path for item in items if item.get_closest_marker('slow')}
+    items.sort(key=lambda item: item.path not in slow)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    """One worker more than there are cores: many tests wait for other processes."""
+    return len(os.sched_getaffinity(0)) + 1
 
 
 class Guard:
@@ -29,8 +47,9 @@ class Guard:
 
     def __init__(self, limit):
         self.limit, self.began = limit, time.time()
-        self.mark = os.environ[MARK] = uuid4().hex
+        self.mark = leftovers.mark_processes()
         self.running, self.lost = set(), []
+        self.stderr = os.dup(2)  # not yet that of a test
         self.ended = threading.Event()
         self.watch = threading.Thread(target=self._watch, daemon=True)
 
@@ -53,6 +72,7 @@ class Guard:
         # What xdist makes of the test that a worker died in. It would let the others finish what
         # they have, and forgets some of that and waits for it for ever.
         if report.when == '???':
+            leftovers.end_processes(self.mark)
             pytest.exit(f'{report.longrepr}', returncode=1)
 
     @pytest.hookimpl(trylast=True)
@@ -60,17 +80,20 @@ class Guard:
         self.ended.set()
         if self.lost and not session.exitstatus:
             session.exitstatus = 1
-        leftovers.end_processes(MARK, self.mark)
+        leftovers.end_processes(self.mark)
         leftovers.remove_shared_memory(self.began)
 
     def _watch(self):
         if self.ended.wait(self.limit):
             return
-        print(f'\nno end within {self.limit:g} s; running: {sorted(self.running)}',
-              file=sys.__stderr__, flush=True)
-        faulthandler.dump_traceback(sys.__stderr__)
-        leftovers.end_processes(MARK, self.mark)
+        said = f'\nno end within {self.limit:g} s; running: {sorted(self.running)}\n'
+        os.write(self.stderr, said.encode())
+        # Where the tests are; what is no test is ended by it.
+        for pid in (os.getpid(), *leftovers.marked(self.mark)):
+            os.kill(pid, signal.SIGUSR1)
         # With its workers dead xdist ends the run, as above.
-        if not self.ended.wait(20.0):
+        self.ended.wait(1.0)
+        leftovers.end_processes(self.mark)
+        if not self.ended.wait(10.0):
             leftovers.remove_shared_memory(self.began)
             os._exit(1)

@@ -3,42 +3,54 @@
 import os
 import signal
 import time
+from contextlib import suppress
 from pathlib import Path
+from uuid import uuid4
 
+# Each process inherits it: so they are found, whoever started them.
+NAME = 'AMBUSH_PLANNER_TEST_RUN'
 SHARED = Path('/dev/shm')
 
 
-def marked(name, value):
-    """Process ids of all others that have this in their environment."""
-    wanted, found = f'{name}={value}'.encode(), []
+def mark_processes():
+    """Mark all that this process starts from now on, and what those start; return the mark."""
+    mark = uuid4().hex
+    # A run inside another keeps the other's mark.
+    os.environ[NAME] = os.environ.get(NAME, '') + mark
+    return mark
+
+
+def marked(mark):
+    """Process ids of all others that bear the mark."""
+    found = []
     for folder in Path('/proc').glob('[0-9]*'):
         try:
             words = (folder / 'environ').read_bytes().split(b'\0')
         except OSError:  # it has just ended, or is somebody else's
             continue
-        if wanted in words and int(folder.name) != os.getpid():
+        if any(word.startswith(NAME.encode()) and mark.encode() in word for word in words):
             found.append(int(folder.name))
-    return found
+    return [pid for pid in found if pid != os.getpid()]
 
 
-def end_processes(name, value, seconds=5.0):
+def end_processes(mark, seconds=5.0):
     """Kill them, and those that they start meanwhile, and see them off."""
     end = time.monotonic() + seconds
-    while (found := marked(name, value)) and time.monotonic() < end:
+    while (found := marked(mark)) and time.monotonic() < end:
         for pid in found:
-            try:
+            with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
         time.sleep(0.05)
 
 
 def remove_shared_memory(since):
     """Remove what Fast DDS has made since then, if no process maps it any more."""
-    mapped = _mapped()
-    for path in SHARED.glob('fastrtps_*'):
-        if path.name.endswith(('_el', '_sl')) or path in mapped or not _ours(path, since):
-            continue
+    found = [path for path in SHARED.glob('fastrtps_*')
+             if not path.name.endswith(('_el', '_sl')) and _is_ours(path, since)]
+    if unused := set(found) - _mapped():
+        time.sleep(0.5)  # another run may be about to map it
+        unused -= _mapped()
+    for path in unused:
         beside = [f'{path.name}_el', f'{path.name}_sl', f'sem.{path.name}_mutex']
         for each in (path, *map(path.with_name, beside)):
             each.unlink(missing_ok=True)
@@ -55,10 +67,8 @@ def _mapped():
     return found
 
 
-def _ours(path, since):
-    try:
+def _is_ours(path, since):
+    with suppress(FileNotFoundError):
         found = path.stat()
-    except FileNotFoundError:
-        return False
-    # What is a second old may be about to be mapped, by another run.
-    return found.st_uid == os.getuid() and since <= found.st_ctime < time.time() - 1.0
+        return found.st_uid == os.getuid() and found.st_ctime >= since
+    return False
