@@ -6,45 +6,41 @@ import sys
 from pathlib import Path
 
 import pytest
-from ros_harness import free_domain
 
 HERE = Path(__file__).parent
 PARALLEL = '-n', '2', '--dist', 'loadfile', '--max-worker-restart', '0'
-# A ROS node by shared memory that nobody ends.
+# A process in a session of its own with a segment of shared memory, as Fast DDS names it.
 CHILD = """
-import os, subprocess, sys
+import subprocess, sys
 PROGRAM = '''
-import sys, time, rclpy
-from pathlib import Path
-rclpy.init()
-node = rclpy.create_node('left')
-lines = Path('/proc/self/maps').read_text().splitlines()
-Path(sys.argv[1]).write_text('\\\\n'.join(
-    {line.split()[5] for line in lines if ' /dev/shm/fastrtps' in line}))
-print('ready', flush=True)
+import mmap, os, sys, time
+path = f'/dev/shm/fastrtps_{os.urandom(8).hex()}'
+with open(path, 'wb+') as file, open(path + '_el', 'w'):
+    file.truncate(4096)
+    held = mmap.mmap(file.fileno(), 0)
+print(os.getpid(), path, path + '_el', flush=True)
 time.sleep(600)
 '''
-def leave_a_node():
-    child = subprocess.Popen([sys.executable, '-c', PROGRAM, 'shared'], stdout=subprocess.PIPE,
+def leave_a_process():
+    child = subprocess.Popen([sys.executable, '-c', PROGRAM], stdout=subprocess.PIPE, text=True,
                              start_new_session=True)
-    assert child.stdout.readline() == b'ready\\n'
-    with open('pid', 'w') as file:
-        file.write(str(child.pid))
+    with open('left', 'w') as file:
+        file.write(child.stdout.readline())
 """
-PASSES = 'from child import leave_a_node\ndef test_passes(): leave_a_node()\n'
+PASSES = 'from child import leave_a_process\ndef test_passes(): leave_a_process()\n'
 DIES = """
 import os, signal
-from child import leave_a_node
+from child import leave_a_process
 def test_dies():
-    leave_a_node()
+    leave_a_process()
     os.kill(os.getpid(), signal.SIGKILL)
 def test_that_comes_later(): pass
 """
 HANGS = """
 import signal, time
-from child import leave_a_node
+from child import leave_a_process
 def test_hangs():
-    leave_a_node()
+    leave_a_process()
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])  # deaf to pytest-timeout
     while True: time.sleep(600)
 """
@@ -67,18 +63,10 @@ def run(folder, *options, **tests):
 
 
 def assert_nothing_left(folder):
-    pid, shared = (folder / 'pid').read_text(), (folder / 'shared').read_text().splitlines()
+    pid, *paths = (folder / 'left').read_text().split()
     stat = Path('/proc', pid, 'stat')
     assert not stat.exists() or stat.read_text().split()[2] == 'Z'
-    assert shared and not [path for path in shared if Path(path).exists()]
-
-
-@pytest.fixture(autouse=True)
-def by_shared_memory(monkeypatch):
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    with free_domain() as domain:
-        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-        yield
+    assert len(paths) == 2 and not [path for path in paths if Path(path).exists()]
 
 
 @pytest.mark.parametrize('options', [(), PARALLEL], ids=['alone', 'xdist'])
