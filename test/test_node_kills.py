@@ -73,6 +73,7 @@ def kill_while_recording(folder, seconds):
         client.publish('alpha_map', risk_grid())
         client.diagnostics(message='waiting for start_pose, goal_pose')
         assert client.get_plan(START, GOAL).poses
+        assert '/dev/shm/fastrtps' not in Path('/proc/self/maps').read_text()
         wait_until(lambda: set(directory.glob('*')) - before, 'a recording')
         end = time.monotonic() + seconds
         while time.monotonic() < end:  # nobody waits for the answers
