@@ -50,10 +50,11 @@ class Guard:
         self.mark = leftovers.mark_processes()
         self.running, self.lost = set(), []
         self.stderr = os.dup(2)  # not yet that of a test
-        self.ended = threading.Event()
+        self.asked_to_end, self.ended = threading.Event(), threading.Event()
         self.watch = threading.Thread(target=self._watch, daemon=True)
 
     def pytest_sessionstart(self):
+        signal.signal(signal.SIGTERM, lambda *_: self.asked_to_end.set())
         self.watch.start()
 
     def pytest_runtest_logstart(self, nodeid):
@@ -78,15 +79,18 @@ class Guard:
     @pytest.hookimpl(trylast=True)
     def pytest_sessionfinish(self, session):
         self.ended.set()
+        self.asked_to_end.set()
         if self.lost and not session.exitstatus:
             session.exitstatus = 1
         leftovers.end_processes(self.mark)
         leftovers.remove_shared_memory(self.began)
 
     def _watch(self):
-        if self.ended.wait(self.limit):
+        why = 'ended by SIGTERM' if self.asked_to_end.wait(self.limit) else (
+            f'no end within {self.limit:g} s')
+        if self.ended.is_set():
             return
-        said = f'\nno end within {self.limit:g} s; running: {sorted(self.running)}\n'
+        said = f'\n{why}; running: {sorted(self.running)}\n'
         os.write(self.stderr, said.encode())
         # Where the tests are; what is no test is ended by it.
         for pid in (os.getpid(), *leftovers.marked(self.mark)):
