@@ -19,7 +19,7 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
-    parser.addini('session_limit', 'seconds after which the whole run is ended', default='900')
+    parser.addini('session_limit', 'seconds after which the whole run is ended', default='1200')
     parser.addoption('--kills', type=int, default=4, help='nodes to kill while they record')
 
 
@@ -98,6 +98,6 @@ class Guard:
         # With its workers dead xdist ends the run, as above.
         self.ended.wait(1.0)
         leftovers.end_processes(self.mark)
-        if not self.ended.wait(10.0):
+        if not self.ended.wait(5.0):
             leftovers.remove_shared_memory(self.began)
             os._exit(1)
