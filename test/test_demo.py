@@ -183,7 +183,8 @@ def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
     process = subprocess.Popen(
-        [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path)],
+        # More departures than it will get to.
+        [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path), "-n", "100000"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
