@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from pathlib import Path
 
 import leftovers
 import pytest
@@ -14,6 +15,11 @@ from hypothesis import HealthCheck, settings
 settings.register_profile('suite', deadline=None, derandomize='HUNT' not in os.environ,
                           database=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('suite')
+# Not by shared memory: there a process that is killed could crash others, and what a process
+# sends last is lost with it where the reader is slow. Demo and benchmarks set their own range.
+os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
+os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(
+    Path(__file__).resolve().parents[1] / 'config' / 'fastdds_udp.xml')
 # Tests run side by side: numpy, not loaded yet, would only get in its own way with more threads.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 

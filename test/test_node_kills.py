@@ -18,12 +18,8 @@ from ros_harness import free_domain, pose, risk_grid, wait_until
 from test_node_process import client_in, node_process
 from test_recording_faults import listed
 
-ROOT = Path(__file__).resolve().parents[1]
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 SIDE_BY_SIDE = 2
-# With shared memory Fast DDS now and then crashes a process that has talked to a killed one.
-BY_UDP = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
-          'FASTRTPS_DEFAULT_PROFILES_FILE': str(ROOT / 'config' / 'fastdds_udp.xml')}
 
 
 @pytest.mark.slow
@@ -46,7 +42,7 @@ def kill_one_after_another(folder, kills):
         # Who talks to a node that is killed is a process of its own: it may crash, and is told.
         done = subprocess.run(
             [sys.executable, __file__, str(folder)], capture_output=True, text=True, timeout=110,
-            env={**os.environ, **BY_UDP, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))},
+            env={**os.environ, 'PYTHONPATH': os.pathsep.join(filter(None, sys.path))},
             check=False)
         assert done.returncode == 0, f'exit code {done.returncode}\n{done.stderr}'
 
