@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import leftovers
@@ -100,7 +101,8 @@ class Guard:
         os.write(self.stderr, said.encode())
         # Where the tests are; what is no test is ended by it.
         for pid in (os.getpid(), *leftovers.marked(self.mark)):
-            os.kill(pid, signal.SIGUSR1)
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGUSR1)
         # With its workers dead xdist ends the run, as above.
         self.ended.wait(1.0)
         leftovers.end_processes(self.mark)
