@@ -1,7 +1,6 @@
 """A running planner node and a client beside it, apart from every other test and process."""
 
 import fcntl
-import os
 import tempfile
 import threading
 from contextlib import ExitStack, contextmanager
@@ -27,8 +26,6 @@ from waiting import TIMEOUT, wait_until
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.outbox import REQUESTS
 from ambush_planner.ros.planner_node import THREADS, PlannerNode
-
-os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'

@@ -1,7 +1,6 @@
 """Messages to arrays and back: round trips, exactness, and what is refused."""
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, pose, risk_grid
+from steps import steps
 
 from ambush_planner.core.errors import InvalidRiskMap
 from ambush_planner.core.risk_map import OccupancyOptions
@@ -72,9 +72,9 @@ def test_first_cell_of_the_message_is_the_lower_left():
 
 def test_a_map_of_four_million_cells_is_read_without_a_loop():
     message = risk_grid(np.zeros((2000, 2000), dtype=np.int8))
-    begin = time.perf_counter()
-    occupancy_from_ros(message)
-    assert time.perf_counter() - begin < 0.05
+    assert steps(occupancy_from_ros, message) < 1000
+    values, *_ = occupancy_from_ros(message)
+    assert np.shares_memory(values, message.data), 'nor is it copied'
 
 
 def test_path_keeps_both_ends_exactly():

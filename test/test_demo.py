@@ -183,7 +183,8 @@ def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
     process = subprocess.Popen(
-        [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path)],
+        # More departures than it will get to.
+        [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path), "-n", "100000"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -192,7 +193,7 @@ def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
         assert process.poll() is None
     assert nodes_of(tmp_path)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=30.0)
+    _, errors = process.communicate(timeout=110.0)
     assert (process.returncode, errors) == (1, "ambush_demo: interrupted\n")
     assert not nodes_of(tmp_path)
 

@@ -74,9 +74,9 @@ def test_all_kinds_of_messages_are_sent(attacks):
         "replan", "cancel", "set_parameters_atomically", "set_parameters"}
 
 
-def test_a_hundred_calls_at_once_are_all_answered(tmp_path):
+def test_forty_calls_at_once_are_all_answered(tmp_path):
     results = tmp_path / "results.md"
-    text = run("node_load.py", "--calls", 100, "--results", results)
+    text = run("node_load.py", "--calls", 40, "--results", results)
     assert "every call answered with a route; met" in text
     assert text.strip() in results.read_text()
 

@@ -4,7 +4,6 @@ import errno
 import os
 import random
 import shutil
-import time
 
 import pytest
 import yaml
@@ -296,7 +295,6 @@ def test_many_sessions_in_order_cost_little(session):
         copy.mkdir()
         for path in session.iterdir():
             os.link(path, copy / path.name)
-    begin = time.perf_counter()
-    assert repair(session.parent) == []
-    # Measured: 0.13 s; nothing but names and metadata.yaml is read.
-    assert time.perf_counter() - begin < 5.0
+    for path in session.glob('*.mcap'):
+        path.write_bytes(b'')  # all copies
+    assert repair(session.parent) == [], 'nothing but names and metadata.yaml is read'
