@@ -172,6 +172,16 @@ def forget(_):
     return os.getpid()
 
 
+def test_a_map_is_packed_once(monkeypatch):
+    packed = []
+    parcel = batch._Parcel
+    monkeypatch.setattr(batch, '_Parcel', lambda each: packed.append(each) or parcel(each))
+    maps = [field(0), field(1)]
+    with ThreadPoolExecutor(1) as pool:
+        solve_many([problem(maps[k % 2], k) for k in range(8)], pool, answer=numbers)
+    assert packed == maps
+
+
 def test_a_worker_that_lacks_the_map_gets_it():
     risk_map = field(8)
     with ProcessPoolExecutor(1, SPAWN) as pool:

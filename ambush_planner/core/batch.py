@@ -135,7 +135,9 @@ class _Batch:
 
     def send(self, index: int, problem: Problem) -> None:
         """Hand over a problem, with its map if few have it yet."""
-        parcel = self._parcels.setdefault(id(problem.risk_map), _Parcel(problem.risk_map))
+        parcel = self._parcels.get(id(problem.risk_map))
+        if parcel is None:
+            parcel = self._parcels[id(problem.risk_map)] = _Parcel(problem.risk_map)
         with_map = parcel.copies < self._first_copies
         self._submit(index, problem, parcel, with_map)
 

@@ -94,11 +94,11 @@ class TableFile:
         self._path = path
         self._part = path.with_name(f'{path.name}.part')
         self._rows: dict[str, Row] = {}
+        self._drop_half_a_line()
         for file in (path, self._part):
             if file.exists():
                 self._take(row for _, row in _lines(file, COLUMNS))
-        self._whole_lines()
-        self._stream = self._part.open('a', encoding='utf-8', newline='', opener=_private)
+        self._stream = open(self._part, 'a', encoding='utf-8', newline='', opener=_private)
         self._writer = csv.DictWriter(self._stream, COLUMNS, lineterminator='\n')
         if self._part.stat().st_size == 0:
             self._writer.writeheader()
@@ -115,16 +115,16 @@ class TableFile:
         self._stream.close()
 
     def _take(self, rows: Iterable[Row]) -> None:
-        # A row that a kill cut off has no hash of its inputs at its end, or half of it.
         self._rows.update((row['inputs'], row) for row in rows if not row['error'])
 
-    def _whole_lines(self) -> None:
-        """Drop what a kill left of a last line."""
+    def _drop_half_a_line(self) -> None:
+        """Remove what a kill left of a last line, or the file if there is no whole line."""
         with suppress(FileNotFoundError):
-            data = self._part.read_bytes()
-            whole = data[: data.rfind(b'\n') + 1]
-            if whole != data:
-                self._part.write_bytes(whole)
+            size = self._part.read_bytes().rfind(b'\n') + 1
+            if size:
+                os.truncate(self._part, size)
+            else:
+                self._part.unlink()
 
     def has(self, inputs: str) -> bool:
         """Whether the row of these inputs is there, and is no error."""

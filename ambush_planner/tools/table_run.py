@@ -9,6 +9,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -124,9 +125,7 @@ def _executor(arguments: argparse.Namespace) -> Iterator[tuple[Executor, int]]:
             yield client.get_executor(), 2 * max(1, threads)
         return
     jobs = arguments.jobs or len(os.sched_getaffinity(0))
-    pool = ProcessPoolExecutor(
-        jobs, multiprocessing.get_context('spawn'), signal.signal, (signal.SIGINT, signal.SIG_DFL)
-    )
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context('spawn'), _end_with_parent)
     try:
         yield pool, 2 * jobs
     except BaseException:
@@ -136,6 +135,19 @@ def _executor(arguments: argparse.Namespace) -> Iterator[tuple[Executor, int]]:
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """In a process of the pool: end at Ctrl-C without a word, and when the parent was killed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    def watch() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 class _Progress:
