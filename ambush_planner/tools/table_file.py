@@ -12,12 +12,10 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from io import StringIO
 from pathlib import Path
 from types import TracebackType
 
 from ..core.errors import AmbushPlannerError
-from ..recording.durable import write_durably
 
 COLUMNS = (
     'depot', 'customer', 'value', 'lower_bound', 'expected_length', 'shortest_length',
@@ -138,11 +136,14 @@ class TableFile:
 
     def finish(self, inputs: Sequence[str]) -> None:
         """Write the table with the rows of ``inputs`` in this order, and remove the part."""
-        text = StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator='\n', extrasaction='ignore')
-        writer.writeheader()
-        writer.writerows(self._rows[key] for key in inputs)
-        write_durably(self._path, text.getvalue().encode())
+        whole = self._path.with_name(f'{self._path.name}.tmp')
+        with open(whole, 'w', encoding='utf-8', newline='', opener=_private) as file:
+            writer = csv.DictWriter(file, COLUMNS, lineterminator='\n', extrasaction='ignore')
+            writer.writeheader()
+            writer.writerows(self._rows[key] for key in inputs)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(whole, self._path)
         self._stream.close()
         self._part.unlink()
 

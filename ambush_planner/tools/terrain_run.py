@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 
-from ..recording.durable import write_durably
 from ..terrain import (
     Elevation,
     OccupancyMap,
@@ -52,10 +50,8 @@ def _remark(elevation: Elevation) -> str:
 
 
 def _write_preview(path: Path, elevation: Elevation, ground: TerrainMap) -> Path:
-    stream = BytesIO()
-    terrain_figure(elevation, ground).savefig(stream, format='png')
     picture = path.with_suffix('.png')
-    write_durably(picture, stream.getvalue())
+    terrain_figure(elevation, ground).savefig(picture)
     return picture
 
 
