@@ -47,6 +47,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/ambush_radius.py
 	$(BIN)/python benchmarks/markers.py
+	$(BIN)/python benchmarks/many.py
 	-$(BIN)/python benchmarks/node_latency.py
 	$(BIN)/python benchmarks/node_load.py
 

@@ -45,6 +45,9 @@ setup(
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
+        # ambush_terrain reads GeoTIFF, ambush_table solves on a cluster.
+        'terrain': ['rasterio>=1.3'],
+        'dask': ['distributed>=2024.1'],
         # colcon test runs pytest only because it stands in an extra of this name.
         'test': [
             'pytest>=7.4',
@@ -54,6 +57,8 @@ setup(
             'networkx',
             'highspy',
             'clarabel',
+            'distributed>=2024.1',
+            'rasterio>=1.3',
             'rosbags',
             'setuptools',
         ],
@@ -68,6 +73,8 @@ setup(
             'ambush_recover = ambush_planner.tools.recover:main',
             'ambush_replay = ambush_planner.tools.replay:main',
             'ambush_report = ambush_planner.tools.report:main',
+            'ambush_table = ambush_planner.tools.table:main',
+            'ambush_terrain = ambush_planner.tools.terrain:main',
             'ambush_verify = ambush_planner.tools.verify:main',
         ],
     },

@@ -1,5 +1,6 @@
 """Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
 
+from .core.batch import Problem, Solved, solve_many
 from .core.construction import NetworkOptions, build_network
 from .core.errors import (
     AmbushPlannerError,
@@ -30,7 +31,9 @@ __all__ = [
     "Network",
     "NetworkOptions",
     "NoRoute",
+    "Problem",
     "RiskMap",
+    "Solved",
     "SolverFailed",
     "StartBlocked",
     "Strategy",
@@ -39,4 +42,5 @@ __all__ = [
     "build_network",
     "evaluate",
     "solve",
+    "solve_many",
 ]

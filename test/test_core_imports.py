@@ -71,6 +71,17 @@ def test_the_core_imports_and_solves_with_ros_blocked():
     assert done.stdout.strip() == "3.0"
 
 
+@pytest.mark.parametrize("command", ["terrain", "table"])
+def test_commands_that_take_no_recordings_need_no_ros(command):
+    module = f"ambush_planner.tools.{command}_run"
+    pytest.importorskip("matplotlib", reason="the preview takes the extra figures")
+    seen = f"import sys, {module}; print([m for m in sys.modules if m in ('rclpy', 'nav_msgs')])"
+    done = subprocess.run(
+        [sys.executable, "-c", seen], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stdout.strip() == "[]", done.stderr
+
+
 def test_every_public_name_is_there():
     for name in ambush_planner.__all__:
         assert getattr(ambush_planner, name) is not None

@@ -20,9 +20,9 @@ from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.tools import demo
 from ambush_planner.tools.demo_client import DemoClient
+from ambush_planner.tools.demo_ground import GOAL, START
 from ambush_planner.tools.demo_run import count_different
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
-from ambush_planner.tools.terrain import GOAL, START
 
 DEPARTURES = 8
 # The node promises to record what a route was drawn from and what was told about it.

@@ -16,6 +16,7 @@ NAME = 'ambush_planner'
 
 # Import name -> rosdep key, where the two differ.
 ROSDEP_KEYS = {
+    'PIL': 'python3-matplotlib',
     'matplotlib': 'python3-matplotlib',
     'lz4': 'mcap-ros2-support',
     'mcap': 'mcap-ros2-support',
@@ -27,7 +28,10 @@ ROSDEP_KEYS = {
     'zstandard': 'mcap-ros2-support',
 }
 # Import name -> name on the package index, where the two differ.
-REQUIREMENTS = {'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+
+# Import name -> extra. Without a rosdep key: a machine that needs them gets them from pip.
+FROM_PIP = {'distributed': 'dask', 'rasterio': 'terrain'}
 
 
 @cache
@@ -102,7 +106,8 @@ def test_no_dependency_is_declared_twice():
 
 
 def test_every_import_is_declared_in_the_manifest():
-    keys = {ROSDEP_KEYS.get(name, name) for name in imported_packages()}
+    names = imported_packages() - set(FROM_PIP)
+    keys = {ROSDEP_KEYS.get(name, name) for name in names}
     assert keys <= set(dependencies('exec_depend'))
 
 
@@ -112,6 +117,13 @@ def test_every_library_import_is_declared_for_pip():
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
     libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros'}  # from ROS only
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
+
+
+def test_what_pip_alone_has_is_an_extra():
+    assert set(FROM_PIP) <= imported_packages()
+    extras = setup_arguments()['extras_require']
+    for name, extra in FROM_PIP.items():
+        assert any(requirement.startswith(name) for requirement in extras[extra])
 
 
 def test_ros_is_an_extra_and_no_requirement():

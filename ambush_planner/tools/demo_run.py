@@ -23,9 +23,9 @@ from ..recording.durable import write_durably
 from ..ros.conversions import path_from_ros, risk_map_from_ros
 from .demo_client import DemoClient, NoAnswer
 from .demo_figures import routes_figure, strategy_figure
+from .demo_ground import GOAL, RESOLUTION, START, load_ground
 from .figures import FixedRoute
 from .node_process import NodeFailed, NodeProcess, free_domain
-from .terrain import GOAL, RESOLUTION, START, load_occupancy
 
 # Four cells: about 6000 nodes.
 SPACING = 360.0
@@ -72,7 +72,7 @@ def run_demo(folder: Path, departures: int) -> None:
     before = set(folder.rglob("*.mcap"))
     progress = Progress()
     progress.say("making the risk map from the elevation model")
-    values = load_occupancy()
+    values = load_ground().values
     grid, paths, status, seconds = _departures(values, folder, departures, progress)
     recordings = sorted(set(folder.rglob("*.mcap")) - before)
     if len(recordings) != departures:

@@ -1,0 +1,275 @@
+"""Many games over executors: order, errors, progress, cancellation, and how often a map travels."""
+
+import multiprocessing
+import os
+import threading
+from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+
+import numpy as np
+import pytest
+
+from ambush_planner import (
+    InvalidOption,
+    NetworkOptions,
+    NoRoute,
+    Problem,
+    RiskMap,
+    StartBlocked,
+    Strategy,
+    StrategyOptions,
+    build_network,
+    solve,
+    solve_many,
+)
+from ambush_planner.core import batch
+
+SPAWN = multiprocessing.get_context('spawn')
+SIDE = 200.0
+
+
+def field(seed=0, cells=20):
+    rng = np.random.default_rng(seed)
+    obstacles = np.zeros((cells, cells), bool)
+    obstacles[8:12, 8:12] = True
+    return RiskMap(rng.uniform(1.0, 5.0, (cells, cells)), obstacles, SIDE / cells)
+
+
+def problem(risk_map, k, **options):
+    start = (15.0, 15.0 + 10.0 * (k % 17))
+    return Problem(risk_map, start, (185.0, 95.0), NetworkOptions(spacing=20.0), **options)
+
+
+def numbers(strategy):
+    return strategy.value, strategy.route_entropy
+
+
+def expected(each):
+    network = build_network(each.risk_map, each.start_xy, each.goal_xy, each.network)
+    return numbers(solve(network, each.game, each.strategy))
+
+
+@pytest.fixture(scope='module')
+def processes():
+    with ProcessPoolExecutor(2, SPAWN) as pool:
+        yield pool
+
+
+@pytest.fixture(params=['threads', 'processes'])
+def executor(request):
+    if request.param == 'processes':
+        return request.getfixturevalue('processes')
+    pool = ThreadPoolExecutor(2)
+    request.addfinalizer(pool.shutdown)
+    return pool
+
+
+def test_results_are_those_of_solve_in_the_problems_order(executor):
+    maps = [field(0), field(1)]
+    problems = [problem(maps[k % 2], k) for k in range(9)]
+    results = solve_many(problems, executor, answer=numbers)
+    assert [result.index for result in results] == list(range(9))
+    assert [result.answer for result in results] == [expected(each) for each in problems]
+
+
+def test_whole_strategies_come_back_by_default(executor):
+    (result,) = solve_many([problem(field(), 3)], executor)
+    assert isinstance(result.answer, Strategy) and result.error is None
+    route = result.answer.sample_route(np.random.default_rng(0))
+    assert route[0] == result.answer.network.source
+
+
+def test_an_error_stands_in_its_place_and_stops_nothing(executor):
+    risk_map = field()
+    wall = RiskMap(np.ones((20, 20)), np.arange(400).reshape(20, 20) % 20 == 10, 10.0)
+    problems = [problem(risk_map, 0), Problem(risk_map, (95.0, 95.0), (185.0, 95.0)),
+                problem(wall, 1), problem(risk_map, 2)]
+    results = solve_many(problems, executor, answer=numbers)
+    kinds = [type(result.error) for result in results]
+    assert kinds == [type(None), StartBlocked, NoRoute, type(None)]
+    assert [result.answer is None for result in results] == [False, True, True, False]
+
+
+def test_no_problems_no_results(executor):
+    assert solve_many([], executor) == []
+
+
+def test_progress_tells_each_result_once(executor):
+    told = []
+    results = solve_many(
+        (problem(field(), k) for k in range(7)), executor, answer=numbers, on_result=told.append
+    )
+    assert sorted(told, key=lambda each: each.index) == results and len(told) == 7
+
+
+
+def test_what_is_cancelled_is_not_begun():
+    cancelled = threading.Event()
+    begun = []
+
+    def count(strategy):
+        begun.append(strategy)
+        cancelled.set()
+        return 1
+
+    with ThreadPoolExecutor(1) as pool:
+        results = solve_many(
+            (problem(field(), k) for k in range(50)), pool, answer=count, in_flight=2,
+            cancelled=cancelled,
+        )
+    assert len(results) == 50 and len(begun) <= 3
+    unsolved = [result for result in results if result.answer is None]
+    assert len(unsolved) >= 47
+    assert all(isinstance(result.error, CancelledError) for result in unsolved)
+
+
+def test_what_progress_raises_ends_the_whole_and_takes_back_the_rest():
+    taken = []
+
+    def problems():
+        for k in range(50):
+            taken.append(k)
+            yield problem(field(), k)
+
+    def stop(result):
+        raise KeyboardInterrupt
+
+    with ThreadPoolExecutor(1) as pool:
+        with pytest.raises(KeyboardInterrupt):
+            solve_many(problems(), pool, answer=numbers, on_result=stop, in_flight=4)
+    assert len(taken) <= 8
+
+
+class Post:
+    """An executor that weighs what is sent through it."""
+
+    def __init__(self, executor):
+        self.executor, self.maps, self.letters = executor, 0, 0
+
+    def submit(self, function, key, content, *rest):
+        self.letters += 1
+        self.maps += content is not None
+        return self.executor.submit(function, key, content, *rest)
+
+
+def test_a_map_travels_about_once_a_worker():
+    risk_map = field(7)
+    with ProcessPoolExecutor(2, SPAWN) as pool:
+        post = Post(pool)
+        results = solve_many(
+            [problem(risk_map, k) for k in range(40)], post, answer=numbers, in_flight=4
+        )
+        assert all(result.error is None for result in results)
+        assert 1 <= post.maps <= 2 + 4
+        # The next batch finds the map there, but for what it sends unasked.
+        again = Post(pool)
+        solve_many([problem(risk_map, k) for k in range(40)], again, answer=numbers, in_flight=4)
+        assert again.maps == 2 and again.letters == 40
+
+
+def forget(_):
+    batch._maps.clear()
+    return os.getpid()
+
+
+def test_a_map_is_packed_once(monkeypatch):
+    packed = []
+    parcel = batch._Parcel
+    monkeypatch.setattr(batch, '_Parcel', lambda each: packed.append(each) or parcel(each))
+    maps = [field(0), field(1)]
+    with ThreadPoolExecutor(1) as pool:
+        solve_many([problem(maps[k % 2], k) for k in range(8)], pool, answer=numbers)
+    assert packed == maps
+
+
+def test_a_worker_that_lacks_the_map_gets_it():
+    risk_map = field(8)
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        post = Post(pool)
+
+        def lose(result):
+            if result.index == 5:
+                pool.submit(forget, None).result(60.0)
+
+        results = solve_many(
+            [problem(risk_map, k) for k in range(12)], post, answer=numbers, on_result=lose,
+            in_flight=2,
+        )
+    assert all(result.error is None for result in results)
+    assert post.letters > 12 and post.maps == 1 + post.letters - 12
+
+
+def test_a_process_keeps_few_maps():
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        results = solve_many(
+            [problem(field(seed), 1) for seed in range(8)], pool, answer=numbers, in_flight=1
+        )
+        assert all(result.error is None for result in results)
+        assert pool.submit(kept_maps).result(60.0) == 4
+
+
+def kept_maps():
+    return len(batch._maps)
+
+
+def end_here(strategy):
+    if strategy.network.points[strategy.network.source][1] == 35.0:
+        os._exit(1)
+    return strategy.value
+
+
+def test_a_pool_that_breaks_leaves_what_was_solved():
+    with ProcessPoolExecutor(1, SPAWN) as pool:
+        results = solve_many(
+            [problem(field(), k) for k in range(6)], pool, answer=end_here, in_flight=1
+        )
+    assert [result.error is None for result in results] == [True, True, *[False] * 4]
+    assert all(isinstance(result.error, BrokenProcessPool) for result in results[2:])
+
+
+def test_an_executor_that_is_shut_down_is_an_error_each():
+    pool = ThreadPoolExecutor(1)
+    pool.shutdown()
+    results = solve_many([problem(field(), k) for k in range(3)], pool)
+    assert [type(result.error) for result in results] == [RuntimeError] * 3
+
+
+def test_a_negative_room_is_refused():
+    with pytest.raises(InvalidOption, match='in_flight'):
+        solve_many([], ThreadPoolExecutor(1), in_flight=-1)
+
+
+def test_options_travel(processes):
+    loose = StrategyOptions(max_detour=1.1), StrategyOptions(max_detour=2.0)
+    problems = [problem(field(), 4, strategy=each) for each in loose]
+    results = solve_many(problems, processes, answer=numbers)
+    assert [result.answer for result in results] == [expected(each) for each in problems]
+    assert results[0].answer != results[1].answer
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
+    distributed = pytest.importorskip('distributed', reason='dask takes the extra "dask"')
+    problems = [problem(field(), k) for k in range(24)]
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
+            local_directory=str(tmp_path),
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        done = []
+
+        def kill_one(result):
+            done.append(result)
+            if len(done) == 4:
+                # As from outside, while both workers have problems of ours.
+                victim = next(iter(client.run(os.getpid).values()))
+                os.kill(victim, 9)
+
+        results = solve_many(
+            problems, client.get_executor(), answer=numbers, on_result=kill_one, in_flight=8
+        )
+    assert len(done) == 24
+    assert [result.error for result in results] == [None] * 24
+    assert [result.answer for result in results] == [expected(each) for each in problems]

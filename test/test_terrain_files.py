@@ -1,0 +1,207 @@
+"""Elevation models read, maps written and read back, and ``ambush_terrain`` as a user starts it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from ambush_planner.terrain import InvalidTerrain, OccupancyMap, read_map, read_raster, write_map
+
+DEPOT = Path(__file__).parent.parent.parent / 'shared' / 'data' / 'nav2_depot'
+
+
+def save(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def test_npz_has_north_first(tmp_path):
+    heights = np.arange(12.0).reshape(3, 4)
+    raster = read_raster(save(tmp_path / 'a.npz', elevation=heights, dx=5.0, dy=7.0))
+    np.testing.assert_array_equal(raster.values, heights[::-1])
+    assert (raster.row_step, raster.column_step) == (7.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    ('arrays', 'reason'),
+    [
+        ({'height': np.zeros((3, 3)), 'resolution': 1.0}, 'elevation'),
+        ({'elevation': np.zeros((3, 3))}, 'resolution'),
+        ({'elevation': np.zeros(3), 'resolution': 1.0}, 'shape'),
+        ({'elevation': np.zeros((3, 3)), 'resolution': -1.0}, 'positive'),
+        ({'elevation': np.array([['a', 'b']]), 'resolution': 1.0}, 'numeric'),
+        ({'elevation': np.array([[None, 1]], dtype=object), 'resolution': 1.0}, 'npz'),
+    ],
+)
+def test_npz_that_cannot_be_used_is_refused(tmp_path, arrays, reason):
+    with pytest.raises(InvalidTerrain, match=reason):
+        read_raster(save(tmp_path / 'a.npz', **arrays))
+
+
+def test_a_broken_npz_is_refused(tmp_path):
+    whole = save(tmp_path / 'a.npz', elevation=np.zeros((30, 30)), resolution=1.0).read_bytes()
+    (tmp_path / 'b.npz').write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(InvalidTerrain, match='b.npz'):
+        read_raster(tmp_path / 'b.npz')
+
+
+def write_geotiff(path, heights, crs, transform, nodata=None):
+    rasterio = pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "terrain"')
+    with rasterio.open(
+        path, 'w', driver='GTiff', height=heights.shape[0], width=heights.shape[1], count=1,
+        dtype=heights.dtype, crs=crs, transform=rasterio.Affine(*transform), nodata=nodata,
+    ) as file:
+        file.write(heights, 1)
+    return path
+
+
+def test_geotiff_in_metres_with_nodata(tmp_path):
+    heights = np.arange(12, dtype=np.int16).reshape(3, 4)
+    heights[0, 1] = -9999
+    path = write_geotiff(
+        tmp_path / 'a.tif', heights, 'EPSG:32632', (25, 0, 5e5, 0, -30, 4e6), nodata=-9999
+    )
+    raster = read_raster(path)
+    assert (raster.row_step, raster.column_step) == (30.0, 25.0)
+    assert np.isnan(raster.values[2, 1]) and raster.values[0, 3] == 11.0
+    assert raster.place == '500000 3999910 EPSG:32632'
+
+
+def test_geotiff_in_degrees_becomes_metres(tmp_path):
+    step = 1.0 / 1200.0
+    path = write_geotiff(
+        tmp_path / 'a.tif', np.zeros((120, 120), np.float32), 'EPSG:4326',
+        (step, 0, 10.0, 0, -step, 60.05),
+    )
+    raster = read_raster(path)
+    assert raster.row_step == pytest.approx(92.66, abs=0.1)
+    assert raster.column_step == pytest.approx(raster.row_step / 2.0, rel=1e-6)
+
+
+def test_geotiff_in_feet_becomes_metres(tmp_path):
+    path = write_geotiff(
+        tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'EPSG:2264', (10, 0, 0, 0, -10, 0)
+    )
+    assert read_raster(path).row_step == pytest.approx(3.048, abs=1e-4)
+
+
+def test_a_rotated_geotiff_is_refused(tmp_path):
+    path = write_geotiff(
+        tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'EPSG:32632', (9, 3, 0, 3, -9, 0)
+    )
+    with pytest.raises(InvalidTerrain, match='gdalwarp'):
+        read_raster(path)
+
+
+def test_a_file_that_is_no_raster_is_refused(tmp_path):
+    (tmp_path / 'a.tif').write_text('hello')
+    with pytest.raises(InvalidTerrain, match='a.tif'):
+        read_raster(tmp_path / 'a.tif')
+
+
+@pytest.mark.parametrize('shape', [(3, 7), (1, 1), (13, 10)])
+def test_a_map_is_read_back_as_it_was_written(tmp_path, shape):
+    values = np.random.default_rng(1).integers(-1, 101, shape).astype(np.int8)
+    write_map(tmp_path / 'm.yaml', OccupancyMap(values, 0.05, (-3.0, 2.5, 0.1)), 'one\ntwo')
+    result = read_map(tmp_path / 'm.yaml')
+    np.testing.assert_array_equal(result.values, values)
+    assert (result.resolution, result.origin) == (0.05, (-3.0, 2.5, 0.1))
+    assert (tmp_path / 'm.yaml').read_text().startswith('# one\n# two\nimage: m.pgm\n')
+
+
+def test_pillow_sees_the_same_picture(tmp_path):
+    image = pytest.importorskip('PIL.Image', reason='Pillow comes with the extra "figures"')
+    values = np.arange(-1, 101, dtype=np.int8).reshape(6, 17)
+    picture = write_map(tmp_path / 'm.yaml', OccupancyMap(values, 1.0))
+    with image.open(picture) as opened:
+        pixels = np.asarray(opened)
+        opened.save(tmp_path / 'm.png')
+    np.testing.assert_array_equal(pixels, values[::-1].astype(np.uint8))
+    fields = yaml.safe_load((tmp_path / 'm.yaml').read_text()) | {'image': 'm.png'}
+    (tmp_path / 'm.yaml').write_text(yaml.safe_dump(fields))
+    np.testing.assert_array_equal(read_map(tmp_path / 'm.yaml').values, values)
+
+
+def test_modes_of_map_server(tmp_path):
+    (tmp_path / 'm.pgm').write_bytes(b'P5 # comment\n5 1\n255\n' + bytes([255, 205, 128, 80, 0]))
+    common = {'image': 'm.pgm', 'resolution': 1.0, 'origin': [0, 0, 0], 'negate': 0,
+              'occupied_thresh': 0.65, 'free_thresh': 0.25}
+    for extra, expected in (
+        ({}, [0, 0, -1, 100, 100]),
+        ({'negate': 1}, [100, 100, -1, -1, 0]),
+        ({'mode': 'scale'}, [0, 0, 62, 100, 100]),
+        ({'mode': 'scale', 'occupied_thresh': 1.0, 'free_thresh': 0.0}, [0, 20, 50, 69, 100]),
+        ({'mode': 'raw'}, [-1, -1, -1, 80, 0]),
+    ):
+        (tmp_path / 'm.yaml').write_text(yaml.safe_dump(common | extra))
+        assert read_map(tmp_path / 'm.yaml').values[0].tolist() == expected
+
+
+@pytest.mark.skipif(not DEPOT.exists(), reason="Nav2's depot map is not beside the checkout")
+def test_maps_of_nav2():
+    depot, speed = read_map(DEPOT / 'depot.yaml'), read_map(DEPOT / 'depot_speed.yaml')
+    assert set(np.unique(depot.values)) <= {-1, 0, 100}
+    assert len(np.unique(speed.values)) > 3 and speed.resolution == 0.05
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        ({'image': None}, 'image'),
+        ({'mode': 'colour'}, 'mode'),
+        ({'resolution': 0.0}, 'resolution'),
+        ({'resolution': 'x'}, 'resolution'),
+        ({'origin': [0, 0]}, 'origin'),
+        ({'image': 'short.pgm'}, 'too short'),
+        ({'image': 'text.pgm'}, 'picture'),
+    ],
+)
+def test_maps_that_cannot_be_read_are_refused(tmp_path, change, reason):
+    write_map(tmp_path / 'm.yaml', OccupancyMap(np.zeros((3, 3), np.int8), 1.0))
+    (tmp_path / 'short.pgm').write_bytes(b'P5 30 30 255\nab')
+    (tmp_path / 'text.pgm').write_text('hello')
+    fields = yaml.safe_load((tmp_path / 'm.yaml').read_text()) | change
+    fields = {name: value for name, value in fields.items() if value is not None}
+    (tmp_path / 'm.yaml').write_text(yaml.safe_dump(fields))
+    with pytest.raises(InvalidTerrain, match=reason):
+        read_map(tmp_path / 'm.yaml')
+
+
+def run(*arguments):
+    return subprocess.run(
+        [sys.executable, '-m', 'ambush_planner.tools.terrain', *map(str, arguments)],
+        capture_output=True, text=True, timeout=110, check=False,
+    )
+
+
+def test_the_command_leaves_map_picture_and_preview(tmp_path):
+    pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
+    row, column = np.mgrid[:80, :120]
+    heights = 40.0 * np.sin(row / 9.0) * np.cos(column / 7.0)
+    heights[:10, :10] = np.nan
+    dem = save(tmp_path / 'dem.npz', elevation=heights, resolution=10.0)
+    roads = save(tmp_path / 'roads.npz', roads=row == 40, resolution=10.0)
+    done = run(dem, '-o', tmp_path / 'm.yaml', '--roads', roads, '--weapon-range', 100)
+    assert done.returncode == 0, done.stderr
+    result = read_map(tmp_path / 'm.yaml')
+    assert result.values.shape == (80, 120) and result.resolution == 10.0
+    assert (result.values[70:, :10] == -1).all()  # the file's first rows are in the north
+    assert result.values[39].max() < 100
+    assert '120 x 80 cells of 10 m' in done.stdout
+    assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
+
+
+def test_the_command_says_what_is_wrong(tmp_path):
+    pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
+    dem = save(tmp_path / 'dem.npz', elevation=np.zeros((9, 9)), resolution=500.0)
+    for arguments, reason in (
+        ((tmp_path / 'no.npz', '-o', tmp_path / 'm.yaml'), 'No such file'),
+        ((dem, '-o', tmp_path / 'm.yaml'), 'weapon range'),
+        ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), '.yaml'),
+    ):
+        done = run(*arguments)
+        assert done.returncode == 1 and reason in done.stderr and 'Traceback' not in done.stderr
+    assert not (tmp_path / 'm.yaml').exists()

@@ -1,0 +1,156 @@
+"""Heights brought to square cells, slope, and depth below the surroundings."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ambush_planner.terrain import (
+    Elevation,
+    InvalidTerrain,
+    Raster,
+    elevation_from,
+    mask_from,
+    relative_depth,
+    slope,
+)
+from ambush_planner.terrain.relief import disc_rectangles
+
+
+def plane(rows, columns, north, east):
+    row, column = np.mgrid[:rows, :columns] + 0.5
+    return north * row + east * column
+
+
+def test_a_plane_stays_where_it_is_when_it_is_resampled():
+    raster = Raster(10.0 * plane(30, 40, 1.0, 0.0) + 20.0 * plane(30, 40, 0.0, 1.0), 10.0, 20.0)
+    result = elevation_from(raster, 8.0)
+    assert result.heights.shape == (37, 100)
+    inner = (slice(1, -1), slice(2, -2))
+    np.testing.assert_allclose(
+        result.heights[inner], 8.0 * plane(37, 100, 1.0, 1.0)[inner], rtol=1e-6
+    )
+
+
+def test_resampling_invents_no_heights():
+    heights = np.random.default_rng(0).uniform(200.0, 900.0, (20, 25))
+    result = elevation_from(Raster(heights, 92.7, 74.4), 90.0).heights
+    assert heights.min() <= result.min() and result.max() <= heights.max()
+
+
+def test_square_cells_are_taken_as_they_are():
+    heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
+    result = elevation_from(Raster(heights.astype(float), 0.1, 0.1))
+    np.testing.assert_array_equal(result.heights, heights)
+
+
+@pytest.mark.parametrize('resolution', [-1.0, np.inf, 1e6, 1e-6])
+def test_a_resolution_that_cannot_be_is_refused(resolution):
+    with pytest.raises(InvalidTerrain, match='resolution'):
+        elevation_from(Raster(np.zeros((30, 30)), 10.0, 10.0), resolution)
+
+
+def test_unknown_heights_spread_no_farther_than_to_cells_that_follow_from_them():
+    heights = np.zeros((20, 20))
+    heights[10, 10] = np.nan
+    unknown = np.isnan(elevation_from(Raster(heights, 10.0, 10.0), 5.0).heights)
+    assert unknown[20:22, 20:22].all() and not unknown[:18].any() and not unknown[:, 24:].any()
+
+
+@pytest.mark.parametrize(
+    ('heights', 'resolution', 'reason'),
+    [
+        (np.zeros(4), 1.0, '2 x 2'),
+        (np.zeros((1, 4)), 1.0, '2 x 2'),
+        (np.full((3, 3), np.nan), 1.0, 'known nowhere'),
+        (np.full((3, 3), np.inf), 1.0, 'finite'),
+        (np.zeros((3, 3)), 0.0, 'resolution'),
+    ],
+)
+def test_bad_elevations_are_refused(heights, resolution, reason):
+    with pytest.raises(InvalidTerrain, match=reason):
+        Elevation(heights, resolution)
+
+
+def test_thin_roads_survive_on_coarser_cells():
+    roads = np.zeros((100, 100))
+    roads[50] = 1
+    mask = mask_from(Raster(roads, 10.0, 10.0), Elevation(np.zeros((14, 14)), 70.0))
+    assert mask[7].all() and mask.sum() == 14
+
+
+def test_wide_roads_have_no_holes_on_finer_cells():
+    roads = np.zeros((10, 10))
+    roads[4] = 1
+    mask = mask_from(Raster(roads, 70.0, 70.0), Elevation(np.zeros((70, 70)), 10.0))
+    assert mask[28:35].all() and mask.sum() == 7 * 70
+
+
+def test_roads_that_cover_other_ground_are_refused():
+    with pytest.raises(InvalidTerrain, match='same ground'):
+        mask_from(Raster(np.zeros((50, 50)), 10.0, 10.0), Elevation(np.zeros((60, 50)), 10.0))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.5, 90.0))
+def test_slope_is_exact_on_planes(north, east, resolution):
+    elevation = Elevation(resolution * plane(8, 9, north, east), resolution)
+    np.testing.assert_allclose(slope(elevation), np.hypot(north, east), atol=1e-5)
+
+
+def test_slope_is_exact_inside_a_paraboloid():
+    row, column = np.mgrid[:40, :50] * 2.0
+    x, y = column - 47.0, row - 31.0
+    elevation = Elevation(0.01 * x**2 + 0.02 * y**2 + 0.005 * x * y, 2.0)
+    exact = np.hypot(0.02 * x + 0.005 * y, 0.04 * y + 0.005 * x)
+    np.testing.assert_allclose(slope(elevation)[1:-1, 1:-1], exact[1:-1, 1:-1], atol=2e-5)
+
+
+def test_slope_nears_that_of_a_sine_with_the_square_of_the_cells():
+    errors = []
+    for cells in (50, 100, 200):
+        x = (np.arange(cells) + 0.5) * (1000.0 / cells)
+        elevation = Elevation(np.tile(30.0 * np.sin(x / 80.0), (4, 1)), 1000.0 / cells)
+        exact = np.abs(30.0 / 80.0 * np.cos(x / 80.0))
+        errors.append(np.abs(slope(elevation)[1] - exact)[2:-2].max())
+    assert errors[0] > 3.5 * errors[1] > 12.0 * errors[2]
+
+
+def test_unknown_ground_makes_no_cliff_and_has_no_slope():
+    heights = 500.0 + plane(20, 20, 0.1, 0.0)
+    heights[5:9, 5:9] = np.nan
+    result = slope(Elevation(heights, 1.0))
+    assert np.isnan(result[5:9, 5:9]).all() and np.isnan(result).sum() == 16
+    assert np.nanmax(result) < 0.2
+
+
+def naive_depth(heights, resolution, radius):
+    rows, columns = np.indices(heights.shape)
+    depth = np.empty(heights.shape)
+    for row, column in np.ndindex(heights.shape):
+        near = resolution * np.hypot(rows - row, columns - column) <= radius
+        depth[row, column] = heights[near].max()
+    return depth - heights
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 15.9))
+def test_depth_is_that_of_the_disc(seed, radius):
+    rng = np.random.default_rng(seed)
+    heights = rng.normal(size=(13, 17)).astype(np.float32)
+    heights[rng.random(heights.shape) < 0.1] = np.nan
+    heights[0, 0] = 1.0
+    here = ~np.isnan(heights)
+    result = relative_depth(Elevation(heights, 3.0), 3.0 * radius)
+    assert np.isnan(result[~here]).all()
+    expected = naive_depth(np.where(here, heights, -1e9), 3.0, 3.0 * radius)
+    np.testing.assert_allclose(result[here], expected[here], rtol=1e-6)
+
+
+@given(st.floats(16.0, 400.0))
+def test_large_discs_are_covered_from_inside(radius):
+    rectangles = np.array(disc_rectangles(radius))
+    assert len(rectangles) <= 17
+    assert (np.hypot(*rectangles.T) <= radius).all()
+    for angle in np.linspace(0.0, np.pi / 2.0, 50):
+        row, column = 0.95 * radius * np.sin(angle) - 1.0, 0.95 * radius * np.cos(angle) - 1.0
+        assert ((rectangles[:, 0] >= row) & (rectangles[:, 1] >= column)).any()

@@ -1,0 +1,143 @@
+"""The risk map from the ground: its formulas, and the demo's ground."""
+
+import numpy as np
+import pytest
+
+from ambush_planner.core.construction import NetworkOptions, build_network
+from ambush_planner.core.risk_map import risk_map_from_occupancy
+from ambush_planner.terrain import (
+    Elevation,
+    InvalidTerrain,
+    TerrainOptions,
+    ViewOptions,
+    terrain_map,
+)
+
+
+def hills(seed=0, shape=(40, 50)):
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    phase = np.random.default_rng(seed).uniform(0.0, 6.0, 2)
+    return 8.0 * np.sin(row / 4.0 + phase[0]) * np.cos(column / 5.0 + phase[1])
+
+
+def only(name):
+    """Options in which a single share counts."""
+    names = ('depth', 'exposure', 'approach', 'slope')
+    return TerrainOptions(weights=tuple(float(name == each) for each in names), slope_limit=1.5)
+
+
+def test_open_plains_are_exposed_and_nothing_else():
+    plain = Elevation(np.full((40, 40), 50.0), 10.0)
+    for name, value in (('depth', 0), ('exposure', 99), ('approach', 0), ('slope', 0)):
+        assert (terrain_map(plain, only(name)).values == value).all()
+    assert (terrain_map(plain).values == round(99 * 0.2)).all()
+
+
+@pytest.mark.parametrize('name', ['depth', 'exposure', 'approach', 'slope'])
+def test_values_follow_the_stated_formula(name):
+    ground = terrain_map(Elevation(hills(), 10.0), only(name))
+    share = {
+        'depth': np.minimum(ground.depth / 120.0, 1.0),
+        'exposure': ground.exposure,
+        'approach': 1.0 - ground.approach / 300.0,
+        'slope': np.minimum(ground.slope / 1.5, 1.0),
+    }[name]
+    assert np.ptp(ground.values) > 5
+    np.testing.assert_allclose(ground.values, 99.0 * share, atol=0.501)
+
+
+def test_only_the_ratio_of_weights_counts():
+    elevation = Elevation(hills(), 10.0)
+    first = terrain_map(elevation, TerrainOptions(weights=(1.0, 2.0, 3.0, 4.0)))
+    second = terrain_map(elevation, TerrainOptions(weights=(0.1, 0.2, 0.3, 0.4)))
+    np.testing.assert_array_equal(first.values, second.values)
+
+
+def test_cliffs_are_obstacles_and_the_largest_risk_is_none():
+    heights = np.zeros((60, 30))
+    heights[:20], heights[40:] = 400.0, 400.0
+    values = terrain_map(Elevation(heights, 10.0), only('depth')).values
+    assert (values[25:35] == 99).all()
+    limited = terrain_map(Elevation(heights, 10.0)).values
+    assert (limited[[19, 20, 39, 40]] == 100).all() and (limited[25:35] < 100).all()
+
+
+def test_roads_lead_through_steep_ground_and_cost_less():
+    heights = np.zeros((40, 40))
+    heights[20:] = 100.0
+    elevation = Elevation(heights, 10.0)
+    roads = np.zeros((40, 40), bool)
+    roads[:, 10] = True
+    without = terrain_map(elevation)
+    with_roads = terrain_map(elevation, TerrainOptions(road_factor=0.25), roads)
+    assert (without.values[19:21, 10] == 100).all()
+    assert (with_roads.values[:, 10] < 100).all()
+    np.testing.assert_array_equal(with_roads.values[~roads], without.values[~roads])
+    free = roads & (without.values < 100)
+    np.testing.assert_allclose(with_roads.values[free], without.values[free] / 4.0, atol=0.7)
+
+
+def test_unknown_ground_is_unknown_also_under_a_road():
+    heights = hills()
+    heights[5:9, 5:9] = np.nan
+    ground = terrain_map(Elevation(heights, 10.0), None, np.ones(heights.shape, bool))
+    np.testing.assert_array_equal(ground.values == -1, np.isnan(heights))
+    for layer in (ground.slope, ground.depth, ground.exposure, ground.approach):
+        np.testing.assert_array_equal(np.isnan(layer), np.isnan(heights))
+
+
+def test_roads_of_another_shape_are_refused():
+    with pytest.raises(InvalidTerrain, match='roads'):
+        terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
+
+
+@pytest.mark.parametrize(
+    'values',
+    [{'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
+     {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}],
+)
+def test_options_out_of_range_are_refused(values):
+    with pytest.raises(InvalidTerrain, match=next(iter(values))):
+        TerrainOptions(**values)
+
+
+def test_the_map_does_not_change_under_its_reader():
+    ground = terrain_map(Elevation(hills(), 10.0), TerrainOptions(ViewOptions(50.0)))
+    with pytest.raises(ValueError, match='read-only'):
+        ground.values[0, 0] = 3
+
+
+@pytest.fixture(scope='module')
+def demo_ground():
+    pytest.importorskip('matplotlib', reason="the demo's elevation model comes with matplotlib")
+    from ambush_planner.tools import demo_ground
+
+    return demo_ground
+
+
+@pytest.fixture(scope='module')
+def real(demo_ground):
+    return demo_ground.load_ground()
+
+
+def test_the_real_ground(real):
+    assert real.values.shape == (354, 333)
+    assert 0.05 < (real.values == 100).mean() < 0.12 and real.values.min() >= 0
+    free = real.values[real.values < 100]
+    assert np.percentile(free, 10) < 30 and np.percentile(free, 90) > 55
+
+
+def test_north_is_up(demo_ground):
+    elevation = demo_ground.load_elevation().heights
+    # The highest ground of the sheet lies in its south-west, the plain in the south-east.
+    north, south = elevation[-100:], elevation[:100]
+    assert south[:, :220].max() == elevation.max() > north.max()
+    assert south[:, -80:].mean() < north[:, -80:].mean()
+
+
+def test_start_and_goal_lie_on_opposite_sides_and_are_joined(demo_ground, real):
+    risk_map = risk_map_from_occupancy(real.values, demo_ground.RESOLUTION)
+    width, _ = risk_map.size
+    start, goal = demo_ground.START, demo_ground.GOAL
+    assert start[0] < 0.2 * width and goal[0] > 0.8 * width
+    assert len(build_network(risk_map, start, goal, NetworkOptions(spacing=720.0)).points) > 500

@@ -1,0 +1,176 @@
+"""Lines of sight, held against two slow ways of finding them."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from ambush_planner.terrain import Elevation, InvalidTerrain, ViewOptions, viewshed, visibility
+from ambush_planner.terrain.visibility import rays_of
+
+
+def hills(shape, seed, height, width):
+    noise = np.random.default_rng(seed).normal(size=shape)
+    smooth = gaussian_filter(noise, width, mode='wrap')
+    return height * smooth / smooth.std()
+
+
+def height_at(heights, row, column):
+    inside = 0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]
+    return heights[row, column] if inside else np.nan
+
+
+def along_the_rays(heights, resolution, options):
+    """Exposure and approach cell by cell, sample by sample."""
+    rays = rays_of(options.weapon_range / resolution, options.rays)
+    exposure, approach = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
+    for row, column in zip(*np.nonzero(~np.isnan(heights)), strict=True):
+        top = heights[row, column] + options.vehicle_height
+        seen, ground, nearest = 0.0, 0.0, []
+        for ray in rays:
+            horizon, hidden_at = -math.inf, options.weapon_range
+            for sample in ray:
+                first, second = (
+                    height_at(heights, row + offset[0], column + offset[1])
+                    for offset in (sample.first, sample.second)
+                )
+                height = (1.0 - sample.share) * first + sample.share * second
+                if np.isnan(height):
+                    continue
+                distance = sample.distance * resolution
+                head = (height + options.person_height - top) / distance
+                ground += sample.weight
+                if head >= horizon:
+                    seen += sample.weight
+                else:
+                    hidden_at = min(hidden_at, distance)
+                horizon = max(horizon, (height - top) / distance)
+            nearest.append(hidden_at)
+        exposure[row, column] = seen / ground if ground else 0.0
+        approach[row, column] = np.mean(nearest)
+    return exposure, approach
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(1.0, 9.0), st.sampled_from([8, 24, 64]))
+def test_all_cells_at_once_are_each_cell_alone(seed, reach, rays):
+    heights = hills((11, 14), seed, 6.0, 1.0).astype(np.float32)
+    heights[np.random.default_rng(seed).random(heights.shape) < 0.05] = np.nan
+    heights[0, 0] = 0.0
+    options = ViewOptions(reach * 5.0, 2.5, 1.7, rays)
+    views = viewshed(Elevation(heights, 5.0), options)
+    exposure, approach = along_the_rays(heights.astype(float), 5.0, options)
+    np.testing.assert_allclose(views.exposure, exposure, atol=1e-5)
+    np.testing.assert_allclose(views.approach, approach, rtol=1e-5)
+
+
+def line_of_sight(heights, here, there, options, resolution):
+    """Whether the line between two heads clears the ground, read bilinearly every 1/4 cell."""
+    a, b = np.array(here, float), np.array(there, float)
+    cells = np.hypot(*(b - a))
+    share = np.arange(0.25, cells, 0.25)[:, None] / cells
+    row, column = (a + share * (b - a)).T
+    r, c = np.floor(row).astype(int), np.floor(column).astype(int)
+    r, c = np.minimum(r, heights.shape[0] - 2), np.minimum(c, heights.shape[1] - 2)
+    u, v = row - r, column - c
+    ground = ((1 - u) * (1 - v) * heights[r, c] + (1 - u) * v * heights[r, c + 1]
+              + u * (1 - v) * heights[r + 1, c] + u * v * heights[r + 1, c + 1])
+    start = heights[here] + options.vehicle_height
+    line = start + share[:, 0] * (heights[there] + options.person_height - start)
+    return bool((ground <= line).all())
+
+
+def by_brute_force(heights, resolution, here, options):
+    """Share of all cells within range that see the cell ``here``."""
+    seen = []
+    for there in np.ndindex(heights.shape):
+        distance = resolution * math.hypot(there[0] - here[0], there[1] - here[1])
+        if 0.0 < distance <= options.weapon_range:
+            seen.append(line_of_sight(heights, here, there, options, resolution))
+    return float(np.mean(seen))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_exposure_is_near_that_of_all_lines_of_sight(seed):
+    heights = hills((61, 61), seed, 12.0, 5.0).astype(np.float32).astype(float)
+    options = ViewOptions(200.0)
+    views = viewshed(Elevation(heights, 10.0), options)
+    cells = np.random.default_rng(seed).integers(20, 41, (40, 2))
+    exact = [by_brute_force(heights, 10.0, tuple(cell), options) for cell in cells]
+    found = [views.exposure[tuple(cell)] for cell in cells]
+    assert np.ptp(exact) > 0.2
+    assert np.abs(np.subtract(found, exact)).mean() < 0.03
+    assert abs(np.mean(found) - np.mean(exact)) < 0.02
+    assert np.corrcoef(found, exact)[0, 1] > 0.97
+
+
+def test_on_a_plane_everybody_sees_everybody():
+    row, column = np.mgrid[:40, :40]
+    views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(100.0))
+    assert (views.exposure == 1.0).all()
+    np.testing.assert_allclose(views.approach, 100.0)
+
+
+def test_behind_a_high_wall_nobody_is_seen():
+    heights = np.zeros((31, 31))
+    heights[:, 20] = 500.0
+    views = viewshed(Elevation(heights, 10.0), ViewOptions(100.0))
+    assert views.exposure[15, 9] == 1.0  # the wall is 11 cells away
+    samples = [sample for ray in rays_of(10.0, 64) for sample in ray]
+    whole = sum(sample.weight for sample in samples)
+    behind, there = (
+        sum(s.weight for s in samples if min(s.first[1], s.second[1]) > column) / whole
+        for column in (5, 3)
+    )
+    assert 0.1 < behind <= 1.0 - views.exposure[15, 15] <= there < 0.4
+    assert views.approach[15, 15] < 100.0 == views.approach[15, 9]
+
+
+def test_whoever_stands_taller_sees_more():
+    elevation = Elevation(hills((60, 60), 5, 15.0, 4.0), 10.0)
+    low, tall, high = (
+        viewshed(elevation, ViewOptions(200.0, *heights)).exposure.mean()
+        for heights in ((2.5, 1.7), (2.5, 6.0), (6.0, 1.7))
+    )
+    assert low < tall and low < high
+
+
+def test_tiles_and_their_number_change_nothing(monkeypatch):
+    heights = hills((50, 70), 1, 10.0, 3.0)
+    heights[10:20, 30:35] = np.nan
+    elevation = Elevation(heights, 10.0)
+    whole = viewshed(elevation, ViewOptions(150.0))
+    monkeypatch.setattr(visibility, 'TILE', (7, 13))
+    told = []
+    parts = viewshed(elevation, ViewOptions(150.0), told.append)
+    np.testing.assert_array_equal(whole.exposure, parts.exposure)
+    np.testing.assert_array_equal(whole.approach, parts.approach)
+    assert told == sorted(told) and told[-1] == 1.0 and len(told) == 48
+
+
+@given(st.floats(1.0, 400.0), st.sampled_from([4, 64, 128]))
+@settings(max_examples=40, deadline=None)
+def test_rays_stay_within_reach_and_go_outwards(reach, count):
+    for ray in rays_of(reach, count):
+        distances = [sample.distance for sample in ray]
+        assert all(a < b for a, b in zip(distances, distances[1:], strict=False))
+        assert distances[-1:] <= [reach + 1e-9]
+        assert sum(sample.weight for sample in ray) <= 65_535
+        assert all(0 < sample.weight for sample in ray)
+
+
+def test_a_range_under_one_cell_is_refused():
+    with pytest.raises(InvalidTerrain, match='at least'):
+        viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(20.0))
+
+
+@pytest.mark.parametrize(
+    'values', [{'weapon_range': 0.0}, {'vehicle_height': -1.0}, {'person_height': math.nan},
+               {'rays': 7}, {'rays': 0}],
+)
+def test_options_out_of_range_are_refused(values):
+    with pytest.raises(InvalidTerrain, match=next(iter(values))):
+        ViewOptions(**values)
