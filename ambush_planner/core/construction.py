@@ -19,12 +19,26 @@ from .errors import (
     StartOutsideMap,
 )
 from .network import IndexArray, Network
-from .obstacles import ObstacleField
+from .obstacles import BoolArray, ObstacleField
 from .paths import reachable_from
 from .risk_map import FloatArray, RiskMap
-from .sampling import gradient_points, lattice_cells, lattice_points, lattice_shape, random_points
+from .sampling import (
+    all_cells,
+    gradient_points,
+    lattice_points,
+    lattice_shape,
+    mirrored,
+    nearest_cells,
+    random_points,
+)
 
-METHODS = ("uniform_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay")
+METHODS = (
+    "uniform_delaunay",
+    "lattice_delaunay",
+    "uniform_grid8",
+    "random_delaunay",
+    "gradient_delaunay",
+)
 
 
 @dataclass(frozen=True)
@@ -34,13 +48,16 @@ class NetworkOptions:
     Parameters
     ----------
     method
-        'uniform_delaunay' (the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
+        'uniform_delaunay' (a lattice that prefers no direction), 'lattice_delaunay' (the square
+        one, the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
         'gradient_delaunay' (the paper's outlook).
     spacing
         Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has.
         0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
         Distance that nodes and edges keep from obstacle cells [m]; 0: they do not touch any.
+    clear_of_edge
+        Keep the clearance from the map's outer edge, too. Without it nothing touches the edge.
     seed
         Seed of random sampling. It decides where nodes lie, never which route is drawn.
 
@@ -55,6 +72,7 @@ class NetworkOptions:
     clearance: float = 0.0
     seed: int = 0
     target_nodes: int = 2500
+    clear_of_edge: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -84,7 +102,7 @@ def build_network(
     """Build the network for driving from start to goal, both world positions [m].
 
     Start and goal are nodes at exactly the given positions; each takes the place of its nearest
-    lattice node (random sampling: nearest sample). Every pair of joined nodes gives two directed
+    lattice node (random sampling: nearest sample). No node lies on the map's outer edge. Every pair of joined nodes gives two directed
     edges, except into the source and out of the target. Same inputs, options and seed give the
     same network, bit for bit.
 
@@ -100,10 +118,10 @@ def build_network(
         No route leads from start to goal.
     """
     options = options or NetworkOptions()
-    field = ObstacleField(risk_map)
+    field = ObstacleField(risk_map, options.clear_of_edge)
     ends = np.stack([_position(start_xy, StartBlocked), _position(goal_xy, GoalBlocked)])
     uv_ends = risk_map.to_map_axes(ends)
-    _check_ends(risk_map, field, ends, uv_ends, options.clearance)
+    _check_ends(risk_map, field, ends, uv_ends, options)
     spacing = chosen_spacing(risk_map, options)
     uv, pairs = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
     pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], options.clearance)]
@@ -145,9 +163,10 @@ def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
     if rows * columns == 0:
         return 0.0
     tried = np.random.default_rng(0).integers(rows * columns, size=_TRIED)
-    cells = np.stack((tried % columns, tried // columns), axis=1)
-    uv = (cells.astype(np.float64) + 0.5) * spacing
-    free = ObstacleField(risk_map).clear_points(uv, options.clearance)
+    cells = np.stack((tried // columns, tried % columns), axis=1)
+    uv = lattice_points(cells, spacing, options.method)
+    field = ObstacleField(risk_map, options.clear_of_edge)
+    free = field.clear_points(uv, options.clearance)
     return rows * columns * float(free.mean())
 
 
@@ -162,9 +181,14 @@ def _position(xy: npt.ArrayLike, error: type[StartBlocked] | type[GoalBlocked]) 
 
 
 def _check_ends(
-    risk_map: RiskMap, field: ObstacleField, ends: FloatArray, uv: FloatArray, clearance: float
+    risk_map: RiskMap,
+    field: ObstacleField,
+    ends: FloatArray,
+    uv: FloatArray,
+    options: NetworkOptions,
 ) -> None:
     width, height = risk_map.size
+    clearance = options.clearance
     for k, (name, off_map, blocked) in enumerate(
         (("start", StartOutsideMap, StartBlocked), ("goal", GoalOutsideMap, GoalBlocked))
     ):
@@ -175,7 +199,8 @@ def _check_ends(
                 f"(x, y, yaw) {risk_map.origin}"
             )
         if not field.clear_points(uv[k : k + 1], clearance)[0]:
-            near = f" or within the clearance {clearance:g} m of one" if clearance else ""
+            edge = " or of the map's edge" if options.clear_of_edge else ""
+            near = f" or within the clearance {clearance:g} m of one{edge}" if clearance else ""
             lower = ", or lower the clearance" if clearance else ""
             raise blocked(
                 f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
@@ -221,40 +246,40 @@ def _nodes_and_pairs(
     options: NetworkOptions,
 ) -> tuple[FloatArray, IndexArray]:
     """Return nodes in map axes, source and target last, and the pairs that connectivity joins."""
-    if options.method.startswith("uniform"):
-        return _lattice(risk_map, field, uv_ends, spacing, options)
-    sample = random_points if options.method == "random_delaunay" else gradient_points
-    uv = sample(risk_map, spacing, options.seed)
-    uv = uv[field.clear_points(uv, options.clearance)]
-    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
-    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
-    return uv, delaunay_pairs(uv)
+    if options.method in ("random_delaunay", "gradient_delaunay"):
+        return _samples(risk_map, field, uv_ends, spacing, options)
+    shape = lattice_shape(risk_map, spacing)
+    uv = lattice_points(all_cells(shape), spacing, options.method)
+    free = field.clear_points(uv, options.clearance).reshape(shape)
+    if free.size == 0:
+        return uv_ends, np.array([[0, 1]])
+    taken = nearest_cells(shape, spacing, options.method, uv_ends)
+    free[tuple(taken.T)] = False
+    uv = np.concatenate((uv[free.ravel()], uv_ends))
+    if options.method == "uniform_grid8":
+        return uv, _grid8_with_ends(free, taken)
+    return uv, lattice_delaunay_pairs(free, uv_ends / spacing, options.method)
 
 
-def _lattice(
+def _samples(
     risk_map: RiskMap,
     field: ObstacleField,
     uv_ends: FloatArray,
     spacing: float,
     options: NetworkOptions,
 ) -> tuple[FloatArray, IndexArray]:
-    uv = lattice_points(risk_map, spacing)
-    shape = lattice_shape(risk_map, spacing)
-    free = field.clear_points(uv, options.clearance).reshape(shape)
-    if free.size == 0:
-        return uv_ends, np.array([[0, 1]])
-    cells = lattice_cells(risk_map, spacing, uv_ends)
-    free[tuple(cells.T)] = False
-    node_of = np.where(free, np.cumsum(free).reshape(shape) - 1, -1)
-    uv = np.concatenate((uv[free.ravel()], uv_ends))
-    if options.method == "uniform_delaunay":
-        return uv, lattice_delaunay_pairs(uv, node_of, spacing)
-    return uv, _grid8_with_ends(node_of, cells, len(uv))
+    sample = random_points if options.method == "random_delaunay" else gradient_points
+    uv = sample(risk_map, spacing, options.seed)
+    uv = uv[field.clear_points(uv, options.clearance)]
+    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
+    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
+    return uv, delaunay_pairs(uv, mirrored(risk_map, spacing, uv))
 
 
-def _grid8_with_ends(node_of: IndexArray, cells: IndexArray, count: int) -> IndexArray:
+def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
     """Join the 8-connected lattice, source and target in the cells of the nodes they replaced."""
-    source, target = _ends(count)
+    node_of = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
+    source, target = _ends(int(free.sum()) + 2)
     if (cells[0] == cells[1]).all():
         pairs = [np.array([[source, target]])]
         for end in (source, target):

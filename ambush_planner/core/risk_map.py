@@ -81,7 +81,7 @@ class RiskMap:
         return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
 
     def contains(self, uv: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Tell which positions in map axes (..., 2) lie on the map, its border included."""
+        """Tell which positions in map axes (..., 2) lie on the map or its outer edge."""
         uv = np.asarray(uv, dtype=np.float64)
         inside: npt.NDArray[np.bool_] = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
         return inside
