@@ -22,6 +22,7 @@ from ambush_planner import (
 )
 from ambush_planner.core.construction import expected_nodes
 from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.paths import distances_from
 from ambush_planner.core.sampling import lattice_points
 
 
@@ -190,8 +191,19 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
         room = empty_chord(uv, i, j)
         if (i, j) in found:
             assert room > -1e-5
-        elif room > 1e-5:
-            assert not field.clear_segments(uv[[i]], uv[[j]], 0.0)[0]
+        elif room > 1e-5 and field.clear_segments(uv[[i]], uv[[j]], 0.0)[0]:
+            assert has_flat_detour(uv[:count], field, i, j)
+
+
+def has_flat_detour(uv, field, i, j) -> bool:
+    """Whether the way over a third node, near the line from i to j, is clear, too."""
+    along = uv[j] - uv[i]
+    off = np.abs((uv - uv[i]) @ (-along[1], along[0])) / (along @ along)
+    for k in np.flatnonzero(off < 0.25):
+        if k not in (i, j) and abs((uv[k] - uv[i]) @ along / (along @ along) - 0.5) < 0.5:
+            if field.clear_segments(uv[[i, k]], uv[[k, j]], 0.0).all():
+                return True
+    return False
 
 
 def empty_chord(points, i, j) -> float:
@@ -258,6 +270,76 @@ def shortest(network) -> float:
     for _ in range(len(best)):  # Bellman and Ford
         np.minimum.at(best, network.heads, best[network.tails] + network.lengths)
     return best[network.target]
+
+
+@pytest.mark.parametrize("method, worst", [("uniform_delaunay", 1.11), ("uniform_grid8", 1.09)])
+def test_no_direction_is_much_longer_than_the_straight_line(method, worst):
+    side = 61
+    risk_map = RiskMap(np.ones((side, side)), np.zeros((side, side), bool), 1.0)
+    network = build(risk_map, (30.5, 30.5), (60.2, 60.3), method, spacing=1.0)
+    lengths = distances_from(network.edges, network.lengths, len(network.points), network.source)
+    straight = np.hypot(*(network.points - network.points[network.source]).T)
+    far = (straight > 20) & (straight < 28)
+    assert (lengths[far] / straight[far]).max() <= worst
+
+
+@examples(30)
+@given(st.integers(0, 10**6), st.sampled_from((0.0, 0.05, 0.2)))
+def test_the_default_network_is_planar_without_slivers(seed, obstacles):
+    risk_map = random_map(seed, 9, obstacles)
+    free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
+    try:
+        network = build(risk_map, *free, spacing=0.8)
+    except (NoRoute, InvalidNetwork):
+        assume(False)
+    pairs = np.array(sorted(joined(network)))
+    a, b = network.points[pairs[:, 0]], network.points[pairs[:, 1]]
+    for k in range(len(pairs)):
+        assert not crosses(a[k], b[k], a[k + 1 :], b[k + 1 :]).any()
+    lattice = ~np.isin(pairs, (network.source, network.target)).any(axis=1)
+    if obstacles == 0.0:
+        assert np.hypot(*(a - b)[lattice].T).max() < 2.0 * 0.8
+        assert smallest_angle(network) > 15.0
+
+
+def crosses(a, b, c, d):
+    """Whether segment a -> b crosses the inside of each of the segments c -> d (K, 2)."""
+    def side(p, q, r):
+        return np.sign((q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0])
+    return (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
+
+
+def smallest_angle(network) -> float:
+    """Between two edges at one lattice node that are sides of one triangle [degrees]."""
+    near = {}
+    for i, j in joined(network):
+        near.setdefault(i, set()).add(j)
+        near.setdefault(j, set()).add(i)
+    best = np.inf
+    for i, around in near.items():
+        if i in (network.source, network.target):
+            continue
+        for j, k in itertools.combinations(sorted(around), 2):
+            if k in near[j] and not {j, k} & {network.source, network.target}:
+                u, v = network.points[[j, k]] - network.points[i]
+                cosine = u @ v / np.hypot(*u) / np.hypot(*v)
+                best = min(best, np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+    return best
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("clear_of_edge", [True, False])
+def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
+    """A map 50.1 m high at a spacing of 0.6 m has lattice nodes exactly on its edge."""
+    risk_map = RiskMap(np.ones((167, 40)), np.zeros((167, 40), bool), 0.3, (5.0, -3.0, 0.4))
+    network = build(
+        risk_map, (1, 1), (11, 49), method,
+        spacing=0.6, clearance=0.4, clear_of_edge=clear_of_edge,
+    )
+    uv = risk_map.to_map_axes(network.points)
+    margin = 0.4 if clear_of_edge else 0.0
+    assert (uv > margin).all() and (uv < np.array(risk_map.size) - margin).all()
+    assert clear_of_edge or (uv < 0.4).any()
 
 
 @pytest.mark.parametrize("spacing", [1.3, 0.7])

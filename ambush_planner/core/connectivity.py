@@ -20,6 +20,8 @@ BoolArray = npt.NDArray[np.bool_]
 # sheared by about one part in a million: lines stay lines, so no slivers appear along a border.
 ROW_SHIFT = -1.0e-5
 TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
+# A triangle is flat if its height is less than this share of its longest side.
+FLAT = 0.25
 # Lattice nodes beyond the border: no triangle of an inner node reaches further.
 FRAME = 3
 
@@ -36,18 +38,24 @@ def grid8_pairs(node_of: IndexArray) -> IndexArray:
     return joined[(joined >= 0).all(axis=1)]
 
 
-def delaunay_pairs(points: FloatArray, mirrored: FloatArray) -> IndexArray:
-    """Edges of the Delaunay triangulation of points (K, 2) on a map.
+def delaunay_pairs(
+    points: FloatArray, mirrored: FloatArray
+) -> tuple[IndexArray, IndexArray]:
+    """Edges (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
 
     Their mirror images (F, 2) beyond the map's edge keep nodes along it from being joined over long
     distances, past all others: two nodes are joined where their Voronoi cells meet on the map.
     """
-    pairs = _triangle_edges(_triangles(np.concatenate((points, mirrored))))
-    return pairs[(pairs < len(points)).all(axis=1)]
+    triangles = _triangles(np.concatenate((points, mirrored)))
+    pairs = _triangle_edges(triangles)
+    pairs = _unique_pairs(pairs[(pairs < len(points)).all(axis=1)])
+    return pairs, triangles[(triangles < len(points)).all(axis=1)]
 
 
-def lattice_delaunay_pairs(free: BoolArray, ends: FloatArray, method: str) -> IndexArray:
-    """Edges of the Delaunay triangulation of a lattice with gaps and a few nodes beside it.
+def lattice_delaunay_pairs(
+    free: BoolArray, ends: FloatArray, method: str
+) -> tuple[IndexArray, IndexArray]:
+    """Edges (K, 2) of the Delaunay triangulation of a lattice with gaps and a few nodes beside it.
 
     ``free`` (rows, columns) tells which lattice nodes there are; they are numbered row by row, and
     the ``ends`` (2, 2), in spacings from the map's corner, come last. The lattice is taken to go on
@@ -56,7 +64,7 @@ def lattice_delaunay_pairs(free: BoolArray, ends: FloatArray, method: str) -> In
     A lattice repeats itself, so its triangulation is worked out once for a tile (Qhull) and laid
     over the map. A triangle whose corners are all there and whose circle holds no end is one of the
     triangulation that is asked for. What lies between those is triangulated on its own, from the
-    nodes on its rim: a triangle there can have no other corners.
+    nodes on its rim: a triangle there can have no other corners. Those (G, 3) are handed on, too.
     """
     there = np.pad(free, FRAME, constant_values=True)
     number = np.full(there.shape, -1, dtype=np.int64)
@@ -69,7 +77,41 @@ def lattice_delaunay_pairs(free: BoolArray, ends: FloatArray, method: str) -> In
     present = np.concatenate((there.ravel(), np.ones(len(ends), dtype=bool)))
     gaps = _gap_triangles(places, present, triangles[~kept])
     joined = number[_triangle_edges(np.concatenate((triangles[kept], gaps)))]
-    return _unique_pairs(joined[(joined >= 0).all(axis=1)])
+    pairs = _unique_pairs(joined[(joined >= 0).all(axis=1)])
+    gaps = number[gaps]
+    return pairs, gaps[(gaps >= 0).all(axis=1)]
+
+
+def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
+    """Drop the longest sides of flat triangles (T, 3) whose two other sides are among the pairs.
+
+    The pairs are sorted, as they come from the functions above.
+
+    Along an obstacle the nodes nearest to it would otherwise be joined past those between them,
+    which lie only a little further off.
+    """
+    size = len(points)
+    corners = points[triangles]
+    sides = np.stack(
+        [np.hypot(*(corners[:, (k + 1) % 3] - corners[:, (k + 2) % 3]).T) for k in range(3)], axis=1
+    )
+    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    flat = np.abs(bx * cy - by * cx) < FLAT * sides.max(axis=1) ** 2
+    triangles, longest = triangles[flat], sides[flat].argmax(axis=1)
+    row = np.arange(len(triangles))
+    apex, a, b = (triangles[row, (longest + k) % 3] for k in range(3))
+    known = pairs[:, 0] * size + pairs[:, 1]
+
+    def found(i: IndexArray, j: IndexArray) -> tuple[IndexArray, BoolArray]:
+        keys = np.minimum(i, j) * size + np.maximum(i, j)
+        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        return at, known[at] == keys
+
+    if len(known) == 0:
+        return pairs
+    side, there = found(a, b)
+    there &= found(apex, a)[1] & found(apex, b)[1]
+    return np.delete(pairs, side[there], axis=0)
 
 
 def _lattice_places(shape: tuple[int, ...], method: str) -> FloatArray:
@@ -159,7 +201,7 @@ def _triangles(points: FloatArray) -> IndexArray:
 def _triangle_edges(triangles: IndexArray) -> IndexArray:
     k = triangles.shape[1]
     links = [triangles] if k == 2 else [triangles[:, [i, (i + 1) % k]] for i in range(k)]
-    return _unique_pairs(np.concatenate(links))
+    return np.concatenate(links)
 
 
 def _stack(a: IndexArray, b: IndexArray) -> IndexArray:
@@ -169,7 +211,9 @@ def _stack(a: IndexArray, b: IndexArray) -> IndexArray:
 def _unique_pairs(pairs: IndexArray) -> IndexArray:
     if len(pairs) == 0:
         return pairs.reshape(0, 2)
-    low, high = pairs.min(axis=1), pairs.max(axis=1)
+    a, b = pairs.T
+    low, high = np.minimum(a, b), np.maximum(a, b)
     size = int(high.max()) + 1
-    keys = np.unique(low * size + high)
+    keys = np.sort(low * size + high)  # numpy's unique takes five times as long
+    keys = keys[np.concatenate(([True], keys[1:] != keys[:-1]))]
     return np.stack(np.divmod(keys, size), axis=1)

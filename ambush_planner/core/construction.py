@@ -8,7 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .connectivity import delaunay_pairs, grid8_pairs, lattice_delaunay_pairs
+from .connectivity import (
+    delaunay_pairs,
+    grid8_pairs,
+    lattice_delaunay_pairs,
+    without_slivers,
+)
 from .errors import (
     GoalBlocked,
     GoalOutsideMap,
@@ -123,8 +128,9 @@ def build_network(
     uv_ends = risk_map.to_map_axes(ends)
     _check_ends(risk_map, field, ends, uv_ends, options)
     spacing = chosen_spacing(risk_map, options)
-    uv, pairs = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
+    uv, pairs, gaps = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
     pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], options.clearance)]
+    pairs = without_slivers(uv, pairs, gaps)
     points = risk_map.to_world(uv)
     points[-2:] = ends
     network = Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
@@ -244,21 +250,24 @@ def _nodes_and_pairs(
     uv_ends: FloatArray,
     spacing: float,
     options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray]:
-    """Return nodes in map axes, source and target last, and the pairs that connectivity joins."""
+) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """Return nodes in map axes, source and target last, the pairs that connectivity joins, and
+    triangles that may be flat.
+    """
+    none = np.empty((0, 3), dtype=np.int64)
     if options.method in ("random_delaunay", "gradient_delaunay"):
         return _samples(risk_map, field, uv_ends, spacing, options)
     shape = lattice_shape(risk_map, spacing)
     uv = lattice_points(all_cells(shape), spacing, options.method)
     free = field.clear_points(uv, options.clearance).reshape(shape)
     if free.size == 0:
-        return uv_ends, np.array([[0, 1]])
+        return uv_ends, np.array([[0, 1]]), none
     taken = nearest_cells(shape, spacing, options.method, uv_ends)
     free[tuple(taken.T)] = False
     uv = np.concatenate((uv[free.ravel()], uv_ends))
     if options.method == "uniform_grid8":
-        return uv, _grid8_with_ends(free, taken)
-    return uv, lattice_delaunay_pairs(free, uv_ends / spacing, options.method)
+        return uv, _grid8_with_ends(free, taken), none
+    return uv, *lattice_delaunay_pairs(free, uv_ends / spacing, options.method)
 
 
 def _samples(
@@ -267,13 +276,13 @@ def _samples(
     uv_ends: FloatArray,
     spacing: float,
     options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray]:
+) -> tuple[FloatArray, IndexArray, IndexArray]:
     sample = random_points if options.method == "random_delaunay" else gradient_points
     uv = sample(risk_map, spacing, options.seed)
     uv = uv[field.clear_points(uv, options.clearance)]
     taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
     uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
-    return uv, delaunay_pairs(uv, mirrored(risk_map, spacing, uv))
+    return uv, *delaunay_pairs(uv, mirrored(risk_map, spacing, uv))
 
 
 def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
