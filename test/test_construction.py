@@ -181,7 +181,7 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
     field, uv = ObstacleField(risk_map), risk_map.to_map_axes(network.points)
     found, count = joined(network), len(uv)
     if method in METHODS[:2]:  # the lattice goes on beyond the edge
-        cells = [cell for cell in itertools.product(range(-3, 10), repeat=2)]
+        cells = list(itertools.product(range(-3, 10), repeat=2))
         beyond = [cell for cell in cells if not (-1 < min(cell) and max(cell) < 7)]
         uv = np.concatenate((uv, lattice_points(np.array(beyond), 1.0, method)))
     else:  # the nodes have mirror images beyond the edge

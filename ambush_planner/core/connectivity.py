@@ -53,29 +53,30 @@ def delaunay_pairs(
 
 
 def lattice_delaunay_pairs(
-    free: BoolArray, ends: FloatArray, method: str
+    free: BoolArray, others: FloatArray, method: str
 ) -> tuple[IndexArray, IndexArray]:
     """Edges (K, 2) of the Delaunay triangulation of a lattice with gaps and a few nodes beside it.
 
     ``free`` (rows, columns) tells which lattice nodes there are; they are numbered row by row, and
-    the ``ends`` (2, 2), in spacings from the map's corner, come last. The lattice is taken to go on
-    beyond its border, or nodes along it would be joined over long distances, past all others.
+    the ``others`` (K, 2), in spacings from the map's corner, come last. The lattice is taken to go
+    on beyond its border, or nodes along it would be joined over long distances, past all others.
 
     A lattice repeats itself, so its triangulation is worked out once for a tile (Qhull) and laid
-    over the map. A triangle whose corners are all there and whose circle holds no end is one of the
-    triangulation that is asked for. What lies between those is triangulated on its own, from the
+    over the map. A triangle whose corners are all there and whose circle holds none of the others
+    is one of those that are asked for. What lies between these is triangulated on its own, from the
     nodes on its rim: a triangle there can have no other corners. Those (G, 3) are handed on, too.
     """
     there = np.pad(free, FRAME, constant_values=True)
     number = np.full(there.shape, -1, dtype=np.int64)
     number[FRAME:-FRAME, FRAME:-FRAME][free] = np.arange(int(free.sum()))
-    number = np.concatenate((number.ravel(), int(free.sum()) + np.arange(len(ends))))
-    places = np.concatenate((_lattice_places(there.shape, method), (ends + FRAME) @ TIE_BREAK))
+    number = np.concatenate((number.ravel(), int(free.sum()) + np.arange(len(others))))
+    others = (others + FRAME) @ TIE_BREAK
+    places = np.concatenate((_lattice_places(there.shape, method), others))
     triangles = _tiled(there.shape, method)
-    kept = there.ravel()[triangles].all(axis=1)
-    kept[kept] = ~_circle_holds(places, triangles[kept], places[-len(ends):])
-    present = np.concatenate((there.ravel(), np.ones(len(ends), dtype=bool)))
-    gaps = _gap_triangles(places, present, triangles[~kept])
+    kept = np.asarray(there.ravel()[triangles].all(axis=1))
+    kept[kept] = ~_circle_holds(places, triangles[kept], others, there.shape)
+    present = np.concatenate((there.ravel(), np.ones(len(others), dtype=bool)))
+    gaps = _gap_triangles(places, present, triangles[~kept], len(others))
     joined = number[_triangle_edges(np.concatenate((triangles[kept], gaps)))]
     pairs = _unique_pairs(joined[(joined >= 0).all(axis=1)])
     gaps = number[gaps]
@@ -144,22 +145,28 @@ def _tiled(shape: tuple[int, ...], method: str) -> IndexArray:
     return triangles
 
 
-def _circle_holds(places: FloatArray, triangles: IndexArray, ends: FloatArray) -> BoolArray:
-    """Tell whose circumcircle holds one of the ends (a lattice's circles are small)."""
-    near = np.zeros(len(triangles), dtype=bool)
-    first = places[triangles[:, 0]]
-    for end in ends:
-        close = np.flatnonzero((np.abs(first - end) < FRAME).all(axis=1))
-        centre, radius = _circles(places[triangles[close]])
-        near[close] |= np.hypot(*(centre - end).T) < radius
-    return near
+def _circle_holds(
+    places: FloatArray, triangles: IndexArray, others: FloatArray, shape: tuple[int, ...]
+) -> BoolArray:
+    """Tell whose circumcircle holds one of the others (a lattice's circles are small)."""
+    around = np.zeros(shape, dtype=bool)
+    column, row = np.floor(others).astype(np.int64).T
+    for down, right in np.ndindex(2 * FRAME + 1, 2 * FRAME + 1):
+        at = row + down - FRAME, column + right - FRAME
+        around[np.clip(at[0], 0, shape[0] - 1), np.clip(at[1], 0, shape[1] - 1)] = True
+    holds = np.asarray(around.ravel()[triangles[:, 0]])
+    centre, radius = _circles(places[triangles[holds]])
+    holds[holds] = cKDTree(others).query(centre)[0] < radius
+    return holds
 
 
-def _gap_triangles(places: FloatArray, present: BoolArray, removed: IndexArray) -> IndexArray:
+def _gap_triangles(
+    places: FloatArray, present: BoolArray, removed: IndexArray, beside: int
+) -> IndexArray:
     """Delaunay triangles of the nodes that are present, where triangles were removed."""
     rim = np.zeros(len(places), dtype=bool)
     rim[removed] = True
-    rim[-2:] = True
+    rim[-beside:] = True
     chosen = np.flatnonzero(rim & present)
     triangles = _triangles(places[chosen])
     if triangles.shape[1] == 2:

@@ -8,12 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .connectivity import (
-    delaunay_pairs,
-    grid8_pairs,
-    lattice_delaunay_pairs,
-    without_slivers,
-)
 from .errors import (
     GoalBlocked,
     GoalOutsideMap,
@@ -23,19 +17,13 @@ from .errors import (
     StartBlocked,
     StartOutsideMap,
 )
+from .layout import Ground, joined
 from .network import IndexArray, Network
-from .obstacles import BoolArray, ObstacleField
+from .obstacles import ObstacleField
+from .passages import COVERED, passage_nodes, way_by_cells
 from .paths import reachable_from
 from .risk_map import FloatArray, RiskMap
-from .sampling import (
-    all_cells,
-    gradient_points,
-    lattice_points,
-    lattice_shape,
-    mirrored,
-    nearest_cells,
-    random_points,
-)
+from .sampling import lattice_points, lattice_shape
 
 METHODS = (
     "uniform_delaunay",
@@ -107,9 +95,10 @@ def build_network(
     """Build the network for driving from start to goal, both world positions [m].
 
     Start and goal are nodes at exactly the given positions; each takes the place of its nearest
-    lattice node (random sampling: nearest sample). No node lies on the map's outer edge. Every pair of joined nodes gives two directed
-    edges, except into the source and out of the target. Same inputs, options and seed give the
-    same network, bit for bit.
+    lattice node (random sampling: nearest sample). No node lies on the map's outer edge. Every pair
+    of joined nodes gives two directed edges, except into the source and out of the target. Where
+    no route leads through, nodes are added in the narrow places of a way that the map's cells show.
+    Same inputs, options and seed give the same network, bit for bit.
 
     Raises
     ------
@@ -127,15 +116,49 @@ def build_network(
     ends = np.stack([_position(start_xy, StartBlocked), _position(goal_xy, GoalBlocked)])
     uv_ends = risk_map.to_map_axes(ends)
     _check_ends(risk_map, field, ends, uv_ends, options)
-    spacing = chosen_spacing(risk_map, options)
-    uv, pairs, gaps = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
-    pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], options.clearance)]
-    pairs = without_slivers(uv, pairs, gaps)
+    ground = Ground(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
+    uv, pairs = joined(ground, np.empty((0, 2)))
+    if not _leads_through(pairs, len(uv)):
+        uv, pairs = _through_a_passage(ground)
     points = risk_map.to_world(uv)
     points[-2:] = ends
-    network = Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
-    _check_route(network, ends, spacing)
-    return network
+    return Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
+
+
+def _leads_through(pairs: IndexArray, count: int) -> bool:
+    source, target = _ends(count)
+    return bool(reachable_from(np.concatenate((pairs, pairs[:, ::-1])), count, source)[target])
+
+
+def _through_a_passage(ground: Ground) -> tuple[FloatArray, IndexArray]:
+    """Lay nodes along the narrow parts of a way by cells, where the network alone finds none.
+
+    Raises
+    ------
+    NoRoute
+        There is no such way, or the method has no place for more nodes.
+    """
+    options = ground.options
+    way, room = way_by_cells(ground.risk_map, ground.field, ground.uv_ends, options.clearance)
+    ends = ground.risk_map.to_world(ground.uv_ends)
+    where = "no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(*ends[0], *ends[1])
+    if len(way) == 0:
+        clearance = f" at a clearance of {options.clearance:g} m" if options.clearance else ""
+        raise NoRoute(
+            f"{where}: obstacles cut the map in two between them{clearance}; neither the spacing "
+            f"of {ground.spacing:g} m nor any other leads through"
+        )
+    if options.method != "uniform_grid8":
+        passage = passage_nodes(way, room, ground.spacing)
+        passage = passage[ground.field.clear_points(passage, options.clearance)]
+        uv, pairs = joined(ground, passage)
+        if _leads_through(pairs, len(uv)):
+            return uv, pairs
+    finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
+    raise NoRoute(
+        f"{where} keeps clear of the obstacles at a spacing of {ground.spacing:g} m; the map has "
+        f"a way, which a spacing of {min(finer, ground.spacing / 2):.3g} m would find"
+    )
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
@@ -235,65 +258,3 @@ def _directed(pairs: IndexArray, count: int) -> IndexArray:
     return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
 
 
-def _check_route(network: Network, ends: FloatArray, spacing: float) -> None:
-    if not reachable_from(network.edges, len(network.points), network.source)[network.target]:
-        raise NoRoute(
-            f"no route from ({ends[0, 0]:.3f}, {ends[0, 1]:.3f}) to ({ends[1, 0]:.3f}, "
-            f"{ends[1, 1]:.3f}) keeps clear of the obstacles at a spacing of {spacing:g} m; "
-            "a smaller spacing finds narrower passages"
-        )
-
-
-def _nodes_and_pairs(
-    risk_map: RiskMap,
-    field: ObstacleField,
-    uv_ends: FloatArray,
-    spacing: float,
-    options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Return nodes in map axes, source and target last, the pairs that connectivity joins, and
-    triangles that may be flat.
-    """
-    none = np.empty((0, 3), dtype=np.int64)
-    if options.method in ("random_delaunay", "gradient_delaunay"):
-        return _samples(risk_map, field, uv_ends, spacing, options)
-    shape = lattice_shape(risk_map, spacing)
-    uv = lattice_points(all_cells(shape), spacing, options.method)
-    free = field.clear_points(uv, options.clearance).reshape(shape)
-    if free.size == 0:
-        return uv_ends, np.array([[0, 1]]), none
-    taken = nearest_cells(shape, spacing, options.method, uv_ends)
-    free[tuple(taken.T)] = False
-    uv = np.concatenate((uv[free.ravel()], uv_ends))
-    if options.method == "uniform_grid8":
-        return uv, _grid8_with_ends(free, taken), none
-    return uv, *lattice_delaunay_pairs(free, uv_ends / spacing, options.method)
-
-
-def _samples(
-    risk_map: RiskMap,
-    field: ObstacleField,
-    uv_ends: FloatArray,
-    spacing: float,
-    options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray, IndexArray]:
-    sample = random_points if options.method == "random_delaunay" else gradient_points
-    uv = sample(risk_map, spacing, options.seed)
-    uv = uv[field.clear_points(uv, options.clearance)]
-    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
-    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
-    return uv, *delaunay_pairs(uv, mirrored(risk_map, spacing, uv))
-
-
-def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
-    """Join the 8-connected lattice, source and target in the cells of the nodes they replaced."""
-    node_of = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    source, target = _ends(int(free.sum()) + 2)
-    if (cells[0] == cells[1]).all():
-        pairs = [np.array([[source, target]])]
-        for end in (source, target):
-            node_of[tuple(cells[0])] = end
-            pairs.append(grid8_pairs(node_of))
-        return np.unique(np.concatenate(pairs), axis=0)
-    node_of[tuple(cells[0])], node_of[tuple(cells[1])] = source, target
-    return grid8_pairs(node_of)

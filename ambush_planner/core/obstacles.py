@@ -28,7 +28,7 @@ class ObstacleField:
     def __init__(self, risk_map: RiskMap, clear_of_edge: bool = True) -> None:
         self._resolution = risk_map.resolution
         self._size = risk_map.size
-        self._clear_of_edge = clear_of_edge
+        self.clear_of_edge = clear_of_edge
         self._shape = risk_map.obstacles.shape
         counts = risk_map.obstacles.astype(np.int64).cumsum(axis=0).cumsum(axis=1)
         self._sums = np.pad(counts, ((1, 0), (1, 0)))
@@ -52,9 +52,8 @@ class ObstacleField:
 
     def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
         """Tell which points (K, 2) lie inside the map's outer edge, by the clearance if asked."""
-        margin = TOUCH * self._resolution + (clearance if self._clear_of_edge else 0.0)
-        inside: BoolArray = ((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1)
-        return inside
+        margin = TOUCH * self._resolution + (clearance if self.clear_of_edge else 0.0)
+        return np.asarray(((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1))
 
     def _blocked(self, a: FloatArray, b: FloatArray, reach: float) -> BoolArray:
         """Tell which segments meet an obstacle cell or come within ``reach`` of one [cells]."""

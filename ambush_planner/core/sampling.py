@@ -27,8 +27,8 @@ def shifts(method: str) -> FloatArray:
         return np.zeros((PERIOD, PERIOD, 2))
     raw = np.random.PCG64(1).random_raw(PERIOD * PERIOD * 2)  # never changes, unlike a Generator
     unit = (raw >> np.uint64(11)) * 2.0**-53
-    moves: FloatArray = (2.0 * unit.reshape(PERIOD, PERIOD, 2) - 1.0) * MOVED
-    return moves
+    moves = (2.0 * unit.reshape(PERIOD, PERIOD, 2) - 1.0) * MOVED
+    return np.asarray(moves, dtype=np.float64)
 
 
 def lattice_shape(risk_map: RiskMap, spacing: float) -> tuple[int, int]:
