@@ -156,8 +156,7 @@ def _rim_cells(risk_map: RiskMap) -> FloatArray:
     """Centres (C, 2) in map axes of the obstacle cells that touch free ground."""
     inner = binary_erosion(risk_map.obstacles, border_value=1)
     cells = np.argwhere(risk_map.obstacles & ~inner)
-    centres: FloatArray = (cells[:, ::-1] + 0.5) * risk_map.resolution
-    return centres
+    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
 
 
 def _to_obstacles(
@@ -206,8 +205,8 @@ def _aside_within(
             share = (cut[:, None] - along) / (after_along - along)
             offsets.append(np.where(cuts, aside + share * (after - aside), np.nan))
     every = np.concatenate(offsets, axis=1)
-    missing = np.isnan(every)
-    return np.where(missing, np.inf, every).min(axis=1), np.where(missing, -np.inf, every).max(axis=1)
+    none = np.isnan(every)
+    return np.where(none, np.inf, every).min(axis=1), np.where(none, -np.inf, every).max(axis=1)
 
 
 def _disc_to_obstacles(uv: FloatArray, cells: FloatArray, resolution: float) -> FloatArray:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .corridors import Corridors
+from .errors import InvalidOption
 from .network import IndexArray
 from .risk_map import FloatArray
 
@@ -25,6 +26,8 @@ TAUT = (0.7, 0.4, 0.1)
 ALONG = 0.45
 # Poses in a turn are at most so far from one another [rad].
 TURN = math.radians(20.0)
+# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
+MOST_POSES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,11 @@ def driven_path(
     ----------
     route : (K,) int
         Node indices, source first, target last.
+
+    Raises
+    ------
+    InvalidOption
+        That would be more than ``MOST_POSES``.
     """
     portals = _portals(corridors, route)
     best = None
@@ -79,6 +87,7 @@ def driven_path(
     assert best is not None  # TAUT is not empty
     uv, yaw = _poses(best, spacing)
     poses = np.column_stack((corridors.risk_map.to_world(uv), _wrapped(yaw + _map_yaw(corridors))))
+    # Turning to the world and back may have cost a digit.
     poses[[0, -1], :2] = corridors.network.points[route[[0, -1]]]
     return poses
 
@@ -215,9 +224,16 @@ def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
     turn = np.abs(line.turn)
     arc = np.where(turn > 1e-9, line.cut * turn / np.tan(np.maximum(turn, 1e-9) / 2), 0.0)
     # Straight parts and turns take turns: part 2 k is straight, 2 k + 1 the turn behind it.
-    count = np.zeros(2 * len(step) - 1, dtype=np.int64)
-    count[::2] = np.ceil(straight / spacing - 1e-9)
-    count[1::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
+    parts = np.zeros(2 * len(step) - 1)
+    with np.errstate(over="ignore"):
+        parts[::2] = np.ceil(straight / spacing - 1e-9)
+        parts[1::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
+    if not parts.sum() < MOST_POSES:
+        raise InvalidOption(
+            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {parts.sum():.3g} "
+            f"poses, and {MOST_POSES} are the most; choose a larger distance"
+        )
+    count = parts.astype(np.int64)
     part = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
     k, bent = part // 2, part % 2 == 1
