@@ -18,6 +18,7 @@ from .corridors import Corridors
 from .errors import InvalidOption
 from .network import IndexArray
 from .risk_map import FloatArray
+from .routes import MOST_POSES
 
 # Of the portals, for the taut string; the more is left, the wider the turns can be.
 TAUT = (0.7, 0.4, 0.1)
@@ -26,8 +27,6 @@ TAUT = (0.7, 0.4, 0.1)
 ALONG = 0.45
 # Poses in a turn are at most so far from one another [rad].
 TURN = math.radians(20.0)
-# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
-MOST_POSES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
