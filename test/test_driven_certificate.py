@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network, solve
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    RiskMap,
+    StrategyOptions,
+    build_network,
+    solve,
+)
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.driven_path import driven_path
 
