@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +45,7 @@ FIRST = {
 WANTED = {
     "mean length : any-angle A*": 1.25,
     "hairpins a route": 0.05,
-    "turning : the shortest path's": 1.3,
+    "turning : the shortest drawn route's": 1.3,
     "near itself": 0.0,
     "near the map's edge": 0.01,
 }
@@ -60,9 +60,10 @@ class Trial:
     spacing: float
     paths: list[FloatArray]
     drives: list[Drive]
-    shortest: FloatArray
-    safest: FloatArray
+    shortest: FixedRoute
+    safest: FixedRoute
     shortest_drive: Drive
+    drawn_turning: float
     grid_length: float
     different: int
     draws: int
@@ -82,17 +83,31 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     started = time.process_time()
     paths = [driven_path(corridors, route, step) for route in routes]
     seconds = time.process_time() - started
+    straight = energy_efficient_route(strategy.game)
     shortest, safest = (
-        driven_path(corridors, route(strategy.game), step)
-        for route in (energy_efficient_route, risk_avoiding_route)
+        FixedRoute(name, driven_path(corridors, route, step), _worst(strategy, route))
+        for name, route in (
+            ("shortest", straight), ("safest", risk_avoiding_route(strategy.game)))
     )
     return Trial(
         ground, strategy, spacing, paths[:departures],
         [measure(path, risk_map, spacing, step) for path in paths[:departures]],
-        shortest, safest, measure(shortest, risk_map, spacing, step),
+        shortest, safest, measure(shortest.points, risk_map, spacing, step),
+        _turning(network.points[straight]),
         float(np.hypot(*np.diff(shortest_line(ground), axis=0).T).sum()),
         different_paths(paths, SAME * spacing), len(paths), 1e3 * seconds / len(paths),
     )
+
+
+def _worst(strategy: Strategy, route: np.ndarray) -> FloatArray:
+    """Where an ambush on a route that is known costs most."""
+    return strategy.network.points[route[np.argmax(strategy.network.alpha[route])]]
+
+
+def _turning(points: FloatArray) -> float:
+    """Sum of the turns at the corners of a line [rad]."""
+    heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
+    return float(np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi).sum())
 
 
 def figures_of(trial: Trial) -> dict[str, float]:
@@ -103,7 +118,7 @@ def figures_of(trial: Trial) -> dict[str, float]:
     return {
         "mean length : any-angle A*": mean("length") / trial.grid_length,
         "hairpins a route": mean("hairpins"),
-        "turning : the shortest path's": mean("turning") / trial.shortest_drive.turning,
+        "turning : the shortest drawn route's": mean("turning") / trial.drawn_turning,
         "near itself": mean("near_itself"),
         "near the map's edge": mean("near_edge"),
     }
@@ -135,9 +150,12 @@ def _other_rows(trials: list[Trial]) -> list[list[str]]:
     return [
         row("shortest route on the network, driven : any-angle A*", [
             f"{t.shortest_drive.length / t.grid_length:.2f}" for t in trials]),
-        row("the shortest path itself: turning [rad], near itself, near the edge", [
-            f"{t.shortest_drive.turning:.1f}, {t.shortest_drive.near_itself:.0%}, "
-            f"{t.shortest_drive.near_edge:.0%}" for t in trials]),
+        row("turning [rad]: mean path, shortest route driven, the same as drawn", [
+            f"{np.mean([drive.turning for drive in t.drives]):.1f}, "
+            f"{t.shortest_drive.turning:.1f}, {t.drawn_turning:.1f}" for t in trials]),
+        row("the shortest path itself: near itself, near the edge", [
+            f"{t.shortest_drive.near_itself:.0%}, {t.shortest_drive.near_edge:.0%}"
+            for t in trials]),
         row("route entropy [nats] (upper bound for paths)", [
             f"{t.strategy.route_entropy:.1f}" for t in trials]),
         row(f"different paths in {trials[0].draws} draws", [str(t.different) for t in trials]),
@@ -158,8 +176,7 @@ def picture(trial: Trial, path: Path) -> None:
     draw_routes(left, [poses[:, :2] for poses in trial.paths[:SHOWN]])
     draw_ambush_sites(left, strategy.network, strategy.ambush_probability)
     lines = draw_fixed_routes(right, [
-        FixedRoute(name, poses[:, :2], poses[len(poses) // 2, :2])
-        for name, poses in (("shortest", trial.shortest), ("safest", trial.safest))
+        replace(fixed, points=fixed.points[:, :2]) for fixed in (trial.shortest, trial.safest)
     ])
     for axes in (left, right):
         draw_risk_map(axes, risk_map)

@@ -5,7 +5,8 @@ and ``right``, and round each node lies a *disc*. No strip and no disc comes nea
 than the clearance, and either
 
 * none of them holds another node (``tube`` None): what stays in the strips and discs of a route
-  meets no node but the route's own, so the game on the network is the game that is driven; or
+  meets no node but the route's own, so the game on the network is the game that is driven, and a
+  path may even leave nodes of its route out; or
 * no point of them is further than ``tube`` from the edge or node: an ambush with reach r that hits
   what is driven would hit the drawn route with reach r + tube.
 """
@@ -49,6 +50,8 @@ class Corridors:
         Widths of the strips beside each edge, seen along it [m].
     disc : (N,) float
         Radius of the disc round each node [m].
+    shortcuts
+        Whether a path may leave out nodes of its route: without a tube.
     """
 
     network: Network
@@ -57,6 +60,7 @@ class Corridors:
     left: FloatArray
     right: FloatArray
     disc: FloatArray
+    shortcuts: bool
     _keys: IndexArray
     _order: IndexArray
 
@@ -65,6 +69,35 @@ class Corridors:
         at = np.searchsorted(self._keys, route[:-1] * len(self.uv) + route[1:])
         edges: IndexArray = self._order[at]
         return edges
+
+    def shortened(self, route: IndexArray) -> IndexArray:
+        """The shortest route along edges that lead forward from node to node of a route (K,).
+
+        It leaves nodes out and takes in none, so no ambush at a node hits it more often. Where a
+        tube is to be kept, the route comes back as it is.
+        """
+        if not self.shortcuts:
+            return route
+        first = np.searchsorted(self._keys, route * len(self.uv))
+        count = np.searchsorted(self._keys, (route + 1) * len(self.uv)) - first
+        step = np.repeat(np.arange(len(route)), count)
+        edge = self._order[np.arange(len(step)) - (np.cumsum(count) - count - first)[step]]
+        place = np.full(len(self.uv), -1)
+        place[route] = np.arange(len(route))
+        ahead = place[self.network.heads[edge]]
+        forward = ahead > step
+        length, before = [np.inf] * len(route), [0] * len(route)
+        length[0] = 0.0
+        for tail, head, gone in zip(
+            step[forward].tolist(), ahead[forward].tolist(),
+            self.network.lengths[edge[forward]].tolist(), strict=True,
+        ):
+            if length[tail] + gone < length[head]:
+                length[head], before[head] = length[tail] + gone, tail
+        kept = [len(route) - 1]
+        while kept[-1]:
+            kept.append(before[kept[-1]])
+        return route[kept[::-1]]
 
 
 def make_corridors(
@@ -107,9 +140,17 @@ def make_corridors(
     widths, disc = np.maximum(widths, 0.0), np.maximum(disc, 0.0)
     along = (network.tails < network.heads).astype(np.int64)  # else the pair is seen from its end
     left, right = widths[pair_of, 1 - along], widths[pair_of, along]
-    arrays = (frozen_array(a, np.float64) for a in (uv, left, right, disc))
-    index = (frozen_array(a, np.int64) for a in (keys[order], order))
-    return Corridors(network, risk_map, *arrays, *index)
+    return Corridors(
+        network,
+        risk_map,
+        frozen_array(uv, np.float64),
+        frozen_array(left, np.float64),
+        frozen_array(right, np.float64),
+        frozen_array(disc, np.float64),
+        tube is None,
+        frozen_array(keys[order], np.int64),
+        frozen_array(order, np.int64),
+    )
 
 
 def _frame(uv: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:

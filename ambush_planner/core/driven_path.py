@@ -75,6 +75,7 @@ def driven_path(
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
+    route = corridors.shortened(route)
     portals = _portals(corridors, route)
     best = None
     for share in TAUT:
