@@ -70,7 +70,9 @@ def lattice_delaunay_pairs(
     number = np.full(there.shape, -1, dtype=np.int64)
     number[FRAME:-FRAME, FRAME:-FRAME][free] = np.arange(int(free.sum()))
     number = np.concatenate((number.ravel(), int(free.sum()) + np.arange(len(others))))
-    others = (others + FRAME) @ TIE_BREAK
+    # In the place of a lattice node they are joined as it would be.
+    moved = ROW_SHIFT * (np.floor(others[:, 1]) % 2)
+    others = (others + FRAME + np.stack((moved, np.zeros_like(moved)), axis=1)) @ TIE_BREAK
     places = np.concatenate((_lattice_places(there.shape, method), others))
     triangles = _tiled(there.shape, method)
     kept = np.asarray(there.ravel()[triangles].all(axis=1))
