@@ -203,6 +203,15 @@ def between_line(network):
     return (network.points - start) @ (-along[1], along[0])
 
 
+def test_a_route_of_one_edge_is_a_straight_line():
+    corridors = corridors_on(open_map(2), (0.3, 0.4), (1.6, 1.7), spacing=5.0)
+    network = corridors.network
+    poses = driven_path(corridors, np.array([network.source, network.target]), 0.5)
+    ends = network.points[[network.source, network.target]]
+    assert distance_to(poses[:, :2], ends).max() < 1e-12 and len(poses) == 5
+    assert poses[:, 2] == pytest.approx(np.pi / 4)
+
+
 def test_a_turned_map_gives_the_turned_path():
     plain = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     turned_map = open_map(yaw=0.7)

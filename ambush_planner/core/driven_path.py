@@ -27,6 +27,8 @@ TAUT = (0.7, 0.4, 0.1)
 ALONG = 0.45
 # Poses in a turn are at most so far from one another [rad].
 TURN = math.radians(20.0)
+# Along a path where it is compared with others.
+PLACES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +102,20 @@ def driven_paths(
 
 
 def different_paths(paths: list[FloatArray], distance: float) -> int:
-    """How many paths (L, 3) there are when those that nowhere differ by more than ``distance`` [m]
-    count as one. Each is held against one of every kind before it."""
-    kinds: list[FloatArray] = []
-    share = np.linspace(0.0, 1.0, 200)
+    """How many different ones there are among paths (L, 3).
+
+    Two are the same if at equal shares of their lengths neither x nor y differs by more than
+    ``distance`` [m]. Each path is held against one of every kind before it.
+    """
+    kinds = np.empty((len(paths), 2, PLACES))
+    count = 0
     for path in paths:
         gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))))
-        points = np.stack([np.interp(share * gone[-1], gone, xy) for xy in path[:, :2].T], axis=1)
-        if not any(np.hypot(*(points - kind).T).max() <= distance for kind in kinds):
-            kinds.append(points)
-    return len(kinds)
+        places = np.linspace(0.0, gone[-1], PLACES)
+        kinds[count] = [np.interp(places, gone, xy) for xy in path[:, :2].T]
+        apart = np.abs(kinds[:count] - kinds[count]).max(axis=(1, 2))
+        count += not (apart <= distance).any()
+    return count
 
 
 def _map_yaw(corridors: Corridors) -> float:
