@@ -21,7 +21,7 @@ from .risk_map import FloatArray
 from .routes import MOST_POSES
 
 # Of the portals, for the taut string; the more is left, the wider the turns can be.
-TAUT = (0.7, 0.4, 0.1)
+TAUT = (0.8, 0.5, 0.2)
 # Portals reach at most so far along their edges [lengths], so that those next to each other never
 # cross.
 ALONG = 0.45
@@ -158,36 +158,38 @@ def _portals(corridors: Corridors, route: IndexArray) -> _Portals:
 def _taut(portals: _Portals, share: float) -> list[tuple[int, int]]:
     """The taut string's corners as (portal, side), side 1 its left end, -1 its right end, 0 for the
     ends of the route: the funnel algorithm."""
-    left = (portals.nodes + share * portals.left[:, None] * portals.leftward).tolist()
-    right = (portals.nodes - share * portals.right[:, None] * portals.leftward).tolist()
+    left = portals.nodes + share * portals.left[:, None] * portals.leftward
+    right = portals.nodes - share * portals.right[:, None] * portals.leftward
+    ends = {1: left.tolist(), -1: right.tolist()}
     last = len(left) - 1
-    corners = [(0, 0)]
-    (ax, ay), at_left, at_right = left[0], 0, 0
-    (lx, ly), (rx, ry) = left[0], right[0]
-    k = 1
+    first_side = np.where(_left_first(left, right), 1, -1).tolist()
+    corners, apex, k, half = [(0, 0)], ends[1][0], 1, 0
+    tip = {1: apex, -1: apex}
+    at = {1: 0, -1: 0}
     while k <= last:
-        px, py = right[k]
-        qx, qy = left[k]
-        if (rx - ax) * (py - ay) - (ry - ay) * (px - ax) >= 0.0:  # the right side moves in
-            if (rx, ry) == (ax, ay) or (lx - ax) * (py - ay) - (ly - ay) * (px - ax) < 0.0:
-                rx, ry, at_right = px, py, k
-            else:  # beyond the left side: a corner there
-                corners.append((at_left, 1))
-                ax, ay = rx, ry = lx, ly
-                at_right = at_left
-                k = at_left + 1
+        side = first_side[k] if half == 0 else -first_side[k]
+        (ax, ay), (x, y), (sx, sy), (ox, oy) = apex, ends[side][k], tip[side], tip[-side]
+        # The funnel is as wide as its tips say; a side moves in where the next end is within.
+        if side * ((sx - ax) * (y - ay) - (sy - ay) * (x - ax)) <= 0.0:
+            if tip[side] == apex or side * ((ox - ax) * (y - ay) - (oy - ay) * (x - ax)) > 0.0:
+                tip[side], at[side] = ends[side][k], k
+            else:  # beyond the other side: a corner there, from which it goes on
+                corners.append((at[-side], -side))
+                apex, k, half = tip[-side], at[-side] + 1, 0
+                tip = {1: apex, -1: apex}
+                at = {1: at[-side], -1: at[-side]}
                 continue
-        if (lx - ax) * (qy - ay) - (ly - ay) * (qx - ax) <= 0.0:  # the left side moves in
-            if (lx, ly) == (ax, ay) or (rx - ax) * (qy - ay) - (ry - ay) * (qx - ax) > 0.0:
-                lx, ly, at_left = qx, qy, k
-            else:
-                corners.append((at_right, -1))
-                ax, ay = lx, ly = rx, ry
-                at_left = at_right
-                k = at_right + 1
-                continue
-        k += 1
+        k, half = (k, 1) if half == 0 else (k + 1, 0)
     return [*(corner for corner in corners if corner[0] != last), (last, 0)]
+
+
+def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
+    """Whether, from one portal to the next, the left end may move before the right one does: if
+    the diagonal from the old right to the new left end lies between the portals."""
+    old, new = right[:-1], left[1:]
+    before = _cross(old - left[:-1], new - left[:-1]) >= 0.0
+    after = _cross(right[1:] - old, new - old) >= 0.0
+    return [True, *(before & after).tolist()]
 
 
 def _rounded(portals: _Portals, taut: list[tuple[int, int]], share: float) -> _Corners:
