@@ -46,6 +46,7 @@ lint: $(VENV)/.test
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/ambush_radius.py
+	$(BIN)/python benchmarks/routes.py
 	$(BIN)/python benchmarks/markers.py
 	$(BIN)/python benchmarks/many.py
 	-$(BIN)/python benchmarks/node_latency.py

@@ -18,7 +18,13 @@ from scipy.optimize import linprog
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
-METHODS = ("uniform_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay")
+METHODS = (
+    "uniform_delaunay",
+    "lattice_delaunay",
+    "uniform_grid8",
+    "random_delaunay",
+    "gradient_delaunay",
+)
 PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
 WITH_ZERO = (0.0, *PLAIN)
 NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)

@@ -1,14 +1,17 @@
 """The benchmarks run, and their tables say what was measured; how fast is not tested here."""
 
+import itertools
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ambush_planner
+from ambush_planner import RiskMap
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 SECTIONS = (
@@ -137,3 +140,68 @@ def test_targets_that_are_missed_are_called_so(tables):
     ]
     million = next(row for title, row in cells.items() if title.startswith("network of a million"))
     assert million[1:] == ["11.0 s", "**no**"]
+
+
+@pytest.mark.slow
+def test_routes_are_measured_and_drawn(tmp_path):
+    results, pictures = tmp_path / "results.md", tmp_path / "pictures"
+    text = run(
+        "routes.py", "--maps", "maze", "--departures", 4, "--draws", 8,
+        "--pictures", pictures, "--results", results,
+    )
+    found = rows(text)
+    assert found["accepted by Nav2's rules"][-1] == "100%"
+    assert float(found["mean length : any-angle A*"][-1].strip("*")) >= 1.0
+    assert text.split("|", 1)[1] in results.read_text().split("|", 1)[1] + "\n"
+    assert [path.name for path in pictures.iterdir()] == ["maze.png"]
+
+
+@pytest.fixture
+def drives(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import drives
+
+    return drives
+
+
+def driven(*corners, step=0.1):
+    """Poses along straight lines, turning on the spot."""
+    poses = []
+    for a, b in itertools.pairwise(np.array(corners, float)):
+        share = np.arange(0.0, 1.0, step / np.hypot(*(b - a)))[:, None]
+        poses.append(np.column_stack((a + share * (b - a), np.full(
+            len(share), np.arctan2(*(b - a)[::-1])))))
+    return np.concatenate([*poses, [[*corners[-1], poses[-1][-1, 2]]]])
+
+
+def test_what_is_measured_on_a_path(drives):
+    ground = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)
+    straight = drives.measure(driven((2, 10), (18, 10)), ground, 1.0, 0.2)
+    assert (straight.length, straight.turning, straight.hairpins) == (pytest.approx(16), 0, 0)
+    assert straight.near_itself == straight.near_edge == 0.0 and straight.accepted
+    back = drives.measure(driven((2, 10), (18, 10), (2, 11)), ground, 1.0, 0.2)
+    assert back.hairpins == 1 and back.turning == pytest.approx(np.pi, abs=0.1)
+    assert back.near_itself > 0.5 and not back.accepted  # yaw jumps
+    border = drives.measure(driven((1, 1), (19, 1)), ground, 1.0, 0.2)
+    assert border.near_edge > 0.9
+    assert not drives.accepted(driven((1, 1), (21, 1)), ground, 0.2)
+    assert not drives.accepted(driven((1, 1), (19, 1)), ground, 0.05)
+    blocked = RiskMap(np.ones((20, 20)), np.eye(20, dtype=bool), 1.0)
+    assert not drives.accepted(driven((2, 10), (18, 10)), blocked, 0.2)
+
+
+def test_the_grid_planner_finds_octile_lengths_and_pulls_them_straight(monkeypatch):
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import grid_planner
+    from grounds import Ground
+
+    obstacles = np.zeros((20, 20), bool)
+    cells = grid_planner.a_star(~obstacles, (0, 0), (6, 19))
+    steps = np.abs(np.diff(np.array(cells), axis=0)).sum(axis=1)
+    assert np.sqrt(steps).sum() == pytest.approx(13 + 6 * np.sqrt(2))
+    obstacles[:15, 10] = True
+    ground = Ground(RiskMap(np.ones((20, 20)), obstacles, 1.0), (2.5, 2.5), (17.5, 2.5))
+    line = grid_planner.shortest_line(ground)
+    length = np.hypot(*np.diff(line, axis=0).T).sum()
+    taut = np.hypot(7.5, 12.5) * 2 + 1.0
+    assert taut <= length <= 1.05 * taut

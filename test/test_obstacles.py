@@ -15,17 +15,21 @@ from ambush_planner.core import obstacles
 from ambush_planner.core.obstacles import ObstacleField
 
 SIDE = 5
+# Around the cells that are tried, so that the map's edge is out of play.
+MARGIN = 4
 
 
 def field_of(cells, shape=(SIDE, SIDE), resolution=1.0) -> ObstacleField:
     blocked = np.zeros(shape, bool)
     for column, row in cells:
         blocked[row, column] = True
-    return ObstacleField(RiskMap(np.ones(shape), blocked, resolution))
+    blocked = np.pad(blocked, MARGIN)
+    return ObstacleField(RiskMap(np.ones(blocked.shape), blocked, resolution))
 
 
-def clear(field, a, b, clearance=0.0) -> bool:
-    return bool(field.clear_segments(np.array([a], float), np.array([b], float), clearance)[0])
+def clear(field, a, b, clearance=0.0, resolution=1.0) -> bool:
+    a, b = (np.array([p], float) + MARGIN * resolution for p in (a, b))
+    return bool(field.clear_segments(a, b, clearance)[0])
 
 
 def meets(a, b, cell) -> bool:
@@ -102,9 +106,9 @@ def test_all_segments_at_once_are_as_one_by_one(monkeypatch):
     rng = np.random.default_rng(1)
     field = field_of({(1, 1), (3, 2), (4, 4)})
     a, b = rng.random((2, 300, 2)) * SIDE
-    together = field.clear_segments(a, b, 0.2)
+    together = field.clear_segments(a + MARGIN, b + MARGIN, 0.2)
     monkeypatch.setattr(obstacles, "CHUNK", 7)
-    assert np.array_equal(field.clear_segments(a, b, 0.2), together)
+    assert np.array_equal(field.clear_segments(a + MARGIN, b + MARGIN, 0.2), together)
     assert together.tolist() == [clear(field, *ends, 0.2) for ends in zip(a, b, strict=True)]
 
 
@@ -124,19 +128,62 @@ def test_touching_a_corner_or_a_side_counts():
 def test_a_diagonal_between_cell_centres_meets_both_flanks_at_any_resolution(resolution):
     field = field_of({(7, 8)}, (20, 20), resolution)
     centre = (np.arange(20) + 0.5) * resolution
-    assert not clear(field, (centre[7], centre[7]), (centre[8], centre[8]))
-    assert not clear(field, (centre[6], centre[8]), (centre[8], centre[8]))
-    assert clear(field, (centre[8], centre[7]), (centre[9], centre[8]))
-    assert clear(field, (centre[6], centre[7]), (centre[6], centre[9]))
+    def free(a, b):
+        ends = ((centre[a[0]], centre[a[1]]), (centre[b[0]], centre[b[1]]))
+        return clear(field, *ends, resolution=resolution)
+
+    assert not free((7, 7), (8, 8))
+    assert not free((6, 8), (8, 8))
+    assert free((8, 7), (9, 8))
+    assert free((6, 7), (6, 9))
 
 
-def test_the_border_of_the_map_is_no_obstacle():
-    field = field_of(set())
-    assert clear(field, (0, 0), (SIDE, SIDE), 3.0)
+@pytest.mark.parametrize("off, expected", [(0.0, False), (9e-7, False), (3e-6, True)])
+@pytest.mark.parametrize("turn", range(8))
+def test_what_comes_within_a_millionth_of_a_cell_touches_it(off, expected, turn):
+    """A face and a corner, from all sides."""
+    field = field_of({(2, 2)})
+    flip = np.array([[1, 0], [0, 1]])[:: 1 if turn < 4 else -1]
+    sign = np.array([(-1) ** turn, (-1) ** (turn // 2)])
+    def place(u, v):
+        return 2.5 + (sign * (u, v)) @ flip
+
+    assert clear(field, place(-2, 0.5 + off), place(2, 0.5 + off)) == expected
+    diagonal = 0.5 + off / np.sqrt(2)
+    assert clear(field, place(diagonal - 1, diagonal + 1), place(diagonal + 1, diagonal - 1)) == (
+        expected
+    )
+
+
+def test_long_segments_are_as_their_parts():
+    rng = np.random.default_rng(3)
+    field = ObstacleField(RiskMap(np.ones((90, 120)), rng.random((90, 120)) < 0.01, 0.5))
+    a, b = rng.random((2, 400, 2)) * (60, 45)
+    share = np.linspace(0, 1, 101)[:, None]
+    for reach in (0.0, 0.3):
+        parts = [
+            field.clear_segments(x + (y - x) * share[:-1], x + (y - x) * share[1:], reach).all()
+            for x, y in zip(a, b, strict=True)
+        ]
+        assert 10 < sum(parts) < 390
+        assert field.clear_segments(a, b, reach).tolist() == parts
+
+
+def test_the_outer_edge_of_the_map_is_as_closed_as_a_cell():
+    risk_map = RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0)
+    inside, outside = 3e-6, 1.9e-6
+    for clear_of_edge, clearance in ((True, 0.0), (False, 0.0), (False, 1.5), (True, 1.5)):
+        field = ObstacleField(risk_map, clear_of_edge)
+        margin = clearance if clear_of_edge else 0.0
+        for near, expected in ((margin + inside, True), (margin + outside, False), (-0.5, False)):
+            low, high = (near, near), (10 - near, 8 - near)
+            for point in (low, high, (low[0], 4.0), (5.0, high[1])):
+                found = field.clear_points(np.array([point], float), clearance)[0]
+                assert found == expected, (point, clear_of_edge, clearance)
 
 
 def test_points_keep_their_distance_round_a_corner():
     field = field_of({(0, 0)})
     near = 1 + 0.5 / np.sqrt(2)
     points = np.array([(near - 1e-6, near - 1e-6), (near + 1e-6, near + 1e-6), (1.5, 0.5)])
-    assert field.clear_points(points, 0.5).tolist() == [False, True, False]
+    assert field.clear_points(points + MARGIN, 0.5).tolist() == [False, True, False]

@@ -21,6 +21,7 @@ DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items(
 NAMES = """
     map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha
     network.method network.spacing network.target_nodes network.clearance
+    network.clear_of_edge
     game.ambush_radius game.secured_radius game.alpha_threshold game.ambushers
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
     max_planning_time route.path_spacing

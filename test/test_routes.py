@@ -102,7 +102,7 @@ corners = st.lists(
 
 
 @examples(300)
-@given(corners, st.floats(0.01, 200.0))
+@given(corners, st.floats(0.2, 200.0))
 def test_densify_laws(route, spacing):
     points = np.array(route, float)
     poses = densify(points, spacing)

@@ -16,6 +16,7 @@ from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage
 from std_srvs.srv import Trigger
 
+from ambush_planner.core.routes import densify
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.review.departures import record_from, strategy_from
 from ambush_planner.review.verify import Verifier
@@ -228,7 +229,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
     assert not np.array_equal(route, record.route)
     old = recorded.message('path')
     again = departure_path(
-        strategy.network.points[route], 1.0, recorded.message('start').pose,
+        densify(strategy.network.points[route], 1.0), recorded.message('start').pose,
         recorded.message('goal').pose, old.header,
     )
     forger.put(forger.place('path'), again.to_message())

@@ -35,14 +35,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from .arrays import frozen_array
+from .arrays import FloatArray, IndexArray, frozen_array
 from .audit_draws import ManyRoutes, NotAuditable, Steps, recorded_steps
 from .audit_learning import Learning, learning_from
 from .audit_order import SQUARE, Order, order_of, shared_ground
 from .errors import InvalidOption
 from .game import Game
-from .network import IndexArray
-from .risk_map import FloatArray
 
 # With fewer, hardly anything but one route driven again and again would be found.
 FEWEST_DEPARTURES = 5

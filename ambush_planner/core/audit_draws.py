@@ -9,10 +9,9 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from .arrays import sums
+from .arrays import FloatArray, IndexArray, sums
 from .errors import AmbushPlannerError
-from .network import IndexArray, Network
-from .risk_map import FloatArray
+from .network import Network
 
 # Routes that are drawn, and numbers that are counted, at a time: keeps memory near 100 MB.
 ROUTES_AT_ONCE = 20_000

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .arrays import frozen_array, sums
+from .arrays import FloatArray, frozen_array, sums
 from .audit_draws import ManyRoutes, Steps
 from .game import Game
-from .risk_map import FloatArray
 
 # An observer has learnt where to wait when he causes this share of the strategy's value.
 LEARNT = 0.9

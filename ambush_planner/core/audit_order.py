@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from .arrays import frozen_array
-from .network import IndexArray, Network
-from .risk_map import FloatArray
+from .arrays import FloatArray, IndexArray, frozen_array
+from .network import Network
 
 # Two weeks of daily departures.
 LONGEST_LAG = 14

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .connectivity import delaunay_pairs, grid8_pairs, lattice_delaunay_pairs
+from .arrays import FloatArray, IndexArray
 from .errors import (
     GoalBlocked,
     GoalOutsideMap,
@@ -18,13 +18,21 @@ from .errors import (
     StartBlocked,
     StartOutsideMap,
 )
-from .network import IndexArray, Network
+from .layout import Ground, joined
+from .network import Network
 from .obstacles import ObstacleField
+from .passages import COVERED, passage_nodes, way_by_cells
 from .paths import reachable_from
-from .risk_map import FloatArray, RiskMap
-from .sampling import gradient_points, lattice_cells, lattice_points, lattice_shape, random_points
+from .risk_map import RiskMap
+from .sampling import lattice_points, lattice_shape
 
-METHODS = ("uniform_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay")
+METHODS = (
+    "uniform_delaunay",
+    "lattice_delaunay",
+    "uniform_grid8",
+    "random_delaunay",
+    "gradient_delaunay",
+)
 
 
 @dataclass(frozen=True)
@@ -34,13 +42,16 @@ class NetworkOptions:
     Parameters
     ----------
     method
-        'uniform_delaunay' (the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
+        'uniform_delaunay' (a lattice that prefers no direction), 'lattice_delaunay' (the square
+        one, the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
         'gradient_delaunay' (the paper's outlook).
     spacing
         Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has.
         0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
         Distance that nodes and edges keep from obstacle cells [m]; 0: they do not touch any.
+    clear_of_edge
+        Keep the clearance from the map's outer edge, too. Without it nothing touches the edge.
     seed
         Seed of random sampling. It decides where nodes lie, never which route is drawn.
 
@@ -55,6 +66,7 @@ class NetworkOptions:
     clearance: float = 0.0
     seed: int = 0
     target_nodes: int = 2500
+    clear_of_edge: bool = True
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -84,9 +96,10 @@ def build_network(
     """Build the network for driving from start to goal, both world positions [m].
 
     Start and goal are nodes at exactly the given positions; each takes the place of its nearest
-    lattice node (random sampling: nearest sample). Every pair of joined nodes gives two directed
-    edges, except into the source and out of the target. Same inputs, options and seed give the
-    same network, bit for bit.
+    lattice node (random sampling: nearest sample). No node lies on the map's outer edge. Every pair
+    of joined nodes gives two directed edges, except into the source and out of the target. Where
+    no route leads through, nodes are added in the narrow places of a way that the map's cells show.
+    Same inputs, options and seed give the same network, bit for bit.
 
     Raises
     ------
@@ -100,18 +113,53 @@ def build_network(
         No route leads from start to goal.
     """
     options = options or NetworkOptions()
-    field = ObstacleField(risk_map)
+    field = ObstacleField(risk_map, options.clear_of_edge)
     ends = np.stack([_position(start_xy, StartBlocked), _position(goal_xy, GoalBlocked)])
     uv_ends = risk_map.to_map_axes(ends)
-    _check_ends(risk_map, field, ends, uv_ends, options.clearance)
-    spacing = chosen_spacing(risk_map, options)
-    uv, pairs = _nodes_and_pairs(risk_map, field, uv_ends, spacing, options)
-    pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], options.clearance)]
+    _check_ends(risk_map, field, ends, uv_ends, options)
+    ground = Ground(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
+    uv, pairs = joined(ground, np.empty((0, 2)))
+    if not _leads_through(pairs, len(uv)):
+        uv, pairs = _through_a_passage(ground)
     points = risk_map.to_world(uv)
     points[-2:] = ends
-    network = Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
-    _check_route(network, ends, spacing)
-    return network
+    return Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
+
+
+def _leads_through(pairs: IndexArray, count: int) -> bool:
+    source, target = _ends(count)
+    return bool(reachable_from(np.concatenate((pairs, pairs[:, ::-1])), count, source)[target])
+
+
+def _through_a_passage(ground: Ground) -> tuple[FloatArray, IndexArray]:
+    """Lay nodes along the narrow parts of a way by cells, where the network alone finds none.
+
+    Raises
+    ------
+    NoRoute
+        There is no such way, or the method has no place for more nodes.
+    """
+    options = ground.options
+    way, room = way_by_cells(ground.risk_map, ground.field, ground.uv_ends, options.clearance)
+    ends = ground.risk_map.to_world(ground.uv_ends)
+    where = "no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(*ends[0], *ends[1])
+    if len(way) == 0:
+        clearance = f" at a clearance of {options.clearance:g} m" if options.clearance else ""
+        raise NoRoute(
+            f"{where}: obstacles cut the map in two between them{clearance}; neither the spacing "
+            f"of {ground.spacing:g} m nor any other leads through"
+        )
+    if options.method != "uniform_grid8":
+        passage = passage_nodes(way, room, ground.spacing)
+        passage = passage[ground.field.clear_points(passage, options.clearance)]
+        uv, pairs = joined(ground, passage)
+        if _leads_through(pairs, len(uv)):
+            return uv, pairs
+    finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
+    raise NoRoute(
+        f"{where} keeps clear of the obstacles at a spacing of {ground.spacing:g} m; the map has "
+        f"a way, which a spacing of {min(finer, ground.spacing / 2):.3g} m would find"
+    )
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
@@ -145,9 +193,10 @@ def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
     if rows * columns == 0:
         return 0.0
     tried = np.random.default_rng(0).integers(rows * columns, size=_TRIED)
-    cells = np.stack((tried % columns, tried // columns), axis=1)
-    uv = (cells.astype(np.float64) + 0.5) * spacing
-    free = ObstacleField(risk_map).clear_points(uv, options.clearance)
+    cells = np.stack((tried // columns, tried % columns), axis=1)
+    uv = lattice_points(cells, spacing, options.method)
+    field = ObstacleField(risk_map, options.clear_of_edge)
+    free = field.clear_points(uv, options.clearance)
     return rows * columns * float(free.mean())
 
 
@@ -162,9 +211,14 @@ def _position(xy: npt.ArrayLike, error: type[StartBlocked] | type[GoalBlocked]) 
 
 
 def _check_ends(
-    risk_map: RiskMap, field: ObstacleField, ends: FloatArray, uv: FloatArray, clearance: float
+    risk_map: RiskMap,
+    field: ObstacleField,
+    ends: FloatArray,
+    uv: FloatArray,
+    options: NetworkOptions,
 ) -> None:
     width, height = risk_map.size
+    clearance = options.clearance
     for k, (name, off_map, blocked) in enumerate(
         (("start", StartOutsideMap, StartBlocked), ("goal", GoalOutsideMap, GoalBlocked))
     ):
@@ -175,7 +229,8 @@ def _check_ends(
                 f"(x, y, yaw) {risk_map.origin}"
             )
         if not field.clear_points(uv[k : k + 1], clearance)[0]:
-            near = f" or within the clearance {clearance:g} m of one" if clearance else ""
+            edge = " or of the map's edge" if options.clear_of_edge else ""
+            near = f" or within the clearance {clearance:g} m of one{edge}" if clearance else ""
             lower = ", or lower the clearance" if clearance else ""
             raise blocked(
                 f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
@@ -204,62 +259,3 @@ def _directed(pairs: IndexArray, count: int) -> IndexArray:
     return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
 
 
-def _check_route(network: Network, ends: FloatArray, spacing: float) -> None:
-    if not reachable_from(network.edges, len(network.points), network.source)[network.target]:
-        raise NoRoute(
-            f"no route from ({ends[0, 0]:.3f}, {ends[0, 1]:.3f}) to ({ends[1, 0]:.3f}, "
-            f"{ends[1, 1]:.3f}) keeps clear of the obstacles at a spacing of {spacing:g} m; "
-            "a smaller spacing finds narrower passages"
-        )
-
-
-def _nodes_and_pairs(
-    risk_map: RiskMap,
-    field: ObstacleField,
-    uv_ends: FloatArray,
-    spacing: float,
-    options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray]:
-    """Return nodes in map axes, source and target last, and the pairs that connectivity joins."""
-    if options.method.startswith("uniform"):
-        return _lattice(risk_map, field, uv_ends, spacing, options)
-    sample = random_points if options.method == "random_delaunay" else gradient_points
-    uv = sample(risk_map, spacing, options.seed)
-    uv = uv[field.clear_points(uv, options.clearance)]
-    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in uv_ends if len(uv)}
-    uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), uv_ends))
-    return uv, delaunay_pairs(uv)
-
-
-def _lattice(
-    risk_map: RiskMap,
-    field: ObstacleField,
-    uv_ends: FloatArray,
-    spacing: float,
-    options: NetworkOptions,
-) -> tuple[FloatArray, IndexArray]:
-    uv = lattice_points(risk_map, spacing)
-    shape = lattice_shape(risk_map, spacing)
-    free = field.clear_points(uv, options.clearance).reshape(shape)
-    if free.size == 0:
-        return uv_ends, np.array([[0, 1]])
-    cells = lattice_cells(risk_map, spacing, uv_ends)
-    free[tuple(cells.T)] = False
-    node_of = np.where(free, np.cumsum(free).reshape(shape) - 1, -1)
-    uv = np.concatenate((uv[free.ravel()], uv_ends))
-    if options.method == "uniform_delaunay":
-        return uv, lattice_delaunay_pairs(uv, node_of, spacing)
-    return uv, _grid8_with_ends(node_of, cells, len(uv))
-
-
-def _grid8_with_ends(node_of: IndexArray, cells: IndexArray, count: int) -> IndexArray:
-    """Join the 8-connected lattice, source and target in the cells of the nodes they replaced."""
-    source, target = _ends(count)
-    if (cells[0] == cells[1]).all():
-        pairs = [np.array([[source, target]])]
-        for end in (source, target):
-            node_of[tuple(cells[0])] = end
-            pairs.append(grid8_pairs(node_of))
-        return np.unique(np.concatenate(pairs), axis=0)
-    node_of[tuple(cells[0])], node_of[tuple(cells[1])] = source, target
-    return grid8_pairs(node_of)

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from .arrays import BoolArray, FloatArray, IndexArray, sums
 from .acyclic import without_cycles
+from .arrays import BoolArray, FloatArray, IndexArray, sums
 from .errors import SolverFailed
 from .game import Game
 from .paths import distances_from

@@ -106,7 +106,7 @@ class _Search:
             p = always(safe.network, shortest_route(safe.network, np.flatnonzero(safe.playable)))
             rank = rank_around(safe, p, self.potential)
             part = forward_part(safe, rank)
-            assert part is not None
+        assert part is not None  # it holds a shortest route
         found = self._law(part, rank, np.zeros(len(self.game.sites)))
         if found.law is None or not self._fits(found.p):
             return None
@@ -132,7 +132,7 @@ class _Search:
             around = solve_by_cut(replace(lean, ambushers=1))
             rank = rank_around(lean, around.p, self.potential)
             part = forward_part(lean, rank)
-            assert part is not None
+        assert part is not None  # it holds the flow
         if around.value > exact.value * (1.0 + self.slack / 4.0):
             return None
         level = np.full(len(self.game.sites), exact.value)
@@ -142,14 +142,14 @@ class _Search:
 
     def by_program(self) -> Outcome:
         """Budgets that raise the value, a reach, several ambushers: a linear program first."""
-        part = forward_part(self.game, rank_by(self.potential)) or self.game
+        first = forward_part(self.game, rank_by(self.potential)) or self.game
         try:
-            risk = least_risk(self.game, part, self.budgets, self._time(PROGRAM_SHARE))
+            risk = least_risk(self.game, first, self.budgets, self._time(PROGRAM_SHARE))
         except (TimeLimit, SolverFailed):
-            return self._anytime(part)
+            return self._anytime(first)
         rank = rank_around(self.game, risk.p, self.potential)
         part = forward_part(self._lean(risk.bound, risk.p), rank)
-        assert part is not None
+        assert part is not None  # it holds the program's strategy
         found = self._law(part, rank, risk.level)
         found = replace(found, q=risk.q, prices=risk.prices)
         return self._within(found, risk.p, risk.bound) or replace(found, p=risk.p)

@@ -13,7 +13,6 @@ from .arrays import FloatArray, IndexArray, frozen_array
 from .errors import InvalidNetwork
 
 
-
 @dataclass(frozen=True, eq=False)
 class Network:
     """A directed network with a loss at each node, validated.

@@ -5,22 +5,29 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from .risk_map import FloatArray, RiskMap
+from .arrays import BoolArray, FloatArray
+from .risk_map import RiskMap
 
-BoolArray = npt.NDArray[np.bool_]
-
-# Cells are closed squares: touching a corner counts. In units of a cell; covers the rounding of
-# positions such as (i + 0.5) * resolution.
-TOUCH = 1e-9
+# Cells are closed squares: what comes as near as this to a face or a corner touches it. In units
+# of a cell; covers the rounding of positions such as (i + 0.5) * resolution.
+TOUCH = 1e-6
 # Pairs of segment and cell that are tested at once; bounds the memory.
 CHUNK = 1_000_000
+# Longer segments are tested in pieces: the boxes of cells around them grow with the square [cells].
+PIECE = 8.0
 
 
 class ObstacleField:
-    """Obstacle cells of a risk map, prepared for many clearance queries in map axes [m]."""
+    """Obstacle cells of a risk map, prepared for many clearance queries in map axes [m].
 
-    def __init__(self, risk_map: RiskMap) -> None:
+    Nothing beyond the map is clear, nor is its outer edge. With ``clear_of_edge`` the clearance
+    holds for that edge, too, as if the ground beyond it were an obstacle.
+    """
+
+    def __init__(self, risk_map: RiskMap, clear_of_edge: bool = True) -> None:
         self._resolution = risk_map.resolution
+        self._size = risk_map.size
+        self.clear_of_edge = clear_of_edge
         self._shape = risk_map.obstacles.shape
         counts = risk_map.obstacles.astype(np.int64).cumsum(axis=0).cumsum(axis=1)
         self._sums = np.pad(counts, ((1, 0), (1, 0)))
@@ -34,15 +41,28 @@ class ObstacleField:
         """Tell which segments a -> b, both (K, 2), have no obstacle cell within ``clearance``.
 
         Exact: a segment is blocked when its distance to a closed obstacle cell is at most
-        ``clearance``. The map's border is no obstacle.
+        ``clearance``, to within ``TOUCH``.
         """
-        a, b, reach = a / self._resolution, b / self._resolution, clearance / self._resolution
+        clear = self._on_map(a, clearance) & self._on_map(b, clearance)
+        inside = np.flatnonzero(clear)
+        segment, a, b = _pieces(a[inside] / self._resolution, b[inside] / self._resolution)
+        clear[inside[segment[self._blocked(a, b, clearance / self._resolution)]]] = False
+        return clear
+
+    def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
+        """Tell which points (K, 2) lie inside the map's outer edge, by the clearance if asked."""
+        margin = TOUCH * self._resolution + (clearance if self.clear_of_edge else 0.0)
+        return np.asarray(((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1))
+
+    def _blocked(self, a: FloatArray, b: FloatArray, reach: float) -> BoolArray:
+        """Tell which segments meet an obstacle cell or come within ``reach`` of one [cells]."""
         low = self._cell(np.minimum(a, b) - reach - TOUCH)
         high = self._cell(np.maximum(a, b) + reach + TOUCH)
-        near = np.flatnonzero(self._count(low, high) > 0)
-        clear = np.ones(len(a), dtype=bool)
-        clear[near] = ~self._hits(a[near], b[near], low[near], high[near], reach)
-        return clear
+        middle = self._cell((a + b) / 2)
+        blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # of those that are, the most
+        near = np.flatnonzero(~blocked & (self._count(low, high) > 0))
+        blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
+        return blocked
 
     def _cell(self, uv: FloatArray) -> npt.NDArray[np.int64]:
         rows, columns = self._shape
@@ -94,6 +114,21 @@ class ObstacleField:
         return segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
 
 
+def _pieces(
+    a: FloatArray, b: FloatArray
+) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+    """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
+    length = np.hypot(*(b - a).T)
+    count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
+    segment = np.repeat(np.arange(len(a)), count)
+    if len(segment) == len(a):
+        return segment, a, b
+    place = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    step = ((b - a) / count[:, None])[segment]
+    start = a[segment] + step * place[:, None]
+    return segment, start, start + step
+
+
 def _touch(a: FloatArray, b: FloatArray, cell: npt.NDArray[np.int64], reach: float) -> BoolArray:
     """Tell which segments come within ``reach`` of their closed unit cell (units of a cell)."""
     centre = cell + 0.5
@@ -110,7 +145,7 @@ def _cross(a: FloatArray, b: FloatArray) -> BoolArray:
     middle, half = (a + b) / 2, np.abs(b - a) / 2
     apart = (np.abs(middle) > 0.5 + half + TOUCH).any(axis=1)
     across = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
-    span = 0.5 * half.sum(axis=1) + TOUCH * (half.sum(axis=1) + TOUCH)
+    span = 0.5 * half.sum(axis=1) + TOUCH * (np.hypot(*half.T) + TOUCH)
     meets: BoolArray = ~apart & (across <= span)
     return meets
 
@@ -128,17 +163,22 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def nearest_free_cell(
-    risk_map: RiskMap, xy: tuple[float, float], tolerance: float, clearance: float
+    risk_map: RiskMap,
+    xy: tuple[float, float],
+    tolerance: float,
+    clearance: float,
+    clear_of_edge: bool = True,
 ) -> tuple[float, float]:
     """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
 
-    A cell is free if its centre keeps the clearance from obstacles. Where none is within
+    A cell is free if its centre keeps the clearance from obstacles, and from the map's edge with
+    ``clear_of_edge``. Where none is within
     ``tolerance`` [m] of ``xy``, or ``xy`` is not on the map, it comes back as it is.
     """
     if tolerance == 0.0:
         return xy
     uv = risk_map.to_map_axes(xy)
-    field = ObstacleField(risk_map)
+    field = ObstacleField(risk_map, clear_of_edge)
     if not risk_map.contains(uv) or field.clear_points(uv[None], clearance)[0]:
         return xy
     centres = _cell_centres(risk_map, uv, tolerance)

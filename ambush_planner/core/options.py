@@ -22,9 +22,11 @@ def check_at_least(
     number = isinstance(value, int | float | np.integer | np.floating)
     if not number or isinstance(value, bool):
         raise InvalidOption(f"{name} must be a number, got {value!r}")
-    if not float(value) >= least or (finite and math.isinf(float(value))):  # type: ignore[arg-type]
+    value = float(value)
+    if not value >= least or (finite and math.isinf(value)):
         kind = "finite and " if finite else ""
-        raise InvalidOption(f"{name} must be {kind}>= {least:g}{unit and f' [{unit}]'}, got {value}")
+        range_ = f"{kind}>= {least:g}" + (f" [{unit}]" if unit else "")
+        raise InvalidOption(f"{name} must be {range_}, got {value}")
 
 
 def check_whole(name: str, value: object, least: int) -> None:

@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import frozen_array
+from .arrays import FloatArray, frozen_array
 from .errors import InvalidOption, InvalidRiskMap
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +74,10 @@ class RiskMap:
 
     def to_world(self, uv: npt.ArrayLike) -> FloatArray:
         """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
-        x0, y0, yaw = self.origin
-        uv = np.asarray(uv, dtype=np.float64)
-        return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
+        return to_world(self.origin, uv)
 
     def contains(self, uv: npt.ArrayLike) -> npt.NDArray[np.bool_]:
-        """Tell which positions in map axes (..., 2) lie on the map, its border included."""
+        """Tell which positions in map axes (..., 2) lie on the map or its outer edge."""
         uv = np.asarray(uv, dtype=np.float64)
         inside: npt.NDArray[np.bool_] = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
         return inside
@@ -94,6 +90,13 @@ class RiskMap:
         rows, columns = self.alpha.shape
         index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
         return (np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1))
+
+
+def to_world(origin: tuple[float, float, float], uv: npt.ArrayLike) -> FloatArray:
+    """Turn positions in the axes of a map at ``origin`` (..., 2) into world positions [m]."""
+    x0, y0, yaw = origin
+    uv = np.asarray(uv, dtype=np.float64)
+    return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
 
 
 def _rotation(yaw: float) -> FloatArray:

@@ -9,8 +9,12 @@ import numpy as np
 
 from .acyclic import is_acyclic
 from .arrays import FloatArray, IndexArray
+from .errors import InvalidOption
 from .network import Network
 from .paths import shortest_path
+
+# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
+MOST_POSES = 20_000
 
 
 class RouteSampler:
@@ -111,8 +115,19 @@ def densify(points: FloatArray, spacing: float) -> FloatArray:
 
     Every corner is a pose, the first and the last point are met exactly, and yaw is the direction
     of the segment that starts at the pose (at the end: of the last segment) [rad].
+
+    Raises
+    ------
+    InvalidOption
+        That would be more than ``MOST_POSES``.
     """
     steps = np.diff(points, axis=0)
+    count = float(np.ceil(np.hypot(*steps.T) / spacing).sum())
+    if not count < MOST_POSES:
+        raise InvalidOption(
+            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {count:.3g} poses, "
+            f"and {MOST_POSES} are the most; choose a larger distance"
+        )
     yaw = np.arctan2(steps[:, 1], steps[:, 0])
     parts = np.maximum(np.ceil(np.hypot(*steps.T) / spacing - 1e-9).astype(np.int64), 1)
     segment = np.repeat(np.arange(len(steps)), parts)

@@ -20,6 +20,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from ..core.planner import Plan
+from ..core.routes import densify
 from ..core.strategy import Strategy
 from ..recording.departure import RecordedDeparture
 from ..recording.messages import type_name
@@ -82,9 +83,8 @@ def path_faults(
     if not 0.0 < length / spacing <= len(path.poses):
         return [f'path: it has {len(path.poses)} poses for a route that needs others']
     first, last = path.poses[0].pose, path.poses[-1].pose
-    again = departure_path(
-        points, spacing, trip.start or _at(first, trip.start_xy), trip.goal or last, path.header
-    )
+    start = trip.start or _at(first, trip.start_xy)
+    again = departure_path(densify(points, spacing), start, trip.goal or last, path.header)
     return _differences(path, again.to_message())
 
 

@@ -87,6 +87,9 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         2, 1_000_000),
     'network.clearance': Declaration(
         _NETWORK.clearance, 'Distance that routes keep from obstacle cells [m].'),
+    'network.clear_of_edge': Declaration(
+        _NETWORK.clear_of_edge,
+        "Whether routes keep this distance from the map's outer edge, too."),
     'game.ambush_radius': Declaration(
         _GAME.ambush_radius,
         'An ambush hits every route that passes within this distance of it [m]; 0: routes '

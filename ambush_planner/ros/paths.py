@@ -1,4 +1,4 @@
-"""The path of a departure: made from its route as an array, and turned into bytes or a message."""
+"""The path of a departure as an array between two poses, turned into bytes or a message."""
 
 from __future__ import annotations
 
@@ -14,14 +14,10 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
 from ..core.arrays import frozen_array
-from ..core.errors import InvalidOption
 from ..core.risk_map import FloatArray
-from ..core.routes import densify
 from .conversions import path_to_ros
 
 _POSE = struct.Struct('<7d')
-# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
-MOST_POSES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,28 +54,15 @@ class DeparturePath:
         return b''.join((none[:-4], count, both[len(none):len(one)], inner, last))
 
 
-def departure_path(
-    points: FloatArray, spacing: float, start: Pose, goal: Pose, header: Header
-) -> DeparturePath:
-    """Put poses along the route ``points`` (K, 2), at most ``spacing`` [m] apart.
+def departure_path(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:
+    """Take poses (L, 3) for the path of a departure between two poses that were given.
 
-    The path ends where the route does, with the goal's orientation: a goal that was blocked has
+    The path ends where the last row lies, with the goal's orientation: a goal that was blocked has
     been moved there.
-
-    Raises
-    ------
-    InvalidOption
-        That would be more than ``MOST_POSES``.
     """
-    count = float(np.ceil(np.hypot(*np.diff(points, axis=0).T) / spacing).sum())
-    if not count < MOST_POSES:
-        raise InvalidOption(
-            f'route.path_spacing {spacing:g} m makes a path of {count:.3g} poses, and '
-            f'{MOST_POSES} are the most; choose a larger one'
-        )
     goal = deepcopy(goal)
-    goal.position.x, goal.position.y = points[-1].tolist()
-    return DeparturePath(header, frozen_array(densify(points, spacing), np.float64), start, goal)
+    goal.position.x, goal.position.y = rows[-1, :2].tolist()
+    return DeparturePath(header, frozen_array(rows, np.float64), start, goal)
 
 
 def _numbers(rows: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from std_msgs.msg import Header
 
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, depart
+from ..core.routes import densify
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
@@ -218,8 +219,7 @@ class Session:
         # Within a departure no time is before an earlier one, though the clock may be set.
         leaving = max(begin, self._now())
         path = departure_path(
-            route.points,
-            parameters.path_spacing or plan.spacing,
+            densify(route.points, parameters.path_spacing or plan.spacing),
             trip.start_pose.pose,
             trip.goal_pose.pose,
             self._header(trip, leaving),

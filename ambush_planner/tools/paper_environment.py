@@ -48,7 +48,7 @@ EXAMPLE = "8 nodes"
 METHODS = {
     "Method 1": "random_delaunay",
     "Method 2": "uniform_grid8",
-    "Method 3": "uniform_delaunay",
+    "Method 3": "lattice_delaunay",
 }
 
 

@@ -1,0 +1,82 @@
+"""What is measured on paths (L, 3) = (x, y, yaw): length, turning, hairpins, closeness, and whether
+Nav2 would take them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ambush_planner import RiskMap
+from ambush_planner.core.risk_map import FloatArray
+
+HAIRPIN = np.radians(120.0)  # change of heading within one spacing
+NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far
+NEAR_EDGE = 1.5  # spacings from the map's outer edge
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Of one path: length [m], turning [rad], hairpins, shares of its length, Nav2's verdict."""
+
+    length: float
+    turning: float
+    hairpins: int
+    near_itself: float
+    near_edge: float
+    accepted: bool
+
+
+def measure(poses: FloatArray, risk_map: RiskMap, spacing: float, step: float) -> Drive:
+    """Measure a path; ``spacing`` is that of nodes, ``step`` the largest one of poses [m]."""
+    gone, yaw = _along(poses)
+    fine = np.arange(0.0, gone[-1], spacing / 20.0)
+    points = np.stack([np.interp(fine, gone, xy) for xy in poses[:, :2].T], axis=1)
+    return Drive(
+        float(gone[-1]),
+        float(np.abs(np.diff(yaw)).sum()),
+        _hairpins(gone, yaw, spacing),
+        _near_itself(points, fine, spacing),
+        _near_edge(points, risk_map, NEAR_EDGE * spacing),
+        accepted(poses, risk_map, step),
+    )
+
+
+def _along(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance gone at each pose, and the heading there without jumps by 360 degrees."""
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    return gone, np.unwrap(poses[:, 2])
+
+
+def _hairpins(gone: FloatArray, yaw: FloatArray, spacing: float) -> int:
+    """How many times the heading changes by more than ``HAIRPIN`` within a spacing."""
+    end = np.searchsorted(gone, gone + spacing, side="right")
+    sharp = [np.ptp(yaw[k : max(e, k + 2)]) > HAIRPIN for k, e in enumerate(end)]
+    return int((np.diff(np.concatenate(([False], sharp)).astype(int)) > 0).sum())
+
+
+def _near_itself(points: FloatArray, fine: FloatArray, spacing: float) -> float:
+    near = cKDTree(points).query_pairs(NEAR_ITSELF * spacing, output_type="ndarray")
+    apart = np.abs(fine[near[:, 0]] - fine[near[:, 1]]) > 3.0 * NEAR_ITSELF * spacing
+    return len(np.unique(near[apart])) / len(points)
+
+
+def _near_edge(points: FloatArray, risk_map: RiskMap, margin: float) -> float:
+    uv = risk_map.to_map_axes(points)
+    return float((np.minimum(uv, risk_map.size - uv).min(axis=1) < margin).mean())
+
+
+def accepted(poses: FloatArray, risk_map: RiskMap, step: float) -> bool:
+    """Poses close together, yaw without jumps over 45 degrees, nothing in obstacles or off the
+    map: by looking at points a tenth of a cell apart, not by the planner's own test."""
+    steps = np.diff(poses[:, :2], axis=0)
+    jumps = np.abs((np.diff(poses[:, 2]) + np.pi) % (2 * np.pi) - np.pi)
+    if np.hypot(*steps.T).max() > step * (1.0 + 1e-9) or jumps.max() > np.radians(45.0):
+        return False
+    gone, _ = _along(poses)
+    fine = np.arange(0.0, gone[-1], risk_map.resolution / 10.0)
+    points = np.stack([np.interp(fine, gone, xy) for xy in poses[:, :2].T], axis=1)
+    uv = risk_map.to_map_axes(np.concatenate((points, poses[:, :2])))
+    inside = bool(((uv > 0.0) & (uv < risk_map.size)).all())
+    return inside and not risk_map.obstacles[risk_map.cells(uv)].any()

@@ -1,0 +1,220 @@
+"""Would you drive it? Paths of 200 departures on four maps, against what a grid planner finds.
+
+The table goes to the screen and into results.md, a picture of each map into ``--pictures``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from drives import Drive, measure
+from grid_planner import shortest_line
+from grounds import GROUNDS, Ground
+from matplotlib.figure import Figure
+from report import RESULTS, conditions, table, write_block
+
+from ambush_planner import NetworkOptions, Strategy, StrategyOptions, build_network, solve
+from ambush_planner.core.construction import chosen_spacing
+from ambush_planner.core.corridors import make_corridors
+from ambush_planner.core.driven_path import different_paths, driven_path
+from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
+from ambush_planner.core.risk_map import FloatArray
+from ambush_planner.tools.figures import (
+    FixedRoute,
+    draw_ambush_sites,
+    draw_ends,
+    draw_fixed_routes,
+    draw_risk_map,
+    draw_routes,
+    frame,
+)
+
+SHOWN = 8
+# Two paths are the same if they are nowhere further apart than this [spacings].
+SAME = 0.1
+# What the first version reached on terrain and depot, as far as it was measured.
+FIRST = {
+    "terrain": ("1.5", "2.3", "1.9", "4 %", "5 %"),
+    "depot": ("1.5", "6.1", "3.7", "0 %", "0 %"),
+}
+WANTED = {
+    "mean length : any-angle A*": 1.25,
+    "hairpins a route": 0.05,
+    "turning : the shortest drawn route's": 1.3,
+    "near itself": 0.0,
+    "near the map's edge": 0.01,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """All that was measured on one map."""
+
+    ground: Ground
+    strategy: Strategy
+    spacing: float
+    paths: list[FloatArray]
+    drives: list[Drive]
+    shortest: FixedRoute
+    safest: FixedRoute
+    shortest_drive: Drive
+    drawn_turning: float
+    grid_length: float
+    different: int
+    draws: int
+    milliseconds: float
+
+
+def run(ground: Ground, departures: int, draws: int) -> Trial:
+    """Solve at the defaults, draw and drive."""
+    risk_map, options = ground.risk_map, NetworkOptions()
+    spacing = chosen_spacing(risk_map, options)
+    network = build_network(risk_map, ground.start, ground.goal, options)
+    strategy = solve(network, options=StrategyOptions(max_detour=1.2, risk_slack=0.01))
+    corridors = make_corridors(network, risk_map)
+    step = max(risk_map.resolution, spacing)
+    rng = np.random.default_rng(0)
+    routes = [strategy.sample_route(rng) for _ in range(max(draws, departures))]
+    started = time.process_time()
+    paths = [driven_path(corridors, route, step) for route in routes]
+    seconds = time.process_time() - started
+    straight = energy_efficient_route(strategy.game)
+    shortest, safest = (
+        FixedRoute(name, driven_path(corridors, route, step), _worst(strategy, route))
+        for name, route in (
+            ("shortest", straight), ("safest", risk_avoiding_route(strategy.game)))
+    )
+    return Trial(
+        ground, strategy, spacing, paths[:departures],
+        [measure(path, risk_map, spacing, step) for path in paths[:departures]],
+        shortest, safest, measure(shortest.points, risk_map, spacing, step),
+        _turning(network.points[straight]),
+        float(np.hypot(*np.diff(shortest_line(ground), axis=0).T).sum()),
+        different_paths(paths, SAME * spacing), len(paths), 1e3 * seconds / len(paths),
+    )
+
+
+def _worst(strategy: Strategy, route: np.ndarray) -> FloatArray:
+    """Where an ambush on a route that is known costs most."""
+    return strategy.network.points[route[np.argmax(strategy.network.alpha[route])]]
+
+
+def _turning(points: FloatArray) -> float:
+    """Sum of the turns at the corners of a line [rad]."""
+    heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
+    return float(np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi).sum())
+
+
+def figures_of(trial: Trial) -> dict[str, float]:
+    """The numbers that are wanted, by name."""
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(drive, name) for drive in trial.drives]))
+
+    return {
+        "mean length : any-angle A*": mean("length") / trial.grid_length,
+        "hairpins a route": mean("hairpins"),
+        "turning : the shortest drawn route's": mean("turning") / trial.drawn_turning,
+        "near itself": mean("near_itself"),
+        "near the map's edge": mean("near_edge"),
+    }
+
+
+def routes_table(trials: dict[str, Trial]) -> str:
+    """A row for each number that is wanted, and what else there is to say; in bold what is not
+    reached."""
+    reached = {name: figures_of(trial) for name, trial in trials.items()}
+    rows = []
+    for k, (what, wanted) in enumerate(WANTED.items()):
+        share = what.startswith("near")
+        cells = []
+        for name in trials:
+            text = f"{reached[name][what]:.1%}" if share else f"{reached[name][what]:.2f}"
+            cell = text if reached[name][what] <= wanted else f"**{text}**"
+            cells.append(f"{cell} ({FIRST[name][k]})" if name in FIRST else cell)
+        rows.append([what, f"<= {wanted:.0%}" if share else f"<= {wanted:g}", *cells])
+    good = [np.mean([drive.accepted for drive in trial.drives]) for trial in trials.values()]
+    rows.append(["accepted by Nav2's rules", "100 %",
+                 *(f"{share:.0%}" if share == 1.0 else f"**{share:.1%}**" for share in good)])
+    return table(["", "wanted", *trials], rows + _other_rows(list(trials.values())))
+
+
+def _other_rows(trials: list[Trial]) -> list[list[str]]:
+    def row(name: str, texts: list[str]) -> list[str]:
+        return [name, "", *texts]
+
+    return [
+        row("shortest route on the network, driven : any-angle A*", [
+            f"{t.shortest_drive.length / t.grid_length:.2f}" for t in trials]),
+        row("turning [rad]: mean path, shortest route driven, the same as drawn", [
+            f"{np.mean([drive.turning for drive in t.drives]):.1f}, "
+            f"{t.shortest_drive.turning:.1f}, {t.drawn_turning:.1f}" for t in trials]),
+        row("the shortest path itself: near itself, near the edge", [
+            f"{t.shortest_drive.near_itself:.0%}, {t.shortest_drive.near_edge:.0%}"
+            for t in trials]),
+        row("route entropy [nats] (upper bound for paths)", [
+            f"{t.strategy.route_entropy:.1f}" for t in trials]),
+        row(f"different paths in {trials[0].draws} draws", [str(t.different) for t in trials]),
+        row("nodes, nodes of a route", [
+            f"{len(t.strategy.network.points)}, {t.strategy.visit_probability.sum():.0f}"
+            for t in trials]),
+        row("processor time a path", [f"{t.milliseconds:.2f} ms" for t in trials]),
+    ]
+
+
+def picture(trial: Trial, path: Path) -> None:
+    """Left: eight paths and the best ambush sites. Right: the shortest and the safest path."""
+    figure = Figure(figsize=(15.0, 8.0), dpi=100, layout="compressed")
+    left, right = figure.subplots(1, 2)
+    risk_map, strategy = trial.ground.risk_map, trial.strategy
+    frame(left, risk_map, f"{SHOWN} departures")
+    frame(right, risk_map, "the same path every day")
+    draw_routes(left, [poses[:, :2] for poses in trial.paths[:SHOWN]])
+    draw_ambush_sites(left, strategy.network, strategy.ambush_probability)
+    lines = draw_fixed_routes(right, [
+        replace(fixed, points=fixed.points[:, :2]) for fixed in (trial.shortest, trial.safest)
+    ])
+    for axes in (left, right):
+        draw_risk_map(axes, risk_map)
+        draw_ends(axes, trial.ground.start, trial.ground.goal)
+    right.legend(handles=lines, loc="best")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--maps", nargs="+", default=list(GROUNDS), choices=list(GROUNDS))
+    parser.add_argument("--departures", type=int, default=200, help="paths that are measured")
+    parser.add_argument("--draws", type=int, default=1000, help="of which different ones count")
+    parser.add_argument("--pictures", type=Path, default=Path("out/routes"), help="folder")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="file whose block `routes` is replaced"
+    )
+    options = parser.parse_args()
+    trials, missing = {}, []
+    for name in options.maps:
+        try:
+            ground = GROUNDS[name]()
+        except FileNotFoundError as error:
+            missing.append(f"`{name}` is left out: {error.filename} is not there.")
+            continue
+        trials[name] = run(ground, options.departures, options.draws)
+        picture(trials[name], options.pictures / f"{name}.png")
+        print(name, figures_of(trials[name]), file=sys.stderr)
+    text = "\n\n".join([
+        f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
+        *missing, routes_table(trials),
+    ])
+    print(text)
+    write_block(options.results, "routes", text)
+
+
+if __name__ == "__main__":
+    main()

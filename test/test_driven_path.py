@@ -1,0 +1,285 @@
+"""What is driven: in the corridors, clear of obstacles, as short as can be, and smooth."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from games import examples, random_map
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from ambush_planner import (
+    GoalBlocked,
+    InvalidNetwork,
+    InvalidOption,
+    NetworkOptions,
+    NoRoute,
+    RiskMap,
+    StartBlocked,
+    build_network,
+)
+from ambush_planner.core import driven_path as inside
+from ambush_planner.core.corridors import make_corridors
+from ambush_planner.core.driven_path import different_paths, driven_path, driven_paths
+from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.paths import shortest_path
+
+METHODS = ("uniform_delaunay", "lattice_delaunay", "uniform_grid8", "random_delaunay")
+
+
+def some_route(network, seed):
+    """A route that is shortest for random lengths, so it turns a lot."""
+    weights = 0.05 + np.random.default_rng(seed).random(len(network.edges))
+    return shortest_path(
+        network.edges, weights, len(network.points), network.source, network.target
+    )
+
+
+@st.composite
+def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
+    """A map, a route on it, the corridors and the clearance."""
+    cells = draw(st.integers(6, 14))
+    risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.1, draw(st.floats(-4, 4)))
+    place = st.tuples(*[st.floats(0.4, cells - 0.4)] * 2)
+    clearance, clear_of_edge = draw(st.sampled_from((0.0, 0.25))), draw(st.booleans())
+    options = NetworkOptions(
+        draw(st.sampled_from(METHODS)), draw(st.sampled_from((0.7, 1.0, 1.6))), clearance,
+        clear_of_edge=clear_of_edge,
+    )
+    ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
+    try:
+        network = build_network(risk_map, *ends, options)
+    except (StartBlocked, GoalBlocked, NoRoute, InvalidNetwork):
+        assume(False)
+    tube = draw(st.sampled_from(tubes))
+    corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
+    return corridors, some_route(network, draw(st.integers(0, 99))), clearance, tube, clear_of_edge
+
+
+def distance_to(points, line):
+    """Distance (K,) of points from a polyline, by all its segments."""
+    line = line[np.append(np.hypot(*np.diff(line, axis=0).T) > 0.0, True)]
+    a, along = line[:-1], np.diff(line, axis=0)
+    t = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
+    foot = a + np.clip(t, 0.0, 1.0)[..., None] * along
+    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)
+
+
+def dense(poses, parts=20):
+    """Points along the straight lines from pose to pose."""
+    share = np.linspace(0, 1, parts, endpoint=False)[:, None]
+    steps = np.diff(poses[:, :2], axis=0)
+    return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
+
+
+@examples(250)
+@given(drives())
+def test_the_path_keeps_clear_and_in_its_tube(drive):
+    corridors, route, clearance, tube, clear_of_edge = drive
+    network, risk_map = corridors.network, corridors.risk_map
+    poses = driven_path(corridors, route, 0.2)
+    uv = risk_map.to_map_axes(poses[:, :2])
+    field = ObstacleField(risk_map, clear_of_edge)
+    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
+    assert not risk_map.obstacles[risk_map.cells(risk_map.to_map_axes(dense(poses)))].any()
+    if tube is not None:
+        assert distance_to(dense(poses), network.points[route]).max() <= tube + 1e-9
+    else:
+        others = np.delete(network.points, route, axis=0)
+        if len(others):
+            assert distance_to(others, poses[:, :2]).min() > 1e-3
+
+
+@examples(150)
+@given(drives(), st.sampled_from((0.03, 0.2, 1.0, 7.0)))
+def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
+    corridors, route = drive[:2]
+    poses = driven_path(corridors, route, spacing)
+    network = corridors.network
+    assert np.array_equal(poses[[0, -1], :2], network.points[[network.source, network.target]])
+    steps = np.diff(poses[:, :2], axis=0)
+    length = np.hypot(*steps.T)
+    assert length.max() <= spacing + 1e-9
+    turned = np.abs(between(poses[1:, 2], poses[:-1, 2]))
+    assert turned.max() <= np.radians(20) + 1e-6
+    moving = length > 1e-6
+    heading = np.arctan2(steps[:, 1], steps[:, 0])
+    assert np.abs(between(heading, poses[:-1, 2]))[moving].max() <= np.radians(20) + 1e-6
+    assert (poses[:, 2] >= -np.pi).all() and (poses[:, 2] <= np.pi).all()
+    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
+    assert length.sum() <= drawn + 1e-9
+
+
+def between(a, b):
+    return (a - b + np.pi) % (2 * np.pi) - np.pi
+
+
+@examples(60)
+@given(drives())
+def test_the_taut_string_is_the_shortest_line_through_the_portals(drive):
+    corridors, route = drive[:2]
+    assume(len(route) > 2)
+    assert_taut(inside._portals(corridors, route), 0.7)
+
+
+def assert_taut(portals, share):
+    """The string is as short as a general minimiser finds, over one place on each portal."""
+    low, high = -share * portals.right[1:-1], share * portals.left[1:-1]
+
+    def length(t):
+        points = portals.nodes.copy()
+        points[1:-1] += t[:, None] * portals.leftward[1:-1]
+        steps = np.diff(points, axis=0)
+        size = np.hypot(*steps.T)
+        pull = -np.diff(steps / size[:, None], axis=0)
+        return size.sum(), (pull * portals.leftward[1:-1]).sum(axis=1)
+
+    found = minimize(
+        length, (low + high) / 2, jac=True, method="L-BFGS-B",
+        bounds=np.stack((low, high), axis=1), options={"ftol": 1e-15, "maxiter": 5000},
+    )
+    points = np.array([
+        portals.nodes[k] + share * portals.leftward[k] * (
+            portals.left[k] if side > 0 else -portals.right[k] if side < 0 else 0.0)
+        for k, side in inside._taut(portals, share)
+    ])
+    size = np.hypot(*np.diff(points, axis=0).T).sum()
+    assert size == pytest.approx(found.fun, rel=1e-5)
+    assert size <= found.fun * (1 + 1e-9)
+
+
+def test_portals_that_are_seen_from_behind():
+    """Two sharp turns, one after the other: from the start, the second portal looks reversed."""
+    nodes = [(4.2683, 2.8259), (4.55, 3.85), (3.85, 4.55), (3.85, 3.85), (3.15, 4.55),
+             (2.45, 5.25), (1.75, 5.25), (1.0186, 5.3343)]
+    leftward = [(0, 0), (-0.9668, -0.2556), (0.3827, -0.9239), (0.3827, -0.9239),
+                (-0.7071, -0.7071), (-0.3827, -0.9239), (-0.0573, -0.9984), (0, 0)]
+    left = [0, 0.6201, 0.2387, 0.1018, 0.7, 0.5762, 0.0339, 0]
+    right = [0, 0.1404, 0.0807, 0.2387, 0.0606, 0.0448, 0.4692, 0]
+    arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
+    assert_taut(inside._Portals(*arrays), 1.0)
+
+
+def open_map(cells=20, yaw=0.0):
+    return RiskMap(np.ones((cells, cells)), np.zeros((cells, cells), bool), 1.0, (5.0, -2.0, yaw))
+
+
+def corridors_on(risk_map, start, goal, spacing=1.0, **options):
+    ends = risk_map.to_world(np.array([start, goal], float))
+    network = build_network(risk_map, *ends, NetworkOptions("uniform_delaunay", spacing))
+    return make_corridors(network, risk_map, **options)
+
+
+def test_a_staircase_becomes_a_straight_line():
+    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
+    network = corridors.network
+    route = shortest_path(
+        network.edges, network.lengths, len(network.points), network.source, network.target
+    )
+    poses = driven_path(corridors, route, 0.2)
+    straight = np.hypot(*(network.points[network.target] - network.points[network.source]))
+    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
+    driven = np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()
+    assert drawn > 1.02 * straight and driven < 1.01 * straight
+
+
+def test_a_tube_of_nothing_is_the_drawn_route():
+    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.0)
+    route = some_route(corridors.network, 3)
+    poses = driven_path(corridors, route, 0.5)
+    drawn = corridors.network.points[route]
+    for point in drawn:
+        assert np.hypot(*(poses[:, :2] - point).T).min() < 1e-9
+    assert distance_to(poses[:, :2], drawn).max() < 1e-9
+
+
+@pytest.mark.parametrize("radius", [0.2, 0.5, 1.0])
+def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
+    """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
+    risk_map = open_map()
+    corridors = corridors_on(risk_map, (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
+    network = corridors.network
+    corner = int(np.argmax(np.abs(between_line(network))[:-2]))
+    edges = {tuple(edge) for edge in network.edges.tolist()}
+    route = np.array([network.source, corner, network.target])
+    assert all(pair in edges for pair in itertools.pairwise(route.tolist()))
+    poses = driven_path(corridors, route, 0.02, radius)
+    bend = np.abs(between(poses[1:, 2], poses[:-1, 2]))
+    step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    assert (step[bend > 1e-6] / bend[bend > 1e-6]).min() > 0.98 * radius
+
+
+def between_line(network):
+    start, goal = network.points[[network.source, network.target]]
+    along = goal - start
+    return (network.points - start) @ (-along[1], along[0])
+
+
+def test_a_route_of_one_edge_is_a_straight_line():
+    corridors = corridors_on(open_map(2), (0.3, 0.4), (1.6, 1.7), spacing=5.0)
+    network = corridors.network
+    poses = driven_path(corridors, np.array([network.source, network.target]), 0.5)
+    ends = network.points[[network.source, network.target]]
+    assert distance_to(poses[:, :2], ends).max() < 1e-12 and len(poses) == 5
+    assert poses[:, 2] == pytest.approx(np.pi / 4)
+
+
+def test_a_turned_map_gives_the_turned_path():
+    plain = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
+    turned_map = open_map(yaw=0.7)
+    turned = corridors_on(turned_map, (1.2, 1.3), (18.7, 18.4))
+    route = some_route(plain.network, 1)
+    a, b = driven_path(plain, route, 0.3), driven_path(turned, route, 0.3)
+    uv = open_map().to_map_axes(a[:, :2])
+    np.testing.assert_allclose(b[:, :2], turned_map.to_world(uv), atol=1e-6)
+    np.testing.assert_allclose(between(b[:, 2], a[:, 2]), 0.7, atol=1e-6)
+
+
+def test_many_paths_are_as_one_by_one_and_counted():
+    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
+    routes = [some_route(corridors.network, seed) for seed in (1, 2, 1, 3, 2)]
+    paths = driven_paths(corridors, routes, 0.3)
+    for path, route in zip(paths, routes, strict=True):
+        assert np.array_equal(path, driven_path(corridors, route, 0.3))
+    assert different_paths(paths, 0.01) == 3
+    assert different_paths(paths, 100.0) == 1
+
+
+@pytest.mark.parametrize("spacing", [1e-5, 1e-30, 5e-324])
+def test_too_many_poses_are_refused(spacing):
+    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
+    with pytest.raises(InvalidOption, match=r"route\.path_spacing.* 20000 are the most"):
+        driven_path(corridors, some_route(corridors.network, 1), spacing)
+
+
+@pytest.mark.parametrize("tube", [-0.1, np.nan, np.inf])
+def test_a_tube_that_cannot_be_is_refused(tube):
+    with pytest.raises(InvalidOption, match="tube"):
+        corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=tube)
+
+
+def test_nodes_that_need_not_be_visited_are_left_out_only_without_a_tube():
+    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
+    network = corridors.network
+    edges = {tuple(edge) for edge in network.edges.tolist()}
+    left_out = 0
+    for seed in range(20):
+        route = some_route(network, seed)
+        shorter = corridors.shortened(route)
+        assert set(shorter.tolist()) <= set(route.tolist())
+        assert shorter[[0, -1]].tolist() == route[[0, -1]].tolist()
+        assert {*itertools.pairwise(shorter.tolist())} <= edges
+        assert not any((shorter[k], shorter[k + 2]) in edges for k in range(len(shorter) - 2)
+                       if longer(network, shorter[k : k + 3]))
+        left_out += len(route) - len(shorter)
+    assert left_out > 0
+    kept = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.4)
+    assert np.array_equal(kept.shortened(route), route)
+
+
+def longer(network, three):
+    a, b, c = network.points[three]
+    return np.hypot(*(b - a)) + np.hypot(*(c - b)) > np.hypot(*(c - a)) + 1e-9

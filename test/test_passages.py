@@ -1,0 +1,82 @@
+"""Doors and corridors narrower than the distance of nodes, and maps that are cut in two."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ambush_planner import NetworkOptions, NoRoute, RiskMap, build_network
+from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.paths import reachable_from
+
+CELLS, SPACING = 24, 6.0
+DELAUNAY = ("uniform_delaunay", "lattice_delaunay", "random_delaunay")
+
+
+def walled(row: int, column: int, thickness: int, door: int = 1) -> RiskMap:
+    """A wall across the map, with a door ``door`` cells wide."""
+    obstacles = np.zeros((CELLS, CELLS), bool)
+    obstacles[:, column : column + thickness] = True
+    obstacles[row : row + door] = False
+    return RiskMap(np.ones((CELLS, CELLS)), obstacles, 1.0)
+
+
+def crossing(risk_map, method="uniform_delaunay", **options):
+    """A network from left to right, and that it leads through on free ground."""
+    ends = (1.3, 12.2), (22.4, 11.7)
+    network = build_network(risk_map, *ends, NetworkOptions(method, SPACING, **options))
+    reached = reachable_from(network.edges, len(network.points), network.source)
+    assert reached[network.target]
+    a, b = network.points[network.tails], network.points[network.heads]
+    field = ObstacleField(risk_map, clear_of_edge=False)
+    assert field.clear_segments(a, b, max(options.get("clearance", 0.0) - 1e-9, 0.0)).all()
+    return network
+
+
+@pytest.mark.parametrize("method", DELAUNAY)
+@pytest.mark.parametrize("thickness", [1, 5])
+def test_a_door_of_one_cell_is_found_wherever_it_lies(method, thickness):
+    for row, column in itertools.product(range(6, 13), range(7, 14)):
+        crossing(walled(row, column, thickness), method)
+
+
+@pytest.mark.parametrize("clearance", [1.4, 1.49])
+def test_a_corridor_little_wider_than_the_clearance_is_found(clearance):
+    for row, column in itertools.product(range(6, 13), range(7, 14, 2)):
+        crossing(walled(row, column, 5, 3), clearance=clearance, clear_of_edge=False)
+
+
+def test_a_bent_corridor_is_found():
+    obstacles = np.ones((CELLS, CELLS), bool)
+    obstacles[:, :6] = obstacles[:, -6:] = False
+    obstacles[3, 5:12] = obstacles[3:20, 12] = obstacles[19, 12:19] = False
+    crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))
+
+
+def test_nothing_is_added_where_the_lattice_leads_through():
+    free = np.zeros((CELLS, CELLS), bool)
+    assert len(crossing(RiskMap(np.ones(free.shape), free, 1.0)).points) == 16
+
+
+def test_a_grid_says_which_spacing_finds_the_door():
+    risk_map = walled(7, 9, 1)
+    with pytest.raises(NoRoute, match=r"at a spacing of 6 m; the map has a way, .* of 0\.5 m"):
+        build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions("uniform_grid8", 6.0))
+    build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions("uniform_grid8", 0.5))
+
+
+@pytest.mark.parametrize("method", [*DELAUNAY, "uniform_grid8"])
+def test_a_map_cut_in_two_is_told(method):
+    with pytest.raises(NoRoute, match=r"cut the map in two between them; .* 6 m nor any other"):
+        crossing(walled(0, 9, 2, 0), method)
+    with pytest.raises(NoRoute, match=r"cut the map in two between them at a clearance of 1\.5 m"):
+        crossing(walled(7, 9, 2, 3), method, clearance=1.5, clear_of_edge=False)
+
+
+def test_free_cells_that_meet_at_a_corner_are_no_way():
+    obstacles = np.zeros((CELLS, CELLS), bool)
+    obstacles[:12, 11] = obstacles[12:, 12] = True
+    with pytest.raises(NoRoute, match="cut the map in two"):
+        crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))
