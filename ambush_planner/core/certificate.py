@@ -22,8 +22,8 @@ from .errors import BudgetInfeasible, SolverFailed
 from .game import Game
 from .paths import distances_from
 
-# Rooms below this share of the best route count as this: ties of shortest routes are rounding.
-LEAST_ROOM = 1e-9
+# Rooms below this share of the best route's cost count as this: ties of best routes are rounding.
+LEAST_ROOM = 1e-12
 CONSERVATION_TOLERANCE = 1e-8
 # Rounding that a bound may exceed a value by, relative.
 ROUNDING = 1e-9
@@ -61,7 +61,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         best = self._behind[self.game.network.source]
-        if best > self.limit * (1.0 + LEAST_ROOM) + LEAST_ROOM * self.least:
+        if best > self.limit * (1.0 + ROUNDING):
             raise BudgetInfeasible(
                 f"the best playable route has {self.name} {best:.6g} {self.unit}, more than the "
                 f"budget of {self.limit:.6g} {self.unit}; raise max_{self.name}, or "

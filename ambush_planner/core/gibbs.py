@@ -6,25 +6,14 @@ On an acyclic network let every edge e have a weight c_e, and draw a route with 
 
 With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1 it is the Markov chain that goes
 from i to k with probability exp(-c_ik) Z_k / Z_i: one pass backward and one forward over the edges
-in topological order. With c = C' v, v >= 0, it is the strategy of greatest route entropy among all
-with C p <= 1 if v minimises the convex function
-
-    log Z(C' v) + sum v,        gradient 1 - C p.
-
-For every strategy with C p <= 1 that function is at least its entropy, so at least 0: a value
-below 0 proves that there is none (M. Saerens et al., *Randomized shortest-path problems*, Neural
-Computation 21, 2009; the law is also known as maximum causal entropy).
+in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural Computation
+21, 2009; the law is also known as maximum causal entropy).
 """
 
 from __future__ import annotations
 
-import contextlib
-import time
-from dataclasses import dataclass, field
-
 import numpy as np
 import scipy
-from scipy.optimize import minimize
 from scipy.sparse import coo_matrix, csr_matrix, identity
 from scipy.sparse.linalg import splu, spsolve_triangular
 
@@ -35,10 +24,6 @@ from .game import Game
 FAST_TRIANGULAR = tuple(int(part) for part in scipy.__version__.split(".")[:2]) >= (1, 13)
 # Rows of one block of the partition function's safe evaluation.
 BLOCK = 400
-MAX_EVALUATIONS = 1500
-# Correction pairs of L-BFGS: more where there are few multipliers to store them for.
-CORRECTIONS, MANY_ROWS, FEW_CORRECTIONS = 50, 100_000, 20
-SMALL_START = 1e-3
 
 
 class AcyclicNetwork:
@@ -87,6 +72,23 @@ class AcyclicNetwork:
         x = self._forward(share)
         return float(self._level[0]), x[self.tail] * share, share
 
+    def deviations(
+        self, share: FloatArray, used: IndexArray, costs: FloatArray
+    ) -> FloatArray:
+        """How far each edge's choice moves the rest of a route's costs from their mean: (U, R).
+
+        For ``costs`` (U, R) of the edges ``used`` (U,), several costs that add up along the route,
+        the mean cost of what follows is one backward pass; the deviations of a route's edges are
+        the steps of a martingale, so the covariance of the costs is their products' sum over the
+        edges, weighed by p.
+        """
+        along = csr_matrix(
+            (share[used], (self.tail[used], np.arange(len(used)))), shape=(self.count, len(used))
+        )
+        ahead = self._solve_upper(self._matrix(share), along @ costs)
+        moved: FloatArray = costs + ahead[self.head[used]] - ahead[self.tail[used]]
+        return moved
+
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         level = self._level
         with np.errstate(over="ignore", invalid="ignore"):
@@ -110,10 +112,12 @@ class AcyclicNetwork:
         """y with y_i = sum over edges out of i of factor * y_head, y_target = 1."""
         last = np.zeros(self.count)
         last[-1] = 1.0
-        matrix = self._matrix(factor)
+        return self._solve_upper(self._matrix(factor), last)
+
+    def _solve_upper(self, matrix: csr_matrix, right: FloatArray) -> FloatArray:
         if FAST_TRIANGULAR:
-            return np.asarray(spsolve_triangular(matrix, last, lower=False, unit_diagonal=True))
-        return np.asarray(_natural_lu(matrix).solve(last))
+            return np.asarray(spsolve_triangular(matrix, right, lower=False, unit_diagonal=True))
+        return np.asarray(_natural_lu(matrix).solve(right))
 
     def _forward(self, share: FloatArray) -> FloatArray:
         """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
@@ -155,64 +159,3 @@ class AcyclicNetwork:
 
 def _natural_lu(matrix: csr_matrix):  # type: ignore[no-untyped-def]
     return splu(matrix.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
-
-
-@dataclass
-class GibbsStrategy:
-    """The last evaluation of the law: p (m,), multipliers v (R,), how far it is over its limits.
-
-    ``excess`` is max(C p) - 1; ``infeasible`` says that no strategy is within the limits.
-    """
-
-    p: FloatArray
-    multipliers: FloatArray
-    excess: float = np.inf
-    infeasible: bool = False
-    evaluations: int = field(default=0)
-
-
-class _Done(Exception):
-    """Ends the search from within."""
-
-
-def most_entropy(
-    network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
-    deadline: float, softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
-) -> GibbsStrategy:
-    """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0 by L-BFGS-B.
-
-    Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance``, when the limits are proved infeasible, after
-    so many ``evaluations``, or at ``deadline`` (``time.monotonic``). ``softness`` lets the
-    strategy be over its limits by softness * sum v: then there always is a minimum.
-    """
-    found = GibbsStrategy(np.empty(0), start)
-    if rows.shape[0] == 0:
-        _, p, _ = network.law(np.zeros(len(network.edge)))
-        return GibbsStrategy(p, start, 0.0, False, 1)
-    columns = rows.T.tocsr()
-
-    def objective(v: FloatArray) -> tuple[float, FloatArray]:
-        log_z, p, _ = network.law(columns @ v)
-        used, total = rows @ p, float(v.sum())
-        found.p, found.multipliers = p, v.copy()
-        found.excess = float(used.max()) - 1.0
-        found.evaluations += 1
-        value = log_z + total + softness / 2.0 * total**2
-        found.infeasible = softness == 0.0 and value < 0.0
-        reached = softness == 0.0 and found.excess <= tolerance
-        if reached or found.infeasible or time.monotonic() > deadline:
-            raise _Done
-        return value, 1.0 - used + softness * total
-
-    pairs = CORRECTIONS if rows.shape[0] < MANY_ROWS else FEW_CORRECTIONS
-    options = {
-        "maxcor": pairs, "maxiter": evaluations, "maxfun": evaluations, "ftol": 1e-15,
-        "gtol": 1e-12,
-    }
-    with contextlib.suppress(_Done):
-        minimize(
-            objective, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
-            options=options,
-        )
-    return found

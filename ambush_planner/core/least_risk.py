@@ -25,12 +25,16 @@ from .errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .game import Game
 from .paths import distances_between
 
-# Value and bound are this near to each other, relative, when the program is solved.
-CLOSED = 1e-6
+# The most that the edges of the program may grow by in one round.
+GROWTH, LEAST_GROWTH = 0.3, 1000
+# After the first round, edges on routes that cost this many times the value or more are dropped.
+KEPT = 1.1
+# Prices of a budget that are tried beside the program's, over value and room.
+PRICES = tuple(10.0**k for k in range(-9, 1))
 # Flows below this are the interior point method's rounding.
 NEGLIGIBLE = 1e-8
 # Edges that only routes over budget by this many times its room use are left for later.
-FAR_OVER_BUDGET = 4.0
+FAR_OVER_BUDGET = 2.0
 # A unit of loss is this near to the value, or the program is built again.
 UNIT_RANGE = 1e3
 MAX_ROUNDS = 30
@@ -53,9 +57,11 @@ class LeastRisk:
 
 
 def least_risk(
-    game: Game, part: Game, budgets: tuple[Budget, ...], deadline: float
+    game: Game, part: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
 ) -> LeastRisk:
     """Solve the value program, starting on the edges of ``part``.
+
+    It is solved when value and bound are within ``closed`` of each other, relative.
 
     Raises
     ------
@@ -67,6 +73,7 @@ def least_risk(
     chosen = part.playable & _near_budget(part, budgets)
     unit = _unit_of(part)
     best: LeastRisk | None = None
+    first = True
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
         try:
@@ -82,10 +89,16 @@ def least_risk(
             if best is None:
                 raise
             return best
-        best = _better(best, found)
-        added = _missing(game, chosen, found, budgets)
-        if best.bound >= best.value * (1.0 - CLOSED) or not added.any():
+        best = _better(best, _priced(game, found, budgets, closed))
+        if best.bound >= best.value * (1.0 - closed):
             return best
+        through = _route_costs(game, found, budgets)
+        added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
+        if not added.any():
+            return best
+        if found is best and first:
+            chosen = chosen & ((through <= KEPT * found.value) | (found.p > 0.0))
+        first = False
         chosen = chosen | added
         if time.monotonic() > deadline:
             return best
@@ -124,17 +137,42 @@ def _through(game: Game, weights: FloatArray) -> FloatArray:
     return through
 
 
-def _missing(
-    game: Game, chosen: BoolArray, found: LeastRisk, budgets: tuple[Budget, ...]
-) -> BoolArray:
-    """Edges (M,) outside the program on routes that are better than its value."""
+def _priced(
+    game: Game, found: LeastRisk, budgets: tuple[Budget, ...], closed: float
+) -> LeastRisk:
+    """The program's bound with other prices, where they do better: its edges know few of them."""
+    for k, budget in enumerate(budgets):
+        for price in PRICES if budget.binds else ():
+            if found.bound >= found.value * (1.0 - closed):
+                return found
+            prices = list(found.prices)
+            prices[k] = price * found.value / budget.room
+            if not np.isfinite(prices[k]):
+                continue
+            bound = lower_bound(game, found.q, budgets, tuple(prices))
+            if bound > found.bound:
+                found = replace(found, bound=bound, prices=tuple(prices))
+    return found
+
+
+def _route_costs(game: Game, found: LeastRisk, budgets: tuple[Budget, ...]) -> FloatArray:
+    """What the best route through each edge (M,) costs by the program's duals; inf off routes."""
     weights = game.mean_loss_on_edges(found.q)
     paid = 0.0
     for budget, price in zip(budgets, found.prices, strict=True):
         if price > 0.0:
             weights = weights + price * budget.excess
             paid += price * budget.room
-    missing: BoolArray = ~chosen & (_through(game, weights) - paid < found.value * (1 - CLOSED / 2))
+    return _through(game, weights) - paid
+
+
+def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
+    """Edges (M,) outside the program on routes that cost less than ``limit``, the best first."""
+    outside = np.where(chosen, np.inf, through)
+    most = max(int(GROWTH * chosen.sum()), LEAST_GROWTH)
+    if len(outside) > most:
+        limit = min(limit, float(np.partition(outside, most)[most]))
+    missing: BoolArray = outside <= limit
     return missing
 
 

@@ -21,8 +21,9 @@ from .certificate import Budget, lower_bound, upper_bound
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
 from .game import Game
-from .gibbs import SMALL_START, AcyclicNetwork, GibbsStrategy, most_entropy
+from .gibbs import AcyclicNetwork
 from .least_risk import at_most_one, least_risk
+from .most_entropy import SMALL_START, GibbsStrategy, most_entropy
 from .routes import always, shortest_route
 
 # The least slack: values this near to the bound, relative, count as optimal.
@@ -30,12 +31,14 @@ LEAST_SLACK = 9e-6
 # The law aims at these shares of its limits, so that it may end a little over its aim.
 AIM, BUDGET_AIM, ROUGHNESS = 0.95, 0.999, 0.04
 # Budgets count as kept within this, relative; the share of a mixture is found in so many halvings.
-FITS, HALVINGS = 1e-9, 30
+FITS, HALVINGS = 5e-7, 30
 # An acyclic part whose value is this near to the whole network's holds an optimal strategy.
 SAME_VALUE = 1e-7
 # Sites where an ambush costs this many times the value are driven past only if nothing else is
 # left: a strategy may use them so little that rounding alone would break the limit.
 BARRED = 1e7
+# The program's value and bound may be apart by this share of the slack.
+CLOSED = 0.02
 # Share of the time left that the program may take; the rest is for the law.
 PROGRAM_SHARE = 0.6
 # Without a program: rounds, evaluations a round, and how the softness falls from round to round.
@@ -144,7 +147,8 @@ class _Search:
         """Budgets that raise the value, a reach, several ambushers: a linear program first."""
         first = forward_part(self.game, rank_by(self.potential)) or self.game
         try:
-            risk = least_risk(self.game, first, self.budgets, self._time(PROGRAM_SHARE))
+            closed = CLOSED * self.slack
+            risk = least_risk(self.game, first, self.budgets, closed, self._time(PROGRAM_SHARE))
         except (TimeLimit, SolverFailed):
             return self._anytime(first)
         rank = rank_around(self.game, risk.p, self.potential)

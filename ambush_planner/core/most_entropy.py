@@ -1,0 +1,183 @@
+"""The most unpredictable strategy within limits: the multipliers of the Gibbs law.
+
+Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = C' v is
+the one of greatest route entropy if v >= 0 minimises the convex function
+
+    log Z(C' v) + sum v,        gradient 1 - C p,   Hessian the covariance of the rows' costs.
+
+For every strategy with C p <= 1 that function is at least its entropy, so at least 0: a value
+below 0 proves that there is none. The search begins with L-BFGS-B and, where few limits are tight,
+ends with Newton's method in the multipliers of those, damped as Levenberg and Marquardt do.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.optimize import minimize
+from scipy.sparse import csr_matrix
+
+from .arrays import FloatArray, IndexArray
+from .gibbs import AcyclicNetwork
+
+# Multiplier that a limit starts with.
+SMALL_START = 1e-3
+MAX_EVALUATIONS = 1500
+# Evaluations before Newton's method takes over, the most limits that it moves at once, its steps.
+FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_STEPS = 150, 500, 80
+# Multipliers below this are as good as 0.
+LEAST_MULTIPLIER = 1e-7
+# Correction pairs of L-BFGS.
+CORRECTIONS = 20
+# Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
+# good one; a step is good when the function falls by this share of what the model says.
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
+RISE, FALL, ACCEPTED, TRUSTED = 6.0, 0.2, 0.01, 0.5
+# Limits with less excess than this share of the tolerance, and edges used less than this, are left
+# out of the model.
+NEARLY, NEGLIGIBLE_USE = 0.1, 1e-7
+
+
+class _Done(Exception):
+    """Ends a search from within."""
+
+
+@dataclass
+class GibbsStrategy:
+    """The last evaluation of the law: p (m,), multipliers v (R,), how far it is over its limits.
+
+    ``excess`` is max(C p) - 1; ``infeasible`` says that no strategy is within the limits.
+    """
+
+    p: FloatArray
+    multipliers: FloatArray
+    excess: float = np.inf
+    infeasible: bool = False
+    evaluations: int = 0
+
+
+def most_entropy(
+    network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
+    deadline: float, softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
+) -> GibbsStrategy:
+    """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
+
+    Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
+    ``rows`` (R, m), by no more than ``tolerance``, when the limits are proved infeasible, after
+    so many ``evaluations``, or at ``deadline`` (``time.monotonic``). ``softness`` lets the
+    strategy be over its limits by softness * sum v: then there always is a minimum.
+    """
+    if rows.shape[0] == 0:
+        _, p, _ = network.law(np.zeros(len(network.edge)))
+        return GibbsStrategy(p, start, 0.0, False, 1)
+    search = _Search(network, rows, tolerance, deadline, softness, evaluations)
+    with contextlib.suppress(_Done):
+        first = min(FIRST_EVALUATIONS, evaluations)
+        search.quasi_newton(start, first)
+        if softness == 0.0:
+            search.newton()
+        search.quasi_newton(search.found.multipliers, evaluations)
+    return search.found
+
+
+class _Search:
+    """The function, its last evaluation, and the ways down."""
+
+    def __init__(
+        self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
+        softness: float, evaluations: int,
+    ) -> None:
+        self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
+        self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
+        self.evaluations = evaluations
+        self.found = GibbsStrategy(np.empty(0), np.empty(0))
+        self.share = np.empty(0)
+
+    def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
+        """Value and gradient at v; ends the search where it can end."""
+        log_z, p, self.share = self.network.law(self.columns @ v)
+        used, total, found = self.rows @ p, float(v.sum()), self.found
+        found.p, found.multipliers = p, v.copy()
+        found.excess = float(used.max()) - 1.0
+        found.evaluations += 1
+        value = log_z + total + self.softness / 2.0 * total**2
+        hard = self.softness == 0.0
+        found.infeasible = hard and value < 0.0
+        reached = hard and found.excess <= self.tolerance
+        late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
+        if reached or found.infeasible or late:
+            raise _Done
+        return value, 1.0 - used + self.softness * total
+
+    def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+        options = {
+            "maxcor": CORRECTIONS, "maxiter": evaluations, "maxfun": evaluations, "ftol": 1e-15,
+            "gtol": 1e-12,
+        }
+        minimize(
+            self, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
+            options=options,
+        )
+
+    def newton(self) -> None:
+        """Damped Newton steps in the limits that count most."""
+        v, damping = self.found.multipliers, DAMPING
+        v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
+        value, gradient = self(v)
+        for _ in range(NEWTON_STEPS):
+            weight = np.maximum(v, -gradient / (NEARLY * self.tolerance) - 1.0)
+            counts = np.argsort(-weight)[:NEWTON_LIMITS]
+            counts = counts[weight[counts] > 0.0]
+            hessian = self._hessian(counts)
+            while True:
+                step = _bounded_step(hessian, gradient[counts], v[counts], damping)
+                foreseen = -float(gradient[counts] @ step + step @ hessian @ step / 2.0)
+                tried = v.copy()
+                tried[counts] += step
+                new_value, new_gradient = self(tried)
+                ratio = (value - new_value) / foreseen if foreseen > 0.0 else -np.inf
+                if ratio > ACCEPTED:
+                    break
+                damping *= RISE
+                if damping > MOST_DAMPING:
+                    return
+            if ratio > TRUSTED:
+                damping = max(damping * FALL, LEAST_DAMPING)
+            v, value, gradient = tried, new_value, new_gradient
+
+    def _hessian(self, counts: IndexArray) -> FloatArray:
+        """Covariance (K, K) of the costs of the limits ``counts`` (K,) along a route."""
+        used = np.flatnonzero(self.found.p > NEGLIGIBLE_USE)
+        costs = np.asarray(self.rows[counts][:, used].T.toarray())
+        moved = self.network.deviations(self.share, used, costs)
+        moved *= np.sqrt(self.found.p[used])[:, None]
+        return np.asarray(moved.T @ moved)
+
+
+def _bounded_step(
+    hessian: FloatArray, gradient: FloatArray, v: FloatArray, damping: float
+) -> FloatArray:
+    """Step (K,) to the minimum of the damped model; multipliers that would fall below 0 stop."""
+    diagonal = np.diag(hessian)
+    damped = hessian + np.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
+    step, free = np.zeros(len(v)), np.ones(len(v), dtype=bool)
+    for _ in range(6):
+        inner = np.flatnonzero(free)
+        try:
+            factor = cho_factor(damped[np.ix_(inner, inner)])
+        except LinAlgError:
+            return np.zeros(len(v))
+        pull = -gradient[inner] - damped[np.ix_(inner, np.flatnonzero(~free))] @ step[~free]
+        step[inner] = cho_solve(factor, pull)
+        below = free & (v + step < 0.0)
+        if not below.any():
+            break
+        step[below] = -v[below]
+        free &= ~below
+        if not free.any():
+            break
+    return np.maximum(step, -v)
