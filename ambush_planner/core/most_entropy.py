@@ -28,7 +28,7 @@ from .gibbs import AcyclicNetwork
 SMALL_START = 1e-3
 MAX_EVALUATIONS = 1500
 # Evaluations before Newton's method takes over, the most limits that it moves at once, its steps.
-FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_STEPS = 150, 500, 80
+FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_STEPS = 250, 800, 80
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # Correction pairs of L-BFGS.
