@@ -174,6 +174,14 @@ def least_weight(network: Network, weights: np.ndarray) -> float:
     return np.inf
 
 
+def unbalanced(network: Network, p: np.ndarray) -> float:
+    """By how much p (M,) misses the conservation of one unit from source to target at worst."""
+    balance = np.bincount(network.tails, weights=p, minlength=len(network.points))
+    balance -= np.bincount(network.heads, weights=p, minlength=len(network.points))
+    balance[[network.source, network.target]] -= (1.0, -1.0)
+    return float(np.abs(balance).max())
+
+
 def is_acyclic(network: Network, p: np.ndarray) -> bool:
     """Whether the edges with p > 0 form no cycle."""
     graph = networkx.DiGraph(network.edges[p > 0.0].tolist())
