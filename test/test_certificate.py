@@ -44,17 +44,18 @@ def test_what_was_solved_is_believed():
 
 
 def wrong_ambushers(q):
+    """Pairs of a wrong q and what the error says."""
     least, most = np.flatnonzero(q == 0.0)[0], int(q.argmax())
-    for change, words in (
+    at = np.arange(len(q))
+    return (
         (q * 1.001, "sum to 1"),
         (q * 0.999, "sum to 1"),
         (np.full_like(q, np.nan), "must be in"),
-        (np.where(np.arange(len(q)) == most, np.nan, q), "must be in"),
-        (np.where(np.arange(len(q)) == most, np.inf, q), "must be in"),
-        (np.where(np.arange(len(q)) == least, -1e-3, q), "must be in"),
+        (np.where(at == most, np.nan, q), "must be in"),
+        (np.where(at == most, np.inf, q), "must be in"),
+        (np.where(at == least, -1e-3, q), "must be in"),
         (np.zeros_like(q), "sum to 1"),
-    ):
-        yield change, words
+    )
 
 
 def test_a_wrong_q_is_refused():

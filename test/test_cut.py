@@ -21,8 +21,8 @@ from games import (
 from hypothesis import given
 
 from ambush_planner import GameOptions, SolverFailed
-from ambush_planner.core.game import make_game
 from ambush_planner.core.cut import GameValue, indifferent_ambusher, solve_by_cut
+from ambush_planner.core.game import make_game
 
 
 def solved(network) -> GameValue:
@@ -31,7 +31,7 @@ def solved(network) -> GameValue:
 
 def check_laws(network, found: GameValue) -> None:
     """Both players' strategies are strategies, and each guarantees the value."""
-    p, q, game = found.p, found.q, make_game(network, GameOptions())
+    p, q = found.p, found.q
     assert p.min() >= 0.0 and q.min() >= 0.0
     assert q.sum() == pytest.approx(1.0, abs=1e-12)
     assert unbalanced(network, p) < 1e-12
