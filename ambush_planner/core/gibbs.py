@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu, spsolve_triangular
 
-from .arrays import FloatArray, IndexArray
+from .arrays import FloatArray, IndexArray, sums
 from .game import Game
 
 # Before 1.13 scipy solved triangular systems row by row in Python.
@@ -38,6 +38,10 @@ MAX_EVALUATIONS = 1500
 # Correction pairs of L-BFGS: more where there are few multipliers to store them for.
 CORRECTIONS, MANY_ROWS, FEW_CORRECTIONS = 50, 100_000, 20
 SMALL_START = 1e-3
+# The search ends with this share of the entropy, plus as many nats, still to be had.
+CLOSE = 2e-3
+# A search that ends in a bad direction goes on from there without its memory, so often.
+RESTARTS = 3
 # The dual's value has rounding of this size, relative to its terms.
 ROUNDING = 1e-9
 
@@ -79,8 +83,7 @@ class AcyclicNetwork:
         scaled = self._scaled_partition(weights)
         if scaled is None:
             self._level = self._log_partition(weights)
-            scaled = self._scaled_partition(weights)
-        assert scaled is not None  # its levels are exact
+            scaled = self._exact_choice(weights), np.ones(self.count)
         factor, partition = scaled
         out = partition[self.tail]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,6 +101,11 @@ class AcyclicNetwork:
             partition = self._backward(factor)
         good = np.isfinite(partition).all() and partition[0] > 1e-280 and partition.max() < 1e280
         return (factor, partition) if good else None
+
+    def _exact_choice(self, weights: FloatArray) -> FloatArray:
+        """Probability (m,) of each edge at its tail where the levels are log Z itself."""
+        choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
+        return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
     def _backward(self, factor: FloatArray) -> FloatArray:
         """y with y_i = sum over edges out of i of factor * y_head, y_target = 1."""
@@ -190,7 +198,8 @@ def most_entropy(
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0 by L-BFGS-B.
 
     Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance``, when the limits are proved infeasible, after
+    ``rows`` (R, m), by no more than ``tolerance`` and has all but ``CLOSE`` of the entropy that
+    the minimum would have, when the limits are proved infeasible, after
     so many ``evaluations``, or at ``deadline`` (``time.monotonic``). ``softness`` lets the
     strategy be over its limits by softness * sum v: then there always is a minimum.
     """
@@ -207,7 +216,10 @@ def most_entropy(
         found.excess = float(used.max()) - 1.0
         found.evaluations += 1
         value = log_z + total + softness / 2.0 * total**2
-        reached = softness == 0.0 and found.excess <= tolerance
+        # The value is at least the most entropy there is; p's own is less by v' (1 - C p).
+        short = float(v @ (1.0 - used))
+        close = short <= CLOSE * (1.0 + value - short)
+        reached = softness == 0.0 and found.excess <= tolerance and close
         found.infeasible = softness == 0.0 and not reached and value < -ROUNDING * (1.0 + total)
         if reached or found.infeasible or time.monotonic() > deadline:
             raise _Done
@@ -219,8 +231,12 @@ def most_entropy(
         "gtol": 1e-12,
     }
     with contextlib.suppress(_Done):
-        minimize(
-            objective, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
-            options=options,
-        )
+        for _ in range(RESTARTS):
+            minimize(
+                objective, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
+                options=options,
+            )
+            if softness > 0.0 or found.evaluations >= evaluations:
+                break
+            start = found.multipliers
     return found
