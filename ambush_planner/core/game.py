@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 
 from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from .discs import entering_edges, inside
-from .errors import NoRoute
+from .errors import InvalidOption, NoRoute
 from .network import Network
 from .options import check_at_least, check_flag, check_whole
 from .paths import on_some_route
@@ -144,9 +144,16 @@ def make_game(network: Network, options: GameOptions) -> Game:
     ------
     NoRoute
         Nothing leads from the source to the target, perhaps because of ``alpha_threshold``.
+    InvalidOption
+        There are more ambushers than nodes.
     """
     if options.ambush_in_obstacles and options.ambush_radius > 0.0:
         network = network.with_cover()
+    if options.ambushers > len(network.points):
+        raise InvalidOption(
+            f"{options.ambushers} ambushers need as many different sites, and the network has "
+            f"{len(network.points)} nodes"
+        )
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
         network,
