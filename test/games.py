@@ -82,6 +82,27 @@ def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12
             seed += 1_000_003
 
 
+def ground_network(seed: int, kind: str) -> Network:
+    """A network of 500 to 900 nodes over terrain, a city of blocks or a maze of walls."""
+    rng = np.random.default_rng(seed)
+    if kind == "terrain":
+        return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
+    cells = 40
+    alpha = random_map(seed, cells, 0.0).alpha
+    rows, columns = np.mgrid[0:cells, 0:cells]
+    if kind == "city":
+        obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
+    else:
+        obstacles = columns % 5 == 4
+        for wall in range(4, cells, 5):
+            for door in rng.integers(0, cells - 4, 2):
+                obstacles[door : door + 4, wall] = False
+    obstacles[:, [0, -1]] = False
+    risk_map = RiskMap(alpha, obstacles, 1.0)
+    ends = (0.5, rng.uniform(5, 35)), (39.5, rng.uniform(5, 35))
+    return build_network(risk_map, *ends, NetworkOptions(METHODS[seed % 2], 1.3))
+
+
 terrain_networks = st.builds(
     terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS), st.integers(5, 10)
 )
