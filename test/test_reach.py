@@ -1,7 +1,18 @@
-"""Ambushes with a reach: edges that enter discs, and drawn routes against the published value."""
+"""The value with a reach, against all routes, against chains of discs, and against drawn routes."""
 
+from __future__ import annotations
+
+from itertools import pairwise
+
+import networkx
 import numpy as np
 import pytest
+from games import examples, geometric_hits
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.sparse import csr_matrix
+from scipy.spatial import Delaunay
 
 from ambush_planner import (
     GameOptions,
@@ -12,10 +23,123 @@ from ambush_planner import (
     build_network,
     solve,
 )
+from ambush_planner.core.routes import route_edges
 
 ROUTES = 20_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
 DEVIATIONS = 5.0
+EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
+
+
+def planar_network(seed: int) -> Network:
+    """Delaunay's edges between a few random points, both ways; source and target on the hull."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
+    mesh = Delaunay(points)
+    pairs = {tuple(sorted((int(t[a]), int(t[b])))) for t in mesh.simplices
+             for a, b in ((0, 1), (1, 2), (0, 2))}
+    hull = np.unique(mesh.convex_hull)
+    apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
+    source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
+    edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
+             if e[1] != source and e[0] != target]
+    alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
+    alpha[[source, target]] = 0.0
+    return Network(points, alpha, edges, source, target)
+
+
+def reached(network: Network, reach: float) -> np.ndarray:
+    """(N, M): whether any point of an edge lies within reach of a node; no discs at the ends."""
+    start, end = (network.points[network.edges[:, k]] for k in (0, 1))
+    share = np.linspace(0, 1, 400)[:, None, None]
+    along = start + share * (end - start)
+    near = np.array([(np.linalg.norm(along - c, axis=2) <= reach).any(axis=0)
+                     for c in network.points])
+    ends = network.points[[network.source, network.target]]
+    holds = (np.linalg.norm(network.points[:, None] - ends, axis=2) <= reach).any(axis=1)
+    near[holds | (network.alpha == 0.0)] = False
+    return near
+
+
+def routes_of(network: Network) -> list[list[int]]:
+    """All simple routes as edge indices."""
+    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
+    graph = networkx.DiGraph(list(number))
+    return [[number[step] for step in pairwise(route)]
+            for route in networkx.all_simple_paths(graph, network.source, network.target)]
+
+
+def value_by_routes(network: Network, near: np.ndarray, routes) -> float:
+    """Least value over all mixtures of routes, each hit once by each site."""
+    hit = np.array([near[:, route].any(axis=1) for route in routes]).T
+    losses = network.alpha[:, None] * hit
+    rows = np.hstack((losses, -np.ones((len(losses), 1))))
+    found = linprog(
+        np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
+        np.r_[np.ones(len(routes)), 0.0][None], [1.0], method="highs-ds",
+    )
+    return float(found.fun)
+
+
+def value_by_chain(network: Network, near: np.ndarray) -> float:
+    """1 / F, F the cheapest chain of discs through faces from one side of the hull to the other.
+
+    A disc joins all faces with an edge that it reaches, at cost 1 / alpha.
+    """
+    mesh = Delaunay(network.points)
+    side_of: dict[frozenset, list] = {}
+    for face, corners in enumerate(mesh.simplices.tolist()):
+        for a, b in ((0, 1), (1, 2), (0, 2)):
+            side_of.setdefault(frozenset((corners[a], corners[b])), []).append(face)
+    rim = networkx.Graph([tuple(e) for e in mesh.convex_hull.tolist()])
+    rim.remove_nodes_from([network.source, network.target])
+    left = next(iter(networkx.connected_components(rim)), set())
+    for edge, faces in side_of.items():
+        if len(faces) == 1:  # on the hull
+            inner = edge - {network.source, network.target}
+            faces.append("left" if inner and inner <= left else "right")
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(("left", "right"))
+    for site in np.flatnonzero(near.any(axis=1)):
+        graph.add_edge(("in", site), ("out", site), weight=1.0 / network.alpha[site])
+        for k in np.flatnonzero(near[site]):
+            for face in side_of[frozenset(network.edges[k].tolist())]:
+                graph.add_edge(face, ("in", site), weight=0.0)
+                graph.add_edge(("out", site), face, weight=0.0)
+    try:
+        return 1.0 / networkx.dijkstra_path_length(graph, "left", "right")
+    except networkx.NetworkXNoPath:
+        return 0.0
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.2))
+def test_the_published_value_is_at_least_that_of_all_routes_and_of_the_chain(seed, reach):
+    """And equal where no route comes back to a disc."""
+    network = planar_network(seed)
+    routes = routes_of(network)
+    if len(routes) > 4000 or frozenset((network.source, network.target)) in {
+        frozenset(e) for e in network.edges.tolist()
+    }:
+        return
+    near = reached(network, reach)
+    once, chain = value_by_routes(network, near, routes), value_by_chain(network, near)
+    assert once == pytest.approx(chain, abs=1e-7)
+    strategy = solve(network, GameOptions(ambush_radius=reach), EXACT)
+    assert strategy.value >= chain * (1 - 1e-5)
+    entries = geometric_hits(network, reach).toarray()
+    entries[network.alpha == 0.0] = 0.0
+    if all((entries[:, route].sum(axis=1) <= 1).all() for route in routes):
+        assert strategy.value == pytest.approx(chain, rel=2e-5, abs=1e-9)
+
+
+def test_a_route_that_comes_back_to_a_disc_is_where_the_value_is_an_upper_bound():
+    # A hairpin: in, out and in again of the disc around node 3, twice the loss of one hit.
+    points = [[0, -3], [0.2, 0], [4, 0.5], [0, 0.5], [0.2, 1.0], [0, 4]]
+    edges = [(0, 1), (1, 2), (2, 4), (4, 5)]
+    network = Network(points, [0, 0, 0, 3.0, 0, 0], edges, 0, 5)
+    strategy = solve(network, GameOptions(ambush_radius=1.0), EXACT)
+    assert strategy.value == pytest.approx(6.0) and strategy.lower_bound == pytest.approx(6.0)
 
 
 def hilly_network(nodes_across: int) -> Network:
@@ -32,41 +156,20 @@ def hilly_network(nodes_across: int) -> Network:
     )
 
 
-def test_edges_that_enter_a_disc_count_once():
-    # A row of nodes one metre apart; discs of 1.2 m. s and t and their neighbours are no sites.
-    points = np.column_stack((np.arange(7.0), np.zeros(7)))
-    alpha = np.array([0, 1, 1, 1, 1, 1, 0.0])
-    edges = np.column_stack((np.arange(6), np.arange(1, 7)))
-    game = solve(Network(points, alpha, edges, 0, 6), GameOptions(ambush_radius=1.2)).game
-    assert game.sites.tolist() == [2, 3, 4]
-    assert game.hits.toarray().tolist() == [
-        [1, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 0, 0],
-        [0, 0, 1, 0, 0, 0],
-    ]
-
-
-def test_an_edge_that_only_passes_through_a_disc_hits():
-    points = np.array([[0, 0], [10, 0], [5, 1.0]])
-    network = Network(points, np.array([0, 0, 1.0]), np.array([[0, 1], [0, 2], [2, 1]]), 0, 1)
-    assert solve(network, GameOptions(ambush_radius=2.0)).value == pytest.approx(1.0, rel=1e-6)
-    assert solve(network, GameOptions(ambush_radius=0.5)).value == 0.0
-
-
 @pytest.mark.parametrize("radius", [0.0, 10.0])
 def test_no_site_is_hit_more_often_than_the_value_allows(radius):
     strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
-    game, rng = strategy.game, np.random.default_rng(7)
-    passages = np.zeros(len(game.sites))
-    edge_of = {tuple(edge): k for k, edge in enumerate(strategy.network.edges.tolist())}
-    hits = game.hits.tocsc()
-    for _ in range(ROUTES):
-        route = strategy.sample_route(rng).tolist()
-        used = [edge_of[pair] for pair in zip(route[:-1], route[1:], strict=True)]
-        passages[np.unique(hits[:, used].indices)] += 1
-    frequency = passages / ROUTES
+    network, rng = strategy.network, np.random.default_rng(7)
+    near = (reached(network, radius) if radius else
+            np.equal.outer(np.arange(len(network.points)), network.heads))
+    used = [route_edges(network, route) for route in strategy.sample_routes(ROUTES, rng)]
+    which = np.repeat(np.arange(ROUTES), [len(edges) for edges in used])
+    shape = (ROUTES, len(network.edges))
+    drives = csr_matrix((np.ones(len(which)), (which, np.concatenate(used))), shape=shape)
+    hits = np.asarray((drives @ csr_matrix(near.T.astype(float)) > 0).sum(axis=0)).ravel()
+    frequency = hits / ROUTES
     error = np.sqrt(np.maximum(frequency * (1 - frequency), 1 / ROUTES) / ROUTES)
-    loss = game.loss[game.sites]
+    loss = strategy.game.loss
     assert (loss * (frequency - DEVIATIONS * error) <= strategy.value).all()
 
 

@@ -104,7 +104,7 @@ def check_entropies(strategy) -> None:
     assert strategy.route_entropy == pytest.approx(route, rel=1e-9, abs=1e-9)
 
 
-@examples(300)
+@examples(200)
 @given(networks(), st.sampled_from(DETOURS))
 def test_default_solver_on_any_network(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
@@ -137,7 +137,7 @@ def test_budgets_with_losses_from_1e_9_to_1e9(network, max_detour):
     check_laws(solve(network, options=StrategyOptions(max_detour=max_detour)), max_detour)
 
 
-@examples(200)
+@examples(120)
 @given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
 def test_linear_programs_on_any_network(network, max_detour, solver):
     strategy = solve(network, options=StrategyOptions(solver, max_detour))
@@ -145,7 +145,7 @@ def test_linear_programs_on_any_network(network, max_detour, solver):
     check_value(strategy, max_detour)
 
 
-@examples(40)
+@examples(20)
 @given(terrain_networks, st.sampled_from(DETOURS))
 def test_all_solvers_find_one_value_on_terrain(network, max_detour):
     for solver in SOLVERS:
@@ -166,7 +166,7 @@ def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
     assert loose.lower_bound <= strict.value
 
 
-@examples(15)
+@examples(6)
 @given(terrain_networks)
 def test_the_value_falls_as_the_budget_grows(network):
     found = [
@@ -316,7 +316,7 @@ def test_twice_the_losses_are_twice_the_value():
 # Random games of any kind.
 
 
-@examples(30)
+@examples(20)
 @given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze")), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
