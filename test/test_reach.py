@@ -48,10 +48,10 @@ def planar_network(seed: int) -> Network:
     return Network(points, alpha, edges, source, target)
 
 
-def reached(network: Network, reach: float) -> np.ndarray:
+def reached(network: Network, reach: float, samples: int = 400) -> np.ndarray:
     """(N, M): whether any point of an edge lies within reach of a node; no discs at the ends."""
     start, end = (network.points[network.edges[:, k]] for k in (0, 1))
-    share = np.linspace(0, 1, 400)[:, None, None]
+    share = np.linspace(0, 1, samples)[:, None, None]
     along = start + share * (end - start)
     near = np.array([(np.linalg.norm(along - c, axis=2) <= reach).any(axis=0)
                      for c in network.points])
@@ -160,7 +160,7 @@ def hilly_network(nodes_across: int) -> Network:
 def test_no_site_is_hit_more_often_than_the_value_allows(radius):
     strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
     network, rng = strategy.network, np.random.default_rng(7)
-    near = (reached(network, radius) if radius else
+    near = (reached(network, radius, 50) if radius else
             np.equal.outer(np.arange(len(network.points)), network.heads))
     used = [route_edges(network, route) for route in strategy.sample_routes(ROUTES, rng)]
     which = np.repeat(np.arange(ROUTES), [len(edges) for edges in used])
