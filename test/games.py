@@ -15,6 +15,7 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
+from scipy.sparse import csr_matrix, hstack, identity, vstack
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -81,6 +82,27 @@ def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12
             seed += 1_000_003
 
 
+def ground_network(seed: int, kind: str) -> Network:
+    """A network of 500 to 900 nodes over terrain, a city of blocks or a maze of walls."""
+    rng = np.random.default_rng(seed)
+    if kind == "terrain":
+        return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
+    cells = 40
+    alpha = random_map(seed, cells, 0.0).alpha
+    rows, columns = np.mgrid[0:cells, 0:cells]
+    if kind == "city":
+        obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
+    else:
+        obstacles = columns % 5 == 4
+        for wall in range(4, cells, 5):
+            for door in rng.integers(0, cells - 4, 2):
+                obstacles[door : door + 4, wall] = False
+    obstacles[:, [0, -1]] = False
+    risk_map = RiskMap(alpha, obstacles, 1.0)
+    ends = (0.5, rng.uniform(5, 35)), (39.5, rng.uniform(5, 35))
+    return build_network(risk_map, *ends, NetworkOptions(METHODS[seed % 2], 1.3))
+
+
 terrain_networks = st.builds(
     terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS), st.integers(5, 10)
 )
@@ -119,26 +141,45 @@ def exact_value(network: Network) -> Fraction:
         return Fraction(0)
 
 
+def geometric_hits(network: Network, radius: float) -> csr_matrix:
+    """(N, M): edges that come into the disc of a node from outside; none where it holds an end."""
+    start, end = (network.points[network.edges[:, k]][None] for k in (0, 1))
+    centre, along = network.points[:, None], end - start
+    share = ((centre - start) * along).sum(axis=2) / (along**2).sum(axis=2)
+    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
+    passes = np.linalg.norm(nearest - centre, axis=2) <= radius
+    hits = passes & (np.linalg.norm(start - centre, axis=2) > radius)
+    hits[np.linalg.norm(network.points - network.points[network.source], axis=1) <= radius] = False
+    hits[np.linalg.norm(network.points - network.points[network.target], axis=1) <= radius] = False
+    return csr_matrix(hits.astype(float))
+
+
 def program_value(
-    network: Network, hits: np.ndarray | None = None, budget: float = np.inf
+    network: Network, hits: csr_matrix | None = None, budget: float = np.inf, ambushers: int = 1
 ) -> float:
-    """Least value by a dense linear program; row j of ``hits`` (N, M) lists what site j hits."""
+    """Least value by one linear program over all edges; row j of ``hits`` is what site j hits.
+
+    Variables p (M,), t, s (N,): the k largest losses sum to at most k t + sum s.
+    """
     n, m = len(network.points), len(network.edges)
-    head, tail = (
-        np.equal.outer(np.arange(n), network.edges[:, k]).astype(float) for k in (1, 0)
-    )
+    one, each = np.ones(m), np.arange(m)
+    tail, head = (csr_matrix((one, (network.edges[:, k], each)), shape=(n, m)) for k in (0, 1))
     hits = head if hits is None else hits
-    rows = np.hstack((network.alpha[:, None] * hits, -np.ones((n, 1))))
+    losses = hits.multiply(network.alpha[:, None])
+    rows = [hstack((losses, csr_matrix(-np.ones((n, 1))), -identity(n)))]
     limits = np.zeros(n)
     if np.isfinite(budget):
-        rows = np.vstack((rows, np.append(network.lengths, 0.0)))
-        limits = np.append(limits, budget)
+        rows.append(csr_matrix(np.concatenate((network.lengths / budget, np.zeros(n + 1)))))
+        limits = np.append(limits, 1.0)
     supply = np.zeros(n)
     supply[network.source], supply[network.target] = 1.0, -1.0
-    balance = np.hstack((tail - head, np.zeros((n, 1))))
+    balance = hstack((tail - head, csr_matrix((n, n + 1))))
     tolerances = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    cost = np.concatenate((np.zeros(m), [float(ambushers)], np.ones(n)))
+    if ambushers == 1:
+        cost[m + 1 :] = 2.0  # t alone does it
     found = linprog(
-        np.append(np.zeros(m), 1.0), rows, limits, balance, supply, method="highs-ds",
+        cost, vstack(rows).tocsr(), limits, balance.tocsr(), supply, method="highs-ds",
         options=tolerances,
     )
     assert found.status == 0, found.message
@@ -172,6 +213,14 @@ def least_weight(network: Network, weights: np.ndarray) -> float:
         for head, weight in leaving.get(node, ()):
             heapq.heappush(queue, (distance + weight, head))
     return np.inf
+
+
+def unbalanced(network: Network, p: np.ndarray) -> float:
+    """By how much p (M,) misses the conservation of one unit from source to target at worst."""
+    balance = np.bincount(network.tails, weights=p, minlength=len(network.points))
+    balance -= np.bincount(network.heads, weights=p, minlength=len(network.points))
+    balance[[network.source, network.target]] -= (1.0, -1.0)
+    return float(np.abs(balance).max())
 
 
 def is_acyclic(network: Network, p: np.ndarray) -> bool:

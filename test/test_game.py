@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import networkx
 import numpy as np
 import pytest
 from games import PLAIN, examples, networks, terrain_network
@@ -9,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
+from ambush_planner.core.cut import solve_by_cut
 from ambush_planner.core.game import make_game
-from ambush_planner.core.game_value import solve_by_cut
 
 
 def value(network, **options) -> float:
@@ -87,6 +88,94 @@ def test_the_literal_equations_on_two_way_edges_would_be_too_low():
     assert solve(network).visit_probability[[network.source, network.target]] == pytest.approx(1.0)
 
 
+# Sites off the road.
+
+
+def road(alpha=(0, 1, 1, 1, 0), beside=(9.0,), **more) -> Network:
+    """A road of nodes 1 m apart and, 1 m beside its middle, nodes that no edge leads to."""
+    points = [[k, 0] for k in range(5)] + [[2, 1 + k] for k in range(len(beside))]
+    edges = [(k, k + 1) for k in range(4)]
+    return Network(points, [*alpha, *beside], edges, 0, 4, **more)
+
+
+def losses_at(network, **options) -> dict[int, float]:
+    """Site -> what an ambush there costs who drives the only route."""
+    game = make_game(network, GameOptions(**options))
+    losses = game.site_losses(np.where(game.playable, 1.0, 0.0))
+    return dict(zip(game.sites.tolist(), losses.tolist(), strict=True))
+
+
+def test_without_a_reach_nobody_waits_where_nobody_drives():
+    assert losses_at(road()) == {1: 1.0, 2: 1.0, 3: 1.0}
+
+
+def test_with_a_reach_he_waits_in_a_pocket():
+    assert losses_at(road(), ambush_radius=1.1) == {2: 1.0, 5: 9.0}
+    assert solve(road(), GameOptions(ambush_radius=1.1)).value == pytest.approx(9.0)
+    # From where he does not reach the road he does no harm.
+    assert losses_at(road(beside=(1.0, 9.0)), ambush_radius=1.1) == {2: 1.0, 5: 1.0, 6: 0.0}
+
+
+def test_with_a_reach_he_waits_on_forbidden_ground():
+    network = road(beside=(12.0,))
+    two_way = np.vstack((network.edges, [(2, 5), (5, 2)]))
+    network = Network(network.points, network.alpha, two_way, 0, 4)
+    strategy = solve(network, GameOptions(ambush_radius=1.1, alpha_threshold=5.0))
+    assert strategy.value == pytest.approx(12.0)
+    assert strategy.ambush_probability[5] == pytest.approx(1.0)
+    assert strategy.visit_probability[5] == 0.0
+
+
+def test_he_hides_in_cover_only_if_told_so_and_only_with_a_reach():
+    cover = {"cover_points": [[2.0, -1.0]], "cover_alpha": [7.0]}
+    network = road(beside=(), **cover)
+    assert losses_at(network, ambush_radius=1.1) == {2: 1.0}
+    assert losses_at(network, ambush_radius=1.1, ambush_in_obstacles=True) == {2: 1.0, 5: 7.0}
+    assert losses_at(network, ambush_in_obstacles=True) == {1: 1.0, 2: 1.0, 3: 1.0}
+    strategy = solve(network, GameOptions(ambush_radius=1.1, ambush_in_obstacles=True))
+    assert strategy.value == pytest.approx(7.0)
+    assert strategy.ambush_probability.tolist() == pytest.approx([0, 0, 0, 0, 0, 1.0])
+
+
+def test_a_disc_that_holds_an_end_is_no_site_and_one_that_touches_it_holds_it():
+    assert losses_at(road(beside=()), ambush_radius=2.0) == {}
+    assert losses_at(road(beside=()), ambush_radius=1.9) == {2: 1.0}
+
+
+def test_more_ambushers_than_nodes_are_refused():
+    with pytest.raises(InvalidOption, match="7 ambushers .* 6 nodes"):
+        make_game(road(), GameOptions(ambushers=7))
+
+
+# Games within games.
+
+
+@examples(60)
+@given(networks(), st.floats(0.1, 3.0))
+def test_a_part_of_the_game_keeps_only_whole_routes(network, radius):
+    game = make_game(network, GameOptions(ambush_radius=radius))
+    rng = np.random.default_rng(len(network.edges))
+    part = game.restricted_to(rng.random(len(network.edges)) < 0.7)
+    if part is None:
+        return
+    used = set(map(tuple, network.edges[part.playable].tolist()))
+    routes = [list(zip(r[:-1], r[1:], strict=True)) for r in walks(network, used)]
+    assert routes and set().union(*routes) <= used
+    safe = game.past_all_sites()
+    assert safe is None or not (game.hits @ safe.playable.astype(float)).any()
+
+
+def walks(network, used) -> list[list[int]]:
+    graph = networkx.DiGraph(sorted(used))
+    return list(networkx.all_simple_paths(graph, network.source, network.target))
+
+
+def test_without_sites_leaves_the_edges_as_they_are():
+    game = make_game(road(), GameOptions())
+    nobody = game.without_sites(np.ones(6, bool))
+    assert len(nobody.sites) == 0 and np.array_equal(nobody.playable, game.playable)
+
+
 @pytest.mark.parametrize(
     "options",
     [
@@ -98,7 +187,8 @@ def test_the_literal_equations_on_two_way_edges_would_be_too_low():
         {"alpha_threshold": -1.0},
         {"alpha_threshold": np.nan},
         {"ambushers": 0},
-        {"ambushers": 2},
+        {"ambushers": 1.5},
+        {"ambush_in_obstacles": "yes"},
     ],
 )
 def test_options_out_of_range_are_named(options):

@@ -49,13 +49,6 @@ def test_the_papers_example_interior_point_uses_all_seven():
     assert strategy.route_entropy == pytest.approx(1.90, abs=5e-3)
 
 
-def test_the_papers_example_most_entropy():
-    strategy = solved(paper_example(), "max_entropy")
-    assert strategy.value == pytest.approx(1 / 3, rel=1e-6)
-    assert strategy.edge_entropy == pytest.approx(4.098, abs=5e-4)
-    assert strategy.edge_entropy >= solved(paper_example(), "interior_point").edge_entropy - 1e-5
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
@@ -75,7 +68,7 @@ def test_the_interior_point_solution_wanders_and_ours_does_not():
     assert raw.expected_length > ours.expected_length
 
 
-@examples(100)
+@examples(60)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.3, 0.9)), st.sampled_from(LINEAR))
 def test_length_weight_minimises_the_weighted_sum(network, weight, solver):
     """No budget gives a better (1 - w) z + w length; the bound holds for its own length."""

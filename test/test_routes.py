@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from games import examples, networks, paper_example, terrain_network
+from games import examples, is_acyclic, networks, paper_example, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -79,6 +79,64 @@ def test_whole_routes_are_as_likely_as_the_walk_says():
     assert sum(expected.values()) == pytest.approx(draws, rel=1e-9)
     statistic = sum((drawn[r] - expected[r]) ** 2 / expected[r] for r in drawn)
     assert statistic < chi2.isf(FALSE_ALARM, df=6)
+
+
+def many_counts(network, strategy, draws: int, seed: int) -> np.ndarray:
+    counts = np.zeros(len(network.edges))
+    for route in strategy.sample_routes(draws, np.random.default_rng(seed)):
+        check_route(network, route)
+        counts[route_edges(network, route)] += 1
+    return counts
+
+
+@pytest.mark.parametrize("cells", [9, 16])
+def test_many_routes_at_once_have_the_published_probabilities(cells):
+    network, draws = terrain_network(3, cells=cells), 20_000
+    strategy = solve(network)
+    p, counts = strategy.edge_probability, many_counts(network, strategy, draws, 11)
+    often = (p * draws > 30) & ((1 - p) * draws > 30)
+    z = (counts - draws * p)[often] / np.sqrt(draws * p * (1 - p))[often]
+    assert (z**2).max() < chi2.isf(FALSE_ALARM / often.sum(), df=1)
+    assert (counts[p == 0.0] == 0).all()
+
+
+@pytest.mark.parametrize("solver", ["max_entropy", "interior_point"])
+def test_many_at_once_follow_the_law_of_one_by_one(solver):
+    """Also where the strategy circles: two samples of each edge's use, compared."""
+    network, draws = terrain_network(5, "uniform_delaunay", 14), 4_000
+    strategy = solve(network, options=StrategyOptions(solver, np.inf))
+    assert is_acyclic(network, strategy.edge_probability) == (solver == "max_entropy")
+    single, rng = np.zeros(len(network.edges)), np.random.default_rng(3)
+    for _ in range(draws):
+        single[route_edges(network, strategy.sample_route(rng))] += 1
+    many = many_counts(network, strategy, draws, 4)
+    share = (single + many) / (2 * draws)
+    often = (share * draws > 30) & ((1 - share) * draws > 30)
+    z = (single - many)[often] / np.sqrt(2 * draws * share * (1 - share))[often]
+    assert (z**2).max() < chi2.isf(FALSE_ALARM / often.sum(), df=1)
+
+
+def test_whole_routes_at_once_are_as_likely_as_the_walk_says():
+    network, draws = paper_example(), 20_000
+    strategy = solve(network)
+    drawn: dict[tuple, int] = {}
+    for route in strategy.sample_routes(draws, np.random.default_rng(8)):
+        drawn[tuple(route.tolist())] = drawn.get(tuple(route.tolist()), 0) + 1
+    x, p = strategy.visit_probability, strategy.edge_probability
+    expected = {
+        route: draws * np.prod([p[k] / x[network.tails[k]] for k in edges])
+        for route in drawn
+        for edges in [route_edges(network, np.array(route))]
+    }
+    statistic = sum((drawn[r] - expected[r]) ** 2 / expected[r] for r in drawn)
+    assert len(drawn) == 7 and statistic < chi2.isf(FALSE_ALARM, df=6)
+
+
+def test_none_and_one_at_once():
+    strategy = solve(paper_example())
+    assert strategy.sample_routes(0, np.random.default_rng(1)) == []
+    (route,) = strategy.sample_routes(1, np.random.default_rng(1))
+    check_route(paper_example(), route)
 
 
 def test_the_same_generator_state_gives_the_same_routes():

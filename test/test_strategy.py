@@ -1,4 +1,4 @@
-"""Laws of every published strategy, by independent answers; one value by all solvers; errors."""
+"""Laws of every published strategy, by independent answers; any budget; any time; errors."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from games import (
     connected_flow,
     exact_value,
     examples,
+    geometric_hits,
+    ground_network,
     is_acyclic,
     least_weight,
     networks,
@@ -17,6 +19,7 @@ from games import (
     quiet_network,
     terrain_network,
     terrain_networks,
+    unbalanced,
     value_range,
 )
 from hypothesis import given
@@ -26,14 +29,22 @@ from ambush_planner import (
     BudgetInfeasible,
     GameOptions,
     InvalidOption,
+    NetworkOptions,
     NoRoute,
+    RiskMap,
     StrategyOptions,
     TimeLimit,
+    build_network,
     solve,
 )
+from ambush_planner.core.cut import indifferent_ambusher
+from ambush_planner.core.max_entropy import Outcome
+from ambush_planner.core.routes import always, shortest_route
+from ambush_planner.core.strategy import revalue
 
 SOLVERS = ("max_entropy", "interior_point", "simplex")
-DETOURS = (1.0, 1.01, 1.05, 1.2, 1.5, np.inf)
+DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
+SLACK = StrategyOptions().risk_slack
 
 
 def check_laws(strategy, max_detour: float, solver: str = "max_entropy") -> None:
@@ -45,7 +56,7 @@ def check_laws(strategy, max_detour: float, solver: str = "max_entropy") -> None
     assert strategy.visit_probability == pytest.approx(visits, abs=1e-12)
     assert q.min() >= 0.0 and q.sum() == pytest.approx(1.0, abs=1e-9)
     assert strategy.value == pytest.approx((network.alpha * visits).max(), rel=1e-12)
-    assert strategy.gap == strategy.value - strategy.lower_bound >= 0.0
+    assert strategy.gap == strategy.value - strategy.lower_bound >= -1e-9 * strategy.value
     check_bound(strategy)
     assert strategy.expected_length == pytest.approx(p @ network.lengths, rel=1e-12)
     shortest = least_weight(network, network.lengths)
@@ -57,10 +68,7 @@ def check_laws(strategy, max_detour: float, solver: str = "max_entropy") -> None
 def check_flow(network, p, solver: str) -> None:
     """One unit from source to target; without cycles from the default solver."""
     assert p.min() >= 0.0
-    balance = np.bincount(network.tails, weights=p, minlength=len(network.points))
-    balance -= np.bincount(network.heads, weights=p, minlength=len(network.points))
-    balance[[network.source, network.target]] -= (1.0, -1.0)
-    assert np.abs(balance).max() < 1e-8
+    assert unbalanced(network, p) < 1e-8
     assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-7)
     if solver == "max_entropy":
         assert is_acyclic(network, p)
@@ -73,15 +81,17 @@ def check_bound(strategy) -> None:
     weights = (strategy.ambush_probability * network.alpha)[network.heads]
     least = least_weight(network, weights + price * network.lengths)
     bound = least - (price * strategy.length_budget if price else 0.0)
-    assert strategy.lower_bound <= bound + 1e-9 * max(strategy.value, least)
+    # Ties of shortest routes are rounding: a budget without room counts as a little more.
+    room = 1e-9 * price * strategy.shortest_length
+    assert strategy.lower_bound <= bound + 1e-9 * max(strategy.value, least) + room
     assert price >= 0.0
 
 
-def check_value(strategy, max_detour: float) -> None:
-    """The value is the linear program's."""
+def check_value(strategy, max_detour: float, slack: float = 0.0) -> None:
+    """The value is the linear program's, or a little more."""
     network = strategy.network
     least, most = value_range(network, max_detour * least_weight(network, network.lengths))
-    assert least <= strategy.value <= most
+    assert least <= strategy.value <= most * (1 + slack + 2e-5)
 
 
 def check_entropies(strategy) -> None:
@@ -94,12 +104,22 @@ def check_entropies(strategy) -> None:
     assert strategy.route_entropy == pytest.approx(route, rel=1e-9, abs=1e-9)
 
 
-@examples(300)
+@examples(200)
 @given(networks(), st.sampled_from(DETOURS))
 def test_default_solver_on_any_network(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
     check_laws(strategy, max_detour)
+    check_value(strategy, max_detour, SLACK)
+
+
+@examples(100)
+@given(networks(), st.sampled_from(DETOURS))
+def test_without_slack_the_value_is_the_least(network, max_detour):
+    options = StrategyOptions(max_detour=max_detour, risk_slack=0.0)
+    strategy = solve(network, options=options)
+    check_laws(strategy, max_detour)
     check_value(strategy, max_detour)
+    assert strategy.value <= strategy.lower_bound * (1 + 1e-5)
 
 
 @examples(200)
@@ -107,8 +127,8 @@ def test_default_solver_on_any_network(network, max_detour):
 def test_default_solver_with_losses_from_1e_9_to_1e9(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
     check_laws(strategy, np.inf)
-    top = network.alpha.max()
-    assert strategy.value == pytest.approx(float(exact_value(network)), rel=1e-6, abs=1e-12 * top)
+    exact = float(exact_value(network))
+    assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
 @examples(100)
@@ -117,7 +137,7 @@ def test_budgets_with_losses_from_1e_9_to_1e9(network, max_detour):
     check_laws(solve(network, options=StrategyOptions(max_detour=max_detour)), max_detour)
 
 
-@examples(200)
+@examples(120)
 @given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
 def test_linear_programs_on_any_network(network, max_detour, solver):
     strategy = solve(network, options=StrategyOptions(solver, max_detour))
@@ -125,31 +145,36 @@ def test_linear_programs_on_any_network(network, max_detour, solver):
     check_value(strategy, max_detour)
 
 
-@examples(60)
+@examples(20)
 @given(terrain_networks, st.sampled_from(DETOURS))
 def test_all_solvers_find_one_value_on_terrain(network, max_detour):
     for solver in SOLVERS:
         strategy = solve(network, options=StrategyOptions(solver, max_detour))
         check_laws(strategy, max_detour, solver)
-        check_value(strategy, max_detour)
+        check_value(strategy, max_detour, SLACK if solver == "max_entropy" else 0.0)
 
 
 @examples(60)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
-def test_risk_slack_buys_entropy_and_costs_no_more_than_it_says(network, slack, max_detour):
-    strict = solve(network, options=StrategyOptions(max_detour=max_detour))
-    loose = solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=slack))
+def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
+    strict, loose = (
+        solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
+        for s in (0.0, slack)
+    )
     check_laws(loose, max_detour)
-    assert loose.value <= (1 + slack) * strict.value * (1 + 1e-6) + 1e-9
+    assert loose.value <= (1 + slack) * strict.value * (1 + 2e-5)
     assert loose.lower_bound <= strict.value
 
 
-@examples(60)
+@examples(6)
 @given(terrain_networks)
 def test_the_value_falls_as_the_budget_grows(network):
-    values = [solve(network, options=StrategyOptions(max_detour=d)).value for d in DETOURS]
-    for tight, loose in zip(values[:-1], values[1:], strict=True):
-        assert loose <= tight * (1 + 1e-6) + 1e-9
+    found = [
+        solve(network, options=StrategyOptions(max_detour=d, risk_slack=0.0)) for d in DETOURS
+    ]
+    for tight, loose in zip(found[:-1], found[1:], strict=True):
+        assert loose.value <= tight.value * (1 + 2e-5)
+        assert loose.lower_bound <= tight.value * (1 + 1e-9)
 
 
 def test_equal_inputs_give_equal_strategies():
@@ -182,7 +207,7 @@ def test_a_budget_that_binds_by_hand():
     )
     for solver in SOLVERS:
         values = [
-            solve(network, options=StrategyOptions(solver, detour)).value
+            solve(network, options=StrategyOptions(solver, detour, risk_slack=0.0)).value
             for detour in (1.0, 1.25, 1.5, np.inf)
         ]
         assert values == pytest.approx([4.0, 3.0, 2.0, 2.0], rel=1e-5)
@@ -191,8 +216,152 @@ def test_a_budget_that_binds_by_hand():
 @pytest.mark.parametrize("solver", SOLVERS)
 def test_no_time_at_all_is_a_time_limit(solver):
     network = terrain_network(1, cells=40)
-    with pytest.raises(TimeLimit, match="time is up"):
-        solve(network, options=StrategyOptions(solver, time_limit=1e-6))
+    tight = StrategyOptions(solver, max_detour=1.05, time_limit=1e-6)
+    with pytest.raises(TimeLimit, match=r"time is up|allow more time"):
+        solve(network, options=tight)
+
+
+@pytest.mark.parametrize("limit", [1e-9, 1e-6, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("detour, reach", [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
+def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detour, reach):
+    """Never another error; value and bound are the strategy's own; none is published over."""
+    network, game = terrain_network(1, cells=24), GameOptions(ambush_radius=reach)
+    options = StrategyOptions(max_detour=detour, time_limit=limit)
+    try:
+        strategy = solve(network, game, options)
+        assert strategy.value <= strategy.lower_bound * (1 + SLACK + 1e-5)
+    except TimeLimit as late:
+        strategy = late.strategy
+        if strategy is None:
+            return
+        assert strategy.value > strategy.lower_bound * (1 + SLACK + 1e-5)
+    p, q = strategy.edge_probability, strategy.ambush_probability
+    check_flow(network, p, "max_entropy")
+    hits = geometric_hits(network, reach) if reach else None
+    losses = network.alpha * (hits @ p if reach else np.bincount(network.heads, p, len(q)))
+    assert strategy.value == pytest.approx(losses.max(), rel=1e-9)
+    assert strategy.lower_bound <= strategy.value
+    assert p @ network.lengths <= strategy.length_budget * (1 + 1e-6)
+    route = strategy.sample_route(np.random.default_rng(1))
+    assert route[0] == network.source and route[-1] == network.target
+
+
+def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
+    """An open gap is never published, whoever reports it."""
+    network = terrain_network(3, cells=9)
+
+    def careless(game, budgets, *_):
+        p = always(network, shortest_route(network, np.flatnonzero(game.playable)))
+        return Outcome(p, indifferent_ambusher(game), (0.0, 0.0), 7)
+
+    monkeypatch.setattr("ambush_planner.core.strategy.max_entropy_strategy", careless)
+    with pytest.raises(TimeLimit, match=r"not within 0\.01 .* after 7 steps") as caught:
+        solve(network)
+    strategy = caught.value.strategy
+    assert strategy.value > strategy.lower_bound and strategy.gap > 0.0
+
+
+# Warm starts and other losses.
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
+    network = terrain_network(seed, cells=24)
+    options = StrategyOptions(max_detour=1.3)
+    first = solve(network, options=options)
+    again = solve(network, options=options, warm=first.law)
+    assert again.iterations < first.iterations / 4
+    near = StrategyOptions(max_detour=1.32, risk_slack=0.012)
+    cold, warm = solve(network, options=near), solve(network, options=near, warm=first.law)
+    assert warm.iterations < cold.iterations
+    assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=5e-3)
+    assert warm.value == pytest.approx(cold.value, rel=0.012)
+
+
+def test_a_law_of_another_network_is_no_start():
+    law = solve(terrain_network(1, cells=9)).law
+    network = terrain_network(2, cells=10)
+    cold, warm = solve(network), solve(network, warm=law)
+    assert np.array_equal(cold.edge_probability, warm.edge_probability)
+
+
+def with_alpha(network, alpha):
+    return quiet_network(network.points, alpha, network.edges, network.source, network.target)
+
+
+@pytest.mark.parametrize("reach", [0.0, 2.0])
+def test_revalue_is_what_the_strategy_is_worth_on_the_new_losses(reach):
+    network = terrain_network(4, cells=14)
+    game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
+    strategy = solve(network, game, free)
+    same = revalue(strategy, network)
+    assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
+    changed = with_alpha(network, network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
+    other, best = revalue(strategy, changed), solve(changed, game, free)
+    hits = geometric_hits(changed, reach) if reach else None
+    p = strategy.edge_probability
+    hit = hits @ p if reach else np.bincount(changed.heads, p, len(changed.alpha))
+    assert other.value == pytest.approx((changed.alpha * hit).max())
+    assert other.bound <= best.value and best.lower_bound <= other.value
+
+
+def test_twice_the_losses_are_twice_the_value():
+    network = terrain_network(4, cells=10)
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    twice = revalue(strategy, with_alpha(network, 2.0 * network.alpha))
+    assert twice.value == pytest.approx(2 * strategy.value)
+    assert twice.bound == pytest.approx(2 * strategy.lower_bound)
+
+
+# Random games of any kind.
+
+
+@examples(20)
+@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze")), st.data())
+def test_no_valid_game_fails(seed, kind, data):
+    """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
+    network = ground_network(seed, kind)
+    spacing = float(np.median(network.lengths))
+    game = GameOptions(
+        ambush_radius=spacing * data.draw(st.sampled_from((0.0, 0.0, 1.0, 3.0, 6.0))),
+        secured_radius=spacing * data.draw(st.sampled_from((0.0, 3.0))),
+        alpha_threshold=data.draw(st.sampled_from((np.inf, 8.0))),
+        ambushers=data.draw(st.sampled_from((1, 1, 1, 2, 4))),
+    )
+    options = StrategyOptions(
+        max_detour=data.draw(st.sampled_from(DETOURS)),
+        max_exposure=data.draw(st.sampled_from((np.inf, np.inf, 2.0))),
+        risk_slack=data.draw(st.sampled_from((0.0, 0.01, 0.1))),
+    )
+    try:
+        strategy = solve(network, game, options)
+    except (NoRoute, BudgetInfeasible):
+        return  # said by name: a threshold or two budgets that leave nothing
+    assert strategy.value <= strategy.lower_bound * (1 + options.risk_slack + 1e-5)
+    check_flow(network, strategy.edge_probability, "max_entropy")
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+    assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
+
+
+def test_start_and_goal_at_almost_one_place():
+    risk_map = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)
+    network = build_network(risk_map, (10.0, 10.0), (10.0, 10.0 + 1e-9))
+    strategy = solve(network)
+    assert strategy.value == 0.0 and strategy.expected_length == pytest.approx(1e-9, rel=1e-5)
+
+
+def test_losses_of_obstacle_cells_do_not_matter_even_nan():
+    obstacles = np.zeros((20, 20), bool)
+    obstacles[8:12, 8:12] = True
+    values = [
+        solve(build_network(
+            RiskMap(np.where(obstacles, hidden, 2.0), obstacles, 1.0), (1, 10), (19, 10),
+            NetworkOptions(method, 1.5),
+        )).value
+        for method in ("uniform_delaunay", "gradient_delaunay") for hidden in (2.0, np.nan)
+    ]
+    assert values[0] == values[1]
+    assert np.isfinite(values).all()
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -213,7 +382,7 @@ def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
     network = quiet_network(
         [[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3
     )
-    with pytest.raises(BudgetInfeasible, match=r"budget of 2\.400 m"):
+    with pytest.raises(BudgetInfeasible, match=r"budget of 2\.4 m"):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
 
 
@@ -225,6 +394,8 @@ def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
         ("max_detour", 0.99),
         ("max_detour", np.nan),
         ("max_detour", -np.inf),
+        ("max_exposure", 0.99),
+        ("max_exposure", np.nan),
         ("risk_slack", -0.1),
         ("risk_slack", np.nan),
         ("risk_slack", np.inf),
@@ -245,5 +416,7 @@ def test_options_out_of_range_are_named(name, value):
 def test_options_that_do_not_go_together_are_named():
     with pytest.raises(InvalidOption, match=r"length_weight 0\.1 .* max_detour"):
         StrategyOptions(length_weight=0.1)
-    with pytest.raises(InvalidOption, match="risk_slack .* simplex"):
-        StrategyOptions("simplex", risk_slack=0.1)
+    with pytest.raises(InvalidOption, match=r"max_exposure 2.* max_entropy, not simplex"):
+        StrategyOptions("simplex", max_exposure=2.0)
+    with pytest.raises(InvalidOption, match="simplex takes one ambusher"):
+        solve(paper_example(), GameOptions(ambushers=2), StrategyOptions("simplex"))

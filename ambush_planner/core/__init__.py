@@ -1,0 +1,14 @@
+"""The pure core, numpy and scipy only. In reading order:
+
+1. ``errors``, ``arrays``, ``options``: what all share.
+2. ``risk_map``, ``obstacles``, ``sampling``, ``connectivity``, ``layout``, ``passages``,
+   ``construction``: from a map to a ``network``.
+3. ``paths``, ``discs``, ``game``: who drives where, who may wait where, what it costs.
+4. ``certificate``: what a strategy costs, and what no strategy can do better.
+5. ``cut``, ``least_risk`` (by ``highs``): the least value and the ambusher's strategy.
+6. ``acyclic``, ``gibbs``, ``max_entropy``: of the best strategies, the most unpredictable.
+7. ``linear_program``: the paper's solvers. ``strategy``: the record, and ``solve``.
+8. ``routes``, ``corridors``, ``driven_path``: drawing a route, and the path that is driven.
+9. ``evaluation``, ``bottleneck``: what is said about a strategy.
+10. ``planner``, ``batch``: the whole story, once and many times.
+"""

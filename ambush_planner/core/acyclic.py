@@ -39,7 +39,7 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
     """Voltage (N,) with the source at 0 and the target at 1; inf off the nodes ``driven`` (K,)."""
     network, edges = game.network, game.network.edges[game.playable]
     lengths = network.lengths[game.playable]
-    conductance = 1.0 / np.maximum(lengths, 1e-9 * max(float(lengths.mean()), 1e-300))
+    conductance = 1.0 / np.maximum(lengths, 1e-9 * float(lengths.mean()) or 1.0)
     place = np.full(game.node_count, -1)
     place[driven] = np.arange(len(driven))
     tail, head = place[edges].T

@@ -102,6 +102,11 @@ class Budget:
         """Mean cost of strategy p (M,)."""
         return float(p @ self.cost)
 
+    def overrun(self, p: FloatArray) -> float:
+        """By how much the mean cost of p (M,) is over the limit, without cancellation."""
+        used = p > 0.0
+        return max(float(p[used] @ self.excess[used]) - self.room, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
@@ -132,6 +137,9 @@ def certify(
             )
     value = upper_bound(game, p)
     bound = lower_bound(game, q, budgets, prices)
+    # What rounding lets p be over a budget, others may be, too: the bound is for all of them.
+    over = sum(price * budget.overrun(p) for budget, price in zip(budgets, prices, strict=True))
+    bound = max(bound - over, 0.0)
     if bound > value * (1.0 + ROUNDING):
         raise SolverFailed(f"the lower bound {bound:.12g} is above the value {value:.12g}")
     return Certificate(value, bound)

@@ -21,6 +21,7 @@ from .errors import (
 from .layout import Ground, joined
 from .network import Network
 from .obstacles import ObstacleField
+from .options import check_at_least, check_flag, check_whole
 from .passages import COVERED, passage_nodes, way_by_cells
 from .paths import reachable_from
 from .risk_map import RiskMap
@@ -58,7 +59,7 @@ class NetworkOptions:
     Raises
     ------
     InvalidOption
-        A value is out of range.
+        A value is out of range or of another type.
     """
 
     method: str = "uniform_delaunay"
@@ -69,16 +70,13 @@ class NetworkOptions:
     clear_of_edge: bool = True
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
+        if not isinstance(self.method, str) or self.method not in METHODS:
             raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        for name in ("spacing", "clearance"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InvalidOption(f"{name} must be finite and >= 0 [m], got {value}")
-        if self.seed < 0:
-            raise InvalidOption(f"seed must be >= 0, got {self.seed}")
-        if self.target_nodes < 2:
-            raise InvalidOption(f"target_nodes must be >= 2, got {self.target_nodes}")
+        check_at_least("spacing", self.spacing, 0.0, "m")
+        check_at_least("clearance", self.clearance, 0.0, "m")
+        check_whole("seed", self.seed, 0)
+        check_whole("target_nodes", self.target_nodes, 2)
+        check_flag("clear_of_edge", self.clear_of_edge)
 
 
 # A spacing that is far too small for the map is a mistake, not a wish for 10^9 nodes.

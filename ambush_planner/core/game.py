@@ -19,7 +19,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from .discs import entering_edges, inside
 from .errors import InvalidOption, NoRoute
 from .network import Network
-from .options import check_at_least, check_whole
+from .options import check_at_least, check_flag, check_whole
 from .paths import on_some_route
 
 
@@ -59,10 +59,7 @@ class GameOptions:
         check_at_least("secured_radius", self.secured_radius, 0.0, "m")
         check_at_least("alpha_threshold", self.alpha_threshold, 0.0, finite=False)
         check_whole("ambushers", self.ambushers, 1)
-        if not isinstance(self.ambush_in_obstacles, bool | np.bool_):
-            raise InvalidOption(
-                f"ambush_in_obstacles must be true or false, got {self.ambush_in_obstacles!r}"
-            )
+        check_flag("ambush_in_obstacles", self.ambush_in_obstacles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,9 +144,16 @@ def make_game(network: Network, options: GameOptions) -> Game:
     ------
     NoRoute
         Nothing leads from the source to the target, perhaps because of ``alpha_threshold``.
+    InvalidOption
+        There are more ambushers than nodes.
     """
     if options.ambush_in_obstacles and options.ambush_radius > 0.0:
         network = network.with_cover()
+    if options.ambushers > len(network.points):
+        raise InvalidOption(
+            f"{options.ambushers} ambushers need as many different sites, and the network has "
+            f"{len(network.points)} nodes"
+        )
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
         network,

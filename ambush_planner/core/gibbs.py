@@ -12,9 +12,11 @@ in topological order (M. Saerens et al., *Randomized shortest-path problems*, Ne
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 import scipy
-from scipy.sparse import coo_matrix, csr_matrix, identity
+from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu, spsolve_triangular
 
 from .arrays import FloatArray, IndexArray, sums
@@ -22,8 +24,6 @@ from .game import Game
 
 # Before 1.13 scipy solved triangular systems row by row in Python.
 FAST_TRIANGULAR = tuple(int(part) for part in scipy.__version__.split(".")[:2]) >= (1, 13)
-# Rows of one block of the partition function's safe evaluation.
-BLOCK = 400
 
 
 class AcyclicNetwork:
@@ -58,13 +58,13 @@ class AcyclicNetwork:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
 
         Weights are scaled by the partition function of the evaluation before; where that is too
-        far off for floating point it is found block by block first.
+        far off for floating point its logarithm is found first.
         """
         scaled = self._scaled_partition(weights)
         if scaled is None:
             self._level = self._log_partition(weights)
-            scaled = self._scaled_partition(weights)
-        factor, partition = scaled if scaled is not None else self._no_choice(weights)
+            scaled = self._exact_choice(weights), np.ones(self.count)
+        factor, partition = scaled
         out = partition[self.tail]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.where(out > 0.0, factor * partition[self.head] / out, 0.0)
@@ -99,14 +99,10 @@ class AcyclicNetwork:
         good = np.isfinite(partition).all() and partition[0] > 1e-280 and partition.max() < 1e280
         return (factor, partition) if good else None
 
-    def _no_choice(self, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Where even the safe levels fail: weights so far apart that only the best edge counts."""
-        key = weights - self._level[self.head]
-        best = np.full(self.count, np.inf)
-        np.minimum.at(best, self.tail, key)
-        chosen = (key <= best[self.tail]).astype(float)
-        ties = sums(self.tail, chosen, self.count)
-        return chosen / ties[self.tail], np.ones(self.count)
+    def _exact_choice(self, weights: FloatArray) -> FloatArray:
+        """Probability (m,) of each edge at its tail where the levels are log Z itself."""
+        choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
+        return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
     def _backward(self, factor: FloatArray) -> FloatArray:
         """y with y_i = sum over edges out of i of factor * y_head, y_target = 1."""
@@ -137,24 +133,39 @@ class AcyclicNetwork:
         return csr_matrix((data, self._indices, self._indptr), shape=(self.count, self.count))
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
-        """log Z_i (n,) whatever their size: solved in blocks from the target on, each scaled."""
-        log_z = np.full(self.count, -np.inf)
-        log_z[-1] = 0.0
-        for end in range(self.count - 1, 0, -BLOCK):
-            begin = max(end - BLOCK, 0)
-            edges = slice(self._first[begin], self._first[end])
-            tail, head, weight = self.tail[edges] - begin, self.head[edges], weights[edges]
-            size, inner = end - begin, self.head[edges] < end
-            leaving = log_z[head[~inner]] - weight[~inner]
-            scale = float(leaving.max())
-            pull = sums(tail[~inner], np.exp(leaving - scale), size)
-            links = coo_matrix(
-                (np.exp(-weight[inner]), (tail[inner], head[inner] - begin)), shape=(size, size)
-            )
-            y = np.asarray(_natural_lu(identity(size, format="csc") - links).solve(pull))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                log_z[begin:end] = np.where(y > 0.0, np.log(np.maximum(y, 1e-300)), -690.0) + scale
+        """log Z_i (n,) whatever their size: sums of logarithms, from the target on."""
+        log_z = np.zeros(self.count)
+        for nodes, edges, first in self._layers:
+            ways = log_z[self.head[edges]] - weights[edges]
+            log_z[nodes] = np.logaddexp.reduceat(ways, first)
         return log_z
+
+    @cached_property
+    def _layers(self) -> list[tuple[IndexArray, IndexArray, IndexArray]]:
+        """Nodes by the most edges that a way to the target has: nodes, the edges out of them.
+
+        The third array says where the edges of each node begin.
+        """
+        into = np.argsort(self.head, kind="stable")
+        first_into = np.searchsorted(self.head[into], np.arange(self.count + 1))
+        pending = np.diff(self._first)
+        layers: list[tuple[IndexArray, IndexArray, IndexArray]] = []
+        nodes = np.array([self.count - 1])
+        while True:
+            arriving, _ = _ranges(first_into[nodes], first_into[nodes + 1])
+            tails = self.tail[into[arriving]]
+            np.subtract.at(pending, tails, 1)
+            nodes = np.unique(tails[pending[tails] == 0])
+            if not len(nodes):
+                return layers
+            layers.append((nodes, *_ranges(self._first[nodes], self._first[nodes + 1])))
+
+
+def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """The numbers from begin (K,) up to end (K,), range after range, and where each starts."""
+    lengths = end - begin
+    start = np.cumsum(lengths) - lengths
+    return np.arange(lengths.sum()) + np.repeat(begin - start, lengths), start
 
 
 def _natural_lu(matrix: csr_matrix):  # type: ignore[no-untyped-def]

@@ -25,7 +25,7 @@ NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Values in this range need no unit of their own.
 ORDINARY = (1e-2, 1e2)
 # The rows A p = b are met to this, in so many attempts at the most.
-CONSERVED, ATTEMPTS = 1e-13, 3
+CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)

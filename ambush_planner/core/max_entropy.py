@@ -39,6 +39,8 @@ SAME_VALUE = 1e-7
 BARRED = 1e7
 # The program's value and bound may be apart by this share of the slack.
 CLOSED = 0.02
+# Hits below this are rounding; with several ambushers the level of a site may be 0.
+LEAST_HITS = 1e-9
 # Share of the time left that the program may take; the rest is for the law.
 PROGRAM_SHARE = 0.6
 # Without a program: rounds, evaluations a round, and how the softness falls from round to round.
@@ -270,7 +272,7 @@ class _Limits:
     ) -> None:
         self._game, self._budgets = game, budgets
         hits = game.hits[:, network.edge]
-        most = level / game.loss[game.sites]
+        most = np.maximum(level / game.loss[game.sites], LEAST_HITS)
         self._row = np.flatnonzero((hits.getnnz(axis=1) > 0) & (most < _most_hits(game)))
         self._most = most[self._row]
         self._binding = [b for b in budgets if b.binds]

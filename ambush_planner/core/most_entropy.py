@@ -29,6 +29,10 @@ SMALL_START = 1e-3
 MAX_EVALUATIONS = 1500
 # Evaluations before Newton's method takes over, the most limits that it moves at once, its steps.
 FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_STEPS = 250, 800, 80
+# The search ends with this share of the entropy, plus as many nats, still to be had.
+CLOSE = 2e-3
+# The function's value has rounding of this size, relative to its terms.
+ROUNDING = 1e-9
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # Correction pairs of L-BFGS.
@@ -67,9 +71,10 @@ def most_entropy(
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
 
     Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance``, when the limits are proved infeasible, after
-    so many ``evaluations``, or at ``deadline`` (``time.monotonic``). ``softness`` lets the
-    strategy be over its limits by softness * sum v: then there always is a minimum.
+    ``rows`` (R, m), by no more than ``tolerance`` and has all but ``CLOSE`` of the entropy that the
+    minimum has, when the limits are proved infeasible, after so many ``evaluations``, or at
+    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy be over its limits by
+    softness * sum v: then there always is a minimum.
     """
     if rows.shape[0] == 0:
         _, p, _ = network.law(np.zeros(len(network.edge)))
@@ -99,6 +104,8 @@ class _Search:
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
+        if not np.isfinite(v).all():  # a line search that ran away
+            raise _Done
         log_z, p, self.share = self.network.law(self.columns @ v)
         used, total, found = self.rows @ p, float(v.sum()), self.found
         found.p, found.multipliers = p, v.copy()
@@ -106,8 +113,11 @@ class _Search:
         found.evaluations += 1
         value = log_z + total + self.softness / 2.0 * total**2
         hard = self.softness == 0.0
-        found.infeasible = hard and value < 0.0
-        reached = hard and found.excess <= self.tolerance
+        # The value is at least the most entropy there is; p's own is less by v' (1 - C p).
+        missing = float(v @ (1.0 - used))
+        near = missing <= CLOSE * (1.0 + value - missing)
+        reached = hard and found.excess <= self.tolerance and near
+        found.infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
         late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
         if reached or found.infeasible or late:
             raise _Done

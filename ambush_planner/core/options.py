@@ -34,3 +34,9 @@ def check_whole(name: str, value: object, least: int) -> None:
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool | np.bool_)
     if not whole or value < least:  # type: ignore[operator]
         raise InvalidOption(f"{name} must be a whole number >= {least}, got {value!r}")
+
+
+def check_flag(name: str, value: object) -> None:
+    """Refuse what is neither true nor false; raises InvalidOption."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidOption(f"{name} must be true or false, got {value!r}")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
 
 from .arrays import FloatArray, frozen_array
 from .errors import InvalidOption, InvalidRiskMap
@@ -26,7 +27,8 @@ class RiskMap:
     Parameters
     ----------
     alpha : (H, W) float, >= 0
-        Loss for being ambushed in each cell; what stands in obstacle cells is never used.
+        Loss for being ambushed in each cell; what stands in obstacle cells, NaN for example, is
+        never used.
     obstacles : (H, W) bool
         Cells that nobody can drive through.
     resolution : float
@@ -65,6 +67,15 @@ class RiskMap:
         """Width and height [m]."""
         rows, columns = self.alpha.shape
         return columns * self.resolution, rows * self.resolution
+
+    def nearest_free_alpha(self) -> FloatArray:
+        """Loss (H, W) of each cell or, in obstacles, of the nearest free cell; 0 without any."""
+        if self.obstacles.all():
+            return np.zeros_like(self.alpha)
+        nearest = distance_transform_edt(
+            self.obstacles, return_distances=False, return_indices=True
+        )
+        return np.asarray(self.alpha[tuple(nearest)])
 
     def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:
         """Turn world positions (..., 2) into map axes (..., 2) [m]."""
@@ -118,7 +129,7 @@ def _check_layers(alpha: FloatArray, obstacles: npt.NDArray[np.bool_]) -> None:
         raise InvalidRiskMap(
             f"obstacles must have alpha's shape {alpha.shape}, got {obstacles.shape}"
         )
-    bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
+    bad = ~(np.isfinite(alpha) & (alpha >= 0.0)) & ~obstacles
     if bad.any():
         row, column = (int(k) for k in np.argwhere(bad)[0])
         raise InvalidRiskMap(

@@ -55,7 +55,7 @@ class RouteSampler:
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
         """Return ``n`` routes; where p is acyclic they all go on by a step at once."""
-        if not self._acyclic:
+        if n == 0 or not self._acyclic:
             return [self.draw(rng) for _ in range(n)]
         heads, first = np.array(self._heads), np.array(self._first)
         steps = np.array(self._steps)

@@ -101,7 +101,7 @@ def gradient_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
 
 
 def _gradient_weights(risk_map: RiskMap) -> FloatArray:
-    alpha = np.pad(risk_map.alpha, 1, mode="edge")
+    alpha = np.pad(risk_map.nearest_free_alpha(), 1, mode="edge")
     slope = np.hypot(alpha[1:-1, 2:] - alpha[1:-1, :-2], alpha[2:, 1:-1] - alpha[:-2, 1:-1])
     mean = slope.mean()
     return np.ones_like(slope) if mean == 0.0 else 1.0 + slope / mean

@@ -74,7 +74,7 @@ class StrategyOptions:
         if self.length_weight >= 1.0:
             raise InvalidOption(f"length_weight must be in [0, 1), got {self.length_weight}")
         if self.time_limit == 0.0:
-            raise InvalidOption("time_limit must be positive [s], got 0")
+            raise InvalidOption(f"time_limit must be positive [s], got {self.time_limit}")
         plain = self.solver == "max_entropy"
         if plain and self.length_weight > 0.0:
             raise InvalidOption(

@@ -16,12 +16,13 @@ from games import (
     program_value,
     quiet_network,
     terrain_networks,
+    unbalanced,
 )
 from hypothesis import given
 
-from ambush_planner import GameOptions
+from ambush_planner import GameOptions, SolverFailed
+from ambush_planner.core.cut import GameValue, indifferent_ambusher, solve_by_cut
 from ambush_planner.core.game import make_game
-from ambush_planner.core.game_value import GameValue, solve_by_cut
 
 
 def solved(network) -> GameValue:
@@ -30,10 +31,10 @@ def solved(network) -> GameValue:
 
 def check_laws(network, found: GameValue) -> None:
     """Both players' strategies are strategies, and each guarantees the value."""
-    p, q, game = found.p, found.q, make_game(network, GameOptions())
+    p, q = found.p, found.q
     assert p.min() >= 0.0 and q.min() >= 0.0
     assert q.sum() == pytest.approx(1.0, abs=1e-12)
-    assert game.conservation_residual(p) < 1e-12
+    assert unbalanced(network, p) < 1e-12
     visits = np.bincount(network.heads, weights=p, minlength=len(q))
     assert (network.alpha * visits).max() <= found.value * (1 + 1e-9)
     assert least_weight(network, (q * network.alpha)[network.heads]) >= found.value * (1 - 1e-9)
@@ -147,3 +148,17 @@ def test_a_tiny_flow_needs_several_rounds_of_integers():
     edges = [(0, k) for k in range(1, 41)] + [(k, 41) for k in range(1, 41)]
     found = solved(line([0, *alphas, 0], edges))
     assert found.value == pytest.approx(1.0 / (1.0 / alphas).sum(), rel=1e-12)
+
+
+def test_only_the_plain_game_is_taken():
+    network = line([0, 1, 1, 1, 0])
+    for options in (GameOptions(ambush_radius=1.0), GameOptions(ambushers=2)):
+        with pytest.raises(SolverFailed, match="one ambusher without a reach"):
+            solve_by_cut(make_game(network, options))
+
+
+def test_where_nothing_costs_anything_q_is_spread_evenly():
+    game = make_game(line([0, 1, 2, 0]), GameOptions())
+    assert indifferent_ambusher(game).tolist() == [0.0, 0.5, 0.5, 0.0]
+    two = make_game(line([0, 1, 0]), GameOptions(ambushers=2))
+    assert indifferent_ambusher(two) == pytest.approx(2 / 3)

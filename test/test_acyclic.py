@@ -1,0 +1,151 @@
+"""Orders of the nodes, the parts of the network that go forward in them, and cycles taken off."""
+
+from __future__ import annotations
+
+import networkx
+import numpy as np
+import pytest
+from games import (
+    connected_flow,
+    examples,
+    is_acyclic,
+    networks,
+    quiet_network,
+    terrain_network,
+    unbalanced,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions
+from ambush_planner.core import acyclic
+from ambush_planner.core.acyclic import (
+    conserved,
+    forward_part,
+    order_potential,
+    progress,
+    rank_around,
+    rank_by,
+    without_cycles,
+)
+from ambush_planner.core.game import make_game
+
+
+def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
+    """Uses p (M,) of random walks from source to target: a flow of 1 with cycles."""
+    rng, p = np.random.default_rng(seed), np.zeros(len(network.edges))
+    graph = networkx.DiGraph(network.edges.tolist())
+    leads = networkx.ancestors(graph, network.target) | {network.target}
+    leaving: dict[int, list[int]] = {}
+    for k, (tail, head) in enumerate(network.edges.tolist()):
+        if head in leads:
+            leaving.setdefault(tail, []).append(k)
+    for _ in range(walks):
+        node = network.source
+        while node != network.target:
+            k = int(rng.choice(leaving[node]))
+            p[k] += 1.0 / walks
+            node = int(network.edges[k, 1])
+    return p
+
+
+@examples(150)
+@given(networks())
+def test_every_edge_of_a_forward_part_lies_on_a_route_and_none_on_a_cycle(network):
+    game = make_game(network, GameOptions())
+    for potential in (order_potential(game), progress(game)):
+        part = forward_part(game, rank_by(potential))
+        if part is None:
+            continue
+        used = part.playable.astype(float)
+        assert is_acyclic(network, used)
+        graph = networkx.DiGraph(network.edges[part.playable].tolist())
+        assert set(graph) == (
+            networkx.descendants(graph, network.source) & networkx.ancestors(graph, network.target)
+        ) | {network.source, network.target}
+
+
+@pytest.mark.parametrize("method", ["uniform_delaunay", "uniform_grid8", "random_delaunay"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_on_two_way_networks_the_harmonic_order_keeps_every_edge_one_way(method, seed):
+    """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
+    network = terrain_network(seed, method, 14)
+    game = make_game(network, GameOptions())
+    part = forward_part(game, rank_by(order_potential(game)))
+    undirected = {frozenset(e) for e in network.edges[game.playable].tolist()}
+    kept = {frozenset(e) for e in network.edges[part.playable].tolist()}
+    simple = networkx.Graph([tuple(e) for e in undirected])
+    simple.add_edge(network.source, network.target)
+    core = max(
+        (c for c in networkx.biconnected_components(simple) if network.source in c
+         and network.target in c), key=len,
+    )
+    ends = {network.source, network.target}
+    able = {e for e in undirected if e <= core and e != ends}
+    assert len(kept & able) == len(able)
+
+
+def test_the_potential_is_harmonic_from_0_to_1():
+    network = terrain_network(4, cells=10)
+    game = make_game(network, GameOptions())
+    potential = order_potential(game)
+    assert potential[[network.source, network.target]].tolist() == [0.0, 1.0]
+    pairs = {frozenset(e) for e in network.edges[game.playable].tolist()}
+    current = np.zeros(len(potential))
+    for pair in pairs:
+        i, j = pair
+        length = np.hypot(*(network.points[i] - network.points[j]))
+        both = 2.0 if [i, j] in network.edges.tolist() and [j, i] in network.edges.tolist() else 1.0
+        current[i] += both * (potential[j] - potential[i]) / length
+        current[j] += both * (potential[i] - potential[j]) / length
+    current[[network.source, network.target]] = 0.0
+    assert np.abs(current[np.isfinite(potential)]).max() < 1e-12
+
+
+def test_large_networks_are_ordered_by_progress(monkeypatch):
+    game = make_game(terrain_network(4, cells=10), GameOptions())
+    monkeypatch.setattr(acyclic, "POTENTIAL_NODES", 10)
+    assert np.array_equal(order_potential(game), progress(game))
+    assert forward_part(game, rank_by(progress(game))) is not None
+
+
+@examples(150)
+@given(networks(), st.integers(0, 10**6))
+def test_an_order_around_a_strategy_keeps_it(network, seed):
+    game = make_game(network, GameOptions())
+    p = without_cycles(network, mixed_walks(network, seed))
+    rank = rank_around(game, p, order_potential(game))
+    used = p > 0.0
+    assert (rank[network.tails[used]] < rank[network.heads[used]]).all()
+    part = forward_part(game, rank)
+    assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
+
+
+@examples(150)
+@given(networks(), st.integers(0, 10**6))
+def test_without_cycles_the_same_trips_are_made_and_no_node_is_visited_more(network, seed):
+    p = mixed_walks(network, seed)
+    less = without_cycles(network, p)
+    assert is_acyclic(network, less)
+    assert unbalanced(network, less) < 1e-12
+    assert (less <= p + 1e-15).all() and less.min() >= 0.0
+    assert connected_flow(network, less) == pytest.approx(1.0)
+
+
+@examples(100)
+@given(networks(), st.integers(0, 10**6))
+def test_an_almost_conserved_flow_becomes_an_exact_one_with_the_same_shares(network, seed):
+    game = make_game(network, GameOptions())
+    exact = without_cycles(network, mixed_walks(network, seed))
+    rng = np.random.default_rng(seed)
+    rough = exact * (1.0 + 1e-6 * rng.normal(size=len(exact))) + 1e-12 * rng.random(len(exact))
+    p = conserved(game, rough, 1e-9)
+    assert unbalanced(network, p) < 1e-12 and is_acyclic(network, p)
+    assert p == pytest.approx(exact, abs=1e-4)
+    assert conserved(game, np.zeros(len(exact))) is None
+
+
+def test_a_node_that_circles_is_taken_off_by_hand():
+    edges = [(0, 1), (1, 2), (2, 1), (1, 3)]
+    network = quiet_network([[k, 0] for k in range(4)], [0, 1, 1, 0], edges, 0, 3)
+    assert without_cycles(network, np.array([1.0, 0.5, 0.5, 1.0])).tolist() == [1, 0, 0, 1]

@@ -1,0 +1,218 @@
+"""The certificate judges: it believes no solver, refuses what is wrong, and holds at any scale."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from games import PLAIN, examples, least_weight, networks, paper_example, terrain_network
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import (
+    BudgetInfeasible,
+    GameOptions,
+    InvalidNetwork,
+    Network,
+    SolverFailed,
+    StrategyOptions,
+    solve,
+)
+from ambush_planner.core.certificate import Budget, certify, lower_bound, upper_bound
+from ambush_planner.core.game import make_game
+from ambush_planner.core.strategy import CERTIFICATE_TOLERANCE, make_budgets
+
+SLACK = StrategyOptions().risk_slack
+
+
+def case(detour=1.2, network=None, **game):
+    """A solved game, ready to be judged again: game, p, q, budgets, prices."""
+    network = network or terrain_network(4, cells=10)
+    options = StrategyOptions(max_detour=detour)
+    found = solve(network, GameOptions(**game), options)
+    budgets = make_budgets(found.game, options)
+    p, q = found.edge_probability.copy(), found.ambush_probability.copy()
+    return found.game, p, q, budgets, (found.length_price, found.exposure_price)
+
+
+def test_what_was_solved_is_believed():
+    for detour in (1.02, 1.2, np.inf):
+        given_ = case(detour)
+        judged = certify(*given_)
+        assert judged.bound <= judged.value <= judged.bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
+
+
+def wrong_ambushers(q):
+    """Pairs of a wrong q and what the error says."""
+    least, most = np.flatnonzero(q == 0.0)[0], int(q.argmax())
+    at = np.arange(len(q))
+    return (
+        (q * 1.001, "sum to 1"),
+        (q * 0.999, "sum to 1"),
+        (np.full_like(q, np.nan), "must be in"),
+        (np.where(at == most, np.nan, q), "must be in"),
+        (np.where(at == most, np.inf, q), "must be in"),
+        (np.where(at == least, -1e-3, q), "must be in"),
+        (np.zeros_like(q), "sum to 1"),
+    )
+
+
+def test_a_wrong_q_is_refused():
+    game, p, q, budgets, prices = case()
+    for wrong, words in wrong_ambushers(q):
+        with pytest.raises(SolverFailed, match=words):
+            certify(game, p, wrong, budgets, prices)
+
+
+@pytest.mark.parametrize("price", [-1e-9, -1.0, np.nan])
+def test_a_wrong_price_is_refused(price):
+    game, p, q, budgets, _ = case()
+    for prices in ((price, 0.0), (0.0, price)):
+        with pytest.raises(SolverFailed, match="price"):
+            certify(game, p, q, budgets, prices)
+
+
+def test_a_wrong_p_is_refused():
+    game, p, q, budgets, prices = case()
+    used = int(np.argmax(p))
+    for change, words in ((-2.0, ">= 0"), (np.nan, ">= 0"), (0.01, "no flow")):
+        wrong = p.copy()
+        wrong[used] += change
+        with pytest.raises(SolverFailed, match=words):
+            certify(game, wrong, q, budgets, prices)
+    with pytest.raises(SolverFailed, match="no flow"):
+        certify(game, 0.999 * p, q, budgets, prices)
+    with pytest.raises(SolverFailed, match="no flow"):
+        certify(game, np.zeros_like(p), q, budgets, prices)
+
+
+def test_an_overlong_p_is_refused():
+    """What is right for a budget of 2 times the shortest is too long for 1.1 times."""
+    game, p, q, _, prices = case(2.0)
+    tight = make_budgets(game, StrategyOptions(max_detour=1.1))
+    with pytest.raises(SolverFailed, match=r"detour is .* over the budget"):
+        certify(game, p, q, tight, prices)
+
+
+def test_a_p_on_forbidden_ground_is_refused():
+    game, p, q, budgets, prices = case()
+    closed = game.playable.copy()
+    closed[np.argmax(p)] = False
+    with pytest.raises(SolverFailed, match="not playable"):
+        certify(replace(game, playable=closed), p, q, budgets, prices)
+
+
+def test_a_bound_above_the_value_is_refused(monkeypatch):
+    """Whatever lets it happen: it is never hidden."""
+    given_ = case()
+    monkeypatch.setattr(
+        "ambush_planner.core.certificate.lower_bound", lambda *_: 1.0001 * upper_bound(*given_[:2])
+    )
+    with pytest.raises(SolverFailed, match="above the value"):
+        certify(*given_)
+
+
+@examples(100)
+@given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
+def test_no_route_within_the_budget_beats_the_bound_of_any_q_and_price(
+    network, seed, price, detour
+):
+    """Weak duality, by a Dijkstra of the suite's own."""
+    game = make_game(network, GameOptions())
+    budgets = make_budgets(game, StrategyOptions(max_detour=detour))
+    q = np.random.default_rng(seed).dirichlet(np.ones(game.node_count))
+    bound = lower_bound(game, q, budgets, (price, 0.0))
+    weights = (q * network.alpha)[network.heads] + price * network.lengths
+    expected = least_weight(network, weights) - price * budgets[0].limit
+    assert bound == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-6)
+    value = solve(network, options=StrategyOptions(max_detour=detour)).value
+    assert bound <= value * (1 + 1e-9) + 1e-7 * price * budgets[0].limit
+
+
+def test_several_ambushers_hold_different_sites():
+    network = paper_example()
+    game, p, q, budgets, prices = case(np.inf, network, ambushers=2)
+    assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0
+    both = certify(game, p, q, budgets, prices)
+    assert both.value == pytest.approx(2 / 3, rel=2e-2)
+    one_site = np.zeros_like(q)
+    one_site[1] = 2.0
+    with pytest.raises(SolverFailed, match="must be in"):
+        certify(game, p, one_site, budgets, prices)
+
+
+def test_the_value_is_the_sum_of_the_worst_sites():
+    network = Network([[k, 0] for k in range(5)], [0, 2, 7, 3, 0],
+                      [(k, k + 1) for k in range(4)], 0, 4)
+    for count, worst in ((1, 7.0), (2, 10.0), (3, 12.0), (4, 12.0)):
+        game = make_game(network, GameOptions(ambushers=count))
+        assert upper_bound(game, np.ones(4)) == worst
+
+
+# Budgets.
+
+
+def test_a_budget_below_the_best_route_is_infeasible():
+    game = make_game(paper_example(), GameOptions())
+    lengths = game.network.lengths
+    with pytest.raises(BudgetInfeasible, match=r"length 3 .*raise max_length"):
+        Budget(game, lengths, 2.9, 3.0, "length", "m")
+    assert Budget(game, lengths, 3.0, 3.0, "length", "m").room > 0.0
+
+
+@examples(100)
+@given(networks())
+def test_excess_adds_up_to_what_a_route_costs_over_the_best(network):
+    game = make_game(network, GameOptions())
+    length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
+    route = solve(network, options=StrategyOptions(max_detour=np.inf)).sample_route(
+        np.random.default_rng(1)
+    )
+    pairs = list(zip(route[:-1].tolist(), route[1:].tolist(), strict=True))
+    used = [k for k, edge in enumerate(network.edges.tolist()) if tuple(edge) in pairs]
+    for budget in (length, exposure):
+        over = budget.cost[used].sum() - budget.least
+        assert budget.excess[used].sum() == pytest.approx(over, abs=1e-9 * (1 + budget.least))
+        assert (budget.excess >= 0.0).all()
+
+
+# Scale.
+
+
+@pytest.mark.parametrize("exponent", [-305, -250, -100, -9, 0, 9, 100, 200, 289])
+@pytest.mark.parametrize("detour", [1.1, np.inf])
+def test_within_tolerance_at_every_scale(exponent, detour):
+    plain = terrain_network(2, cells=9)
+    alpha = plain.alpha * 10.0**exponent
+    network = Network(plain.points, alpha, plain.edges, plain.source, plain.target)
+    strategy = solve(network, options=StrategyOptions(max_detour=detour))
+    visits = np.bincount(network.heads, strategy.edge_probability, len(alpha))
+    assert strategy.value == pytest.approx((alpha * visits).max(), rel=1e-12, abs=0.0)
+    assert strategy.lower_bound > 0.0
+    assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
+    same = solve(plain, options=StrategyOptions(max_detour=detour)).value
+    assert strategy.value == pytest.approx(same * 10.0**exponent, rel=SLACK, abs=0.0)
+
+
+@pytest.mark.parametrize("where", ["on the best route", "anywhere"])
+@pytest.mark.parametrize("detour", [1.05, 1.2, np.inf])
+@pytest.mark.parametrize("radius", [0.0, 2.0])
+def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
+    plain = terrain_network(2, cells=12)
+    free = StrategyOptions(max_detour=detour)
+    alpha = (plain.alpha > 0.0).astype(float)
+    even = Network(plain.points, alpha, plain.edges, plain.source, plain.target)
+    visits = solve(even, GameOptions(ambush_radius=radius), free).visit_probability
+    visits = np.where(alpha > 0.0, visits, 0.0)
+    alpha[visits.argmax() if where == "on the best route" else len(alpha) // 3] = 1e9
+    network = Network(plain.points, alpha, plain.edges, plain.source, plain.target)
+    strategy = solve(network, GameOptions(ambush_radius=radius), free)
+    assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
+
+
+@pytest.mark.parametrize("loss", [1e291, 1e308, 1e-306, 5e-324])
+def test_losses_out_of_range_are_refused(loss):
+    network = Network([[0, 0], [1, 0], [2, 0]], [0, loss, 0], [(0, 1), (1, 2)], 0, 2)
+    with pytest.raises(InvalidNetwork, match=r"1e-305\.\.1e\+290.* at node 1; scale the losses"):
+        solve(network)

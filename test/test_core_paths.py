@@ -1,0 +1,55 @@
+"""Shortest paths and reachability of the core against networkx."""
+
+from __future__ import annotations
+
+import networkx
+import numpy as np
+import pytest
+from games import examples, networks
+from hypothesis import given
+
+from ambush_planner.core.paths import (
+    distances_between,
+    on_some_route,
+    reachable_from,
+    shortest_path,
+)
+
+
+def graph_of(network, weights) -> networkx.DiGraph:
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(range(len(network.points)))
+    for (tail, head), weight in zip(network.edges.tolist(), weights.tolist(), strict=True):
+        graph.add_edge(tail, head, weight=weight)
+    return graph
+
+
+@examples(100)
+@given(networks())
+def test_distances_and_a_path(network):
+    n, ends = len(network.points), (network.source, network.target)
+    weights = network.alpha[network.heads]  # some of them 0: an edge of weight 0 is an edge
+    graph = graph_of(network, weights)
+    ahead, behind = distances_between(network.edges, weights, n, *ends)
+    from_source = networkx.single_source_dijkstra_path_length(graph, ends[0])
+    to_target = networkx.single_source_dijkstra_path_length(graph.reverse(), ends[1])
+    assert ahead == pytest.approx([from_source.get(k, np.inf) for k in range(n)])
+    assert behind == pytest.approx([to_target.get(k, np.inf) for k in range(n)])
+    path = shortest_path(network.edges, weights, n, *ends).tolist()
+    assert networkx.path_weight(graph, path, "weight") == pytest.approx(ahead[ends[1]])
+
+
+@examples(100)
+@given(networks())
+def test_reachability(network):
+    graph = graph_of(network, network.lengths)
+    n, source, target = len(network.points), network.source, network.target
+    reached = networkx.descendants(graph, source) | {source}
+    leading = networkx.ancestors(graph, target) | {target}
+    assert set(np.flatnonzero(reachable_from(network.edges, n, source))) == reached
+    between = np.flatnonzero(on_some_route(network.edges, n, source, target))
+    assert set(between) == reached & leading
+
+
+def test_no_path_is_an_empty_one():
+    assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0

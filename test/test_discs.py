@@ -1,0 +1,137 @@
+"""Edges that enter discs, against geometry that shares no code: points along the drawn line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions, Network, solve
+from ambush_planner.core.discs import entering_edges
+from ambush_planner.core.game import make_game
+
+# Points along each edge; what comes nearer to the circle than NEAR radii is not told apart.
+DENSE, NEAR = 2000, 1e-6
+
+
+def corridor(points) -> Network:
+    """Nodes joined one after the other, driven one way."""
+    count = len(points)
+    edges = np.stack((np.arange(count - 1), np.arange(1, count)), axis=1)
+    alpha = np.r_[0.0, np.ones(count - 2), 0.0]
+    return Network(points, alpha, edges, 0, count - 1)
+
+
+def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
+    """Row (M,) of one site."""
+    return entering_edges(network, np.array([centre_node]), radius).toarray()[0]
+
+
+def drawn(points: np.ndarray) -> np.ndarray:
+    """Points close together along a polyline."""
+    share = np.linspace(0.0, 1.0, DENSE, endpoint=False)[:, None]
+    legs = [a + share * (b - a) for a, b in zip(points[:-1], points[1:], strict=True)]
+    return np.vstack((*legs, points[-1:]))
+
+
+def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tuple[int, int]:
+    """Least and largest number of times that a polyline comes into a disc, by points along it."""
+    distance = np.sqrt(((drawn(points) - centre) ** 2).sum(axis=1))
+
+    def runs(inside) -> int:
+        return int((inside[1:] & ~inside[:-1]).sum())
+
+    counts = [runs(distance < radius * (1 + room)) for room in (-1e-2, -NEAR, NEAR, 1e-2)]
+    return min(counts), max(counts)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_straight_corridors_with_nodes_on_the_circle_enter_once(seed):
+    """A thousand a seed: the disc is as large as some nodes are far, to the last digit or so."""
+    rng = np.random.default_rng(seed)
+    for _ in range(1000):
+        angle, step = rng.uniform(0, 2 * np.pi), rng.uniform(0.1, 9.0)
+        along = step * np.array([np.cos(angle), np.sin(angle)])
+        points = rng.uniform(-50, 50, 2) + np.arange(9)[:, None] * along
+        radius = rng.integers(1, 4) * step
+        row = entries(corridor(points), 4, radius)
+        assert row.sum() == 1.0 and set(row) <= {0.0, 1.0}
+
+
+def test_a_corridor_through_a_disc_costs_its_loss():
+    """The game of value 3 that once had value 0."""
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        angle = rng.uniform(0, 2 * np.pi)
+        along = 0.7 * np.array([np.cos(angle), np.sin(angle)])
+        network = corridor(rng.uniform(-5, 5, 2) + np.arange(9)[:, None] * along)
+        network = Network(network.points, 3 * network.alpha, network.edges, 0, 8)
+        assert solve(network, GameOptions(ambush_radius=1.4)).value == pytest.approx(3.0)
+
+
+@examples(150)
+@given(st.integers(0, 10**9))
+def test_entries_of_any_polyline_are_those_of_its_points(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-10, 10, (rng.integers(3, 7), 2))
+    site = int(rng.integers(1, len(points)))
+    # Half of the time a node lies on the circle.
+    apart = np.sqrt(((points - points[site]) ** 2).sum(axis=1))
+    radius = float(rng.choice(apart[apart > 0.0])) if seed % 2 else rng.uniform(0.5, 6.0)
+    if apart[0] <= radius * (1 + NEAR):
+        return
+    least, most = visits_to_disc(points, points[site], radius)
+    assert least <= entries(corridor(points), site, radius).sum() <= most
+
+
+@pytest.mark.parametrize("radius", [1.0, np.sqrt(2.0), 2.0, np.sqrt(5.0), 5.0])
+def test_no_walk_on_a_turned_lattice_comes_into_a_disc_unseen(radius):
+    """Nodes exactly at the reach on a lattice turned by 1.1 rad; decided by whole numbers."""
+    side = 15
+    grid = np.stack(np.divmod(np.arange(side * side), side), axis=1)
+    turn = np.array([[np.cos(1.1), -np.sin(1.1)], [np.sin(1.1), np.cos(1.1)]])
+    step = np.abs(grid[:, None] - grid).max(axis=2) == 1
+    edges = np.argwhere(step)
+    edges = edges[(edges[:, 1] != 0) & (edges[:, 0] != len(grid) - 1)]
+    alpha = np.r_[0.0, np.ones(len(grid) - 2), 0.0]
+    network = Network(grid @ turn.T, alpha, edges, 0, len(grid) - 1)
+    centre = side * side // 2
+    row = entries(network, centre, radius)
+    tail, head = (((grid[k] - grid[centre]) ** 2).sum(axis=1) for k in edges.T)
+    squared = round(radius**2)
+    # Out of the disc and into it: seen by its own edge, or before where the tail is on the circle.
+    assert (row[(tail > squared) & (head < squared)] == 1.0).all()
+    assert (row[(tail < squared)] == 0.0).all()
+    # Whether a node on the circle is inside is decided once: in by its edges in, or by those out.
+    for node in np.flatnonzero(((grid - grid[centre]) ** 2).sum(axis=1) == squared):
+        into = row[(edges[:, 1] == node) & (tail > squared)]
+        out = row[(edges[:, 0] == node) & (head < squared)]
+        assert (into == 1.0).all() and (out == 0.0).all() or (
+            (into == 0.0).all() and (out == 1.0).all()
+        )
+
+
+def test_edges_that_enter_a_disc_count_once():
+    # A row of nodes one metre apart; discs of 1.2 m. s and t and their neighbours are no sites.
+    network = corridor(np.column_stack((np.arange(7.0), np.zeros(7))))
+    game = make_game(network, GameOptions(ambush_radius=1.2))
+    assert game.sites.tolist() == [2, 3, 4]
+    assert game.hits.toarray().tolist() == [
+        [1, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0],
+        [0, 0, 1, 0, 0, 0],
+    ]
+
+
+def test_an_edge_that_only_passes_through_a_disc_hits():
+    points = np.array([[0, 0], [10, 0], [5, 1.0]])
+    network = Network(points, np.array([0, 0, 1.0]), np.array([[0, 1], [0, 2], [2, 1]]), 0, 1)
+    assert solve(network, GameOptions(ambush_radius=2.0)).value == pytest.approx(1.0, rel=1e-6)
+    assert solve(network, GameOptions(ambush_radius=0.5)).value == 0.0
+
+
+def test_no_sites_are_no_rows():
+    network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
+    assert entering_edges(network, np.empty(0, np.int64), 1.0).shape == (0, 2)

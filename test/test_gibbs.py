@@ -1,0 +1,229 @@
+"""The Gibbs law: gradient, entropy, all routes by hand, Clarabel, and weights beyond e^700."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import networkx
+import numpy as np
+import pytest
+from games import PLAIN, examples, networks, terrain_network, unbalanced
+from hypothesis import given
+from hypothesis import strategies as st
+from route_entropy import most_route_entropy, route_entropy
+from scipy.sparse import csr_matrix, vstack
+
+from ambush_planner import GameOptions, Network
+from ambush_planner.core import gibbs
+from ambush_planner.core.acyclic import forward_part, order_potential, rank_by
+from ambush_planner.core.game import make_game
+from ambush_planner.core.gibbs import AcyclicNetwork
+from ambush_planner.core.most_entropy import SMALL_START, most_entropy
+
+NEVER = math.inf
+
+
+def forward(network):
+    """The acyclic part by the harmonic potential, and its edges in order; None without a route."""
+    game = make_game(network, GameOptions())
+    rank = rank_by(order_potential(game))
+    part = forward_part(game, rank)
+    return None if part is None else (part, AcyclicNetwork(part, rank))
+
+
+def on_all(network, acyclic, values) -> np.ndarray:
+    """Values (m,) of the acyclic part's edges as (M,)."""
+    whole = np.zeros(len(network.edges))
+    whole[acyclic.edge] = values
+    return whole
+
+
+def routes_of(network, acyclic) -> list[list[int]]:
+    """Every route as positions of its edges in the acyclic part."""
+    place = {tuple(network.edges[e].tolist()): k for k, e in enumerate(acyclic.edge)}
+    graph = networkx.DiGraph(list(place))
+    routes = networkx.all_simple_paths(graph, network.source, network.target)
+    return [[place[step] for step in pairwise(route)] for route in routes]
+
+
+@examples(150)
+@given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
+def test_every_route_is_as_likely_as_its_weight_says(network, seed, size):
+    case = forward(network)
+    if case is None:
+        return
+    acyclic = case[1]
+    weights = size * np.random.default_rng(seed).random(len(acyclic.edge))
+    log_z, p, share = acyclic.law(weights)
+    routes = routes_of(network, acyclic)
+    by_hand = np.array([weights[route].sum() for route in routes])
+    assert log_z == pytest.approx(np.logaddexp.reduce(-by_hand), abs=1e-9)
+    likely = np.exp(-by_hand - log_z)
+    assert [share[route].prod() for route in routes] == pytest.approx(likely, abs=1e-12)
+    used = np.zeros(len(p))
+    for route, chance in zip(routes, likely, strict=True):
+        used[route] += chance
+    assert p == pytest.approx(used, abs=1e-12)
+
+
+def rows_of(part, acyclic, budget=1.3) -> csr_matrix:
+    """Limits of a game: hits of each site at half a visit, mean length."""
+    lengths = part.network.lengths[acyclic.edge]
+    return vstack((2.0 * part.hits[:, acyclic.edge], csr_matrix(lengths / lengths.sum() * budget)))
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.0, 3.0))
+def test_p_is_a_flow_and_its_entropy_is_log_z_and_the_prices(seed, size):
+    network = terrain_network(seed, cells=8)
+    part, acyclic = forward(network)
+    rows = rows_of(part, acyclic)
+    v = size * np.random.default_rng(seed).random(rows.shape[0])
+    log_z, p, _ = acyclic.law(rows.T @ v)
+    whole = on_all(network, acyclic, p)
+    assert unbalanced(network, whole) < 1e-12 and p.min() >= 0.0
+    assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
+
+
+def test_the_gradient_is_what_finite_differences_say():
+    network = terrain_network(7, cells=9)
+    part, acyclic = forward(network)
+    rows, rng = rows_of(part, acyclic), np.random.default_rng(1)
+
+    def value(v):
+        return acyclic.law(rows.T @ v)[0] + v.sum()
+
+    v = rng.random(rows.shape[0])
+    gradient = 1.0 - rows @ acyclic.law(rows.T @ v)[1]
+    for _ in range(20):
+        step = 1e-5 * rng.normal(size=len(v))
+        slope = (value(v + step) - value(v - step)) / 2.0
+        assert slope == pytest.approx(gradient @ step, rel=1e-5, abs=1e-10)
+
+
+@pytest.mark.parametrize("cells, reach", [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
+def test_the_optimum_is_clarabels(cells, reach):
+    network = terrain_network(3, cells=cells)
+    part, acyclic = forward(network)
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    _, uniform, _ = acyclic.law(np.zeros(len(acyclic.edge)))
+    # Limits at 0.9 and 0.95 of what the law without limits does.
+    lengths = network.lengths[acyclic.edge]
+    hits = game.hits[:, acyclic.edge]
+    limits = np.append(np.full(hits.shape[0], 0.9 * (hits @ uniform).max()),
+                       0.95 * lengths @ uniform)
+    limits[-1] = max(limits[-1], 1.02 * shortest(network, acyclic))
+    rows = vstack((hits, csr_matrix(lengths))).tocsr()
+    scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
+    start = np.full(len(limits), SMALL_START)
+    found = most_entropy(acyclic, scaled, start, -1.0, NEVER)
+    most = most_route_entropy(network, acyclic.edge, rows, limits)
+    if found.infeasible:
+        assert np.isnan(most)
+        return
+    assert found.excess < 1e-4
+    own = route_entropy(network, on_all(network, acyclic, found.p))
+    assert own == pytest.approx(most, rel=1e-4)
+    dual = acyclic.law(scaled.T @ found.multipliers)[0] + found.multipliers.sum()
+    assert dual == pytest.approx(most, rel=1e-5)
+
+
+def shortest(network, acyclic) -> float:
+    graph = networkx.DiGraph()
+    for k in acyclic.edge:
+        graph.add_edge(*network.edges[k].tolist(), weight=network.lengths[k])
+    return networkx.dijkstra_path_length(graph, network.source, network.target)
+
+
+@examples(60)
+@given(networks(alphas=PLAIN), st.floats(0.2, 0.99))
+def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
+    """All of the source's edges together may be used less than once."""
+    case = forward(network)
+    if case is None:
+        return
+    part, acyclic = case
+    out = (network.tails[acyclic.edge] == network.source) / tightness
+    found = most_entropy(acyclic, csr_matrix(out), np.array([SMALL_START]), 0.0, NEVER)
+    assert found.infeasible
+    # And limits that can be kept are never called infeasible.
+    kept = most_entropy(acyclic, csr_matrix(out * tightness), np.zeros(1), 1e-9, NEVER)
+    assert not kept.infeasible and kept.excess <= 1e-9
+
+
+def test_no_limits_is_the_walk_by_numbers_of_routes():
+    network = terrain_network(1, cells=7)
+    _, acyclic = forward(network)
+    found = most_entropy(acyclic, csr_matrix((0, len(acyclic.edge))), np.empty(0), 0.0, NEVER)
+    count = networkx.DiGraph(network.edges[acyclic.edge].tolist())
+    ways = {network.target: 1}
+    for node in reversed(list(networkx.topological_sort(count))):
+        if node != network.target:
+            ways[node] = sum(ways[k] for k in count.successors(node))
+    own = route_entropy(network, on_all(network, acyclic, found.p))
+    assert own == pytest.approx(math.log(ways[network.source]), rel=1e-9)
+
+
+def ladder(rungs: int) -> Network:
+    """Two sides with crossings: 2^rungs routes."""
+    points = [[-1, 0], *([k, side] for k in range(rungs) for side in (0, 1)), [rungs, 0]]
+    edges = [(0, 1), (0, 2), (2 * rungs - 1, 2 * rungs + 1), (2 * rungs, 2 * rungs + 1)]
+    for k in range(rungs - 1):
+        edges += [(2 * k + a, 2 * k + 2 + b) for a in (1, 2) for b in (1, 2)]
+    alpha = [0.0, *[1.0] * (2 * rungs), 0.0]
+    return Network(np.array(points, float), alpha, np.array(edges), 0, 2 * rungs + 1)
+
+
+@pytest.mark.parametrize("weight", [-3.0, 0.0, 0.5, 5.0, 200.0])
+def test_partition_functions_beyond_floating_point(weight):
+    """1500 rungs: log Z from 1039 - 1501 w, far beyond e^700 on either side; levels jump, too."""
+    rungs = 1500
+    network = ladder(rungs)
+    _, acyclic = forward(network)
+    exact = rungs * math.log(2.0) - (rungs + 1) * weight
+    for _ in range(2):
+        log_z, p, _ = acyclic.law(np.full(len(acyclic.edge), weight))
+        assert log_z == pytest.approx(exact, rel=1e-10)
+        assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
+        acyclic.law(np.full(len(acyclic.edge), weight + 1.0))
+
+
+def test_weights_far_apart_leave_the_best_route():
+    network = terrain_network(9, cells=9)
+    _, acyclic = forward(network)
+    weights = 1e6 * np.random.default_rng(3).random(len(acyclic.edge))
+    _, p, _ = acyclic.law(weights)
+    graph = networkx.DiGraph()
+    for k, weight in zip(acyclic.edge, weights, strict=True):
+        graph.add_edge(*network.edges[k].tolist(), weight=weight)
+    best = networkx.dijkstra_path_length(graph, network.source, network.target)
+    assert p @ weights == pytest.approx(best, rel=1e-6)
+    assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
+
+
+def test_the_slow_way_is_the_fast_way(monkeypatch):
+    network = terrain_network(5, cells=10)
+    answers = []
+    for fast in (True, False):
+        if fast and not gibbs.FAST_TRIANGULAR:
+            continue
+        monkeypatch.setattr(gibbs, "FAST_TRIANGULAR", fast)
+        _, acyclic = forward(network)
+        weights = np.random.default_rng(2).random(len(acyclic.edge))
+        acyclic.law(weights)
+        answers.append(acyclic.law(weights))
+    for (z, p, share), (z2, p2, share2) in pairwise(answers):
+        assert z == pytest.approx(z2, rel=1e-12)
+        assert p == pytest.approx(p2, abs=1e-12) and share == pytest.approx(share2, abs=1e-12)
+
+
+def test_a_soft_search_has_a_minimum_where_the_limits_cannot_be_kept():
+    network = terrain_network(6, cells=8)
+    part, acyclic = forward(network)
+    rows = csr_matrix(8.0 * part.hits[:, acyclic.edge])
+    start = np.full(rows.shape[0], SMALL_START)
+    found = most_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1)
+    assert not found.infeasible
+    # At the minimum each limit is exceeded by softness * sum v at most.
+    assert found.excess == pytest.approx(0.1 * found.multipliers.sum(), rel=1e-2)

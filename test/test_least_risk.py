@@ -1,0 +1,157 @@
+"""The value program against HiGHS on all edges: budgets, a reach, several ambushers."""
+
+from __future__ import annotations
+
+import math
+import time
+from itertools import combinations
+
+import numpy as np
+import pytest
+from games import (
+    METHODS,
+    PLAIN,
+    examples,
+    geometric_hits,
+    is_acyclic,
+    least_weight,
+    networks,
+    program_value,
+    terrain_network,
+    unbalanced,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, TimeLimit
+from ambush_planner.core.certificate import lower_bound, upper_bound
+from ambush_planner.core.game import make_game
+from ambush_planner.core.least_risk import CLOSED, at_most_one, least_risk
+from ambush_planner.core.strategy import make_budgets
+
+NEVER = math.inf
+OPTIMAL = 2e-5  # of value and bound, relative: see CERTIFICATE_TOLERANCE
+
+
+def solved(network, detour=np.inf, exposure=np.inf, deadline=NEVER, **options):
+    game = make_game(network, GameOptions(**options))
+    budgets = make_budgets(game, StrategyOptions(max_detour=detour, max_exposure=exposure))
+    return game, budgets, least_risk(game, game, budgets, deadline)
+
+
+def check(game, budgets, risk, expected) -> None:
+    """A strategy within the budgets, an ambusher, and the value of the program between them."""
+    network = game.network
+    assert unbalanced(network, risk.p) < 1e-9 and is_acyclic(network, risk.p)
+    assert all(b.mean(risk.p) <= b.limit * (1 + 1e-6) for b in budgets)
+    assert risk.q.sum() == pytest.approx(game.ambushers) and risk.q.max() <= 1 + 1e-12
+    assert risk.value == upper_bound(game, risk.p)
+    assert risk.bound == lower_bound(game, risk.q, budgets, risk.prices)
+    assert risk.bound <= expected * (1 + OPTIMAL)
+    assert risk.bound == pytest.approx(expected, rel=OPTIMAL)
+    assert risk.value == pytest.approx(expected, rel=OPTIMAL)
+
+
+@examples(60)
+@given(networks(alphas=PLAIN), st.integers(1, 3))
+def test_several_ambushers_on_any_network(network, count):
+    expected = program_value(network, ambushers=count)
+    if expected == 0.0 or make_game(network, GameOptions()).past_all_sites() is not None:
+        return
+    check(*solved(network, ambushers=count), expected)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("reach", [0.0, 1.5, 3.0])
+@pytest.mark.parametrize("count, detour", [(1, 1.05), (1, np.inf), (2, 1.2)])
+def test_terrain(method, reach, count, detour):
+    network = terrain_network(8, method, 12)
+    hits = geometric_hits(network, reach) if reach else None
+    if hits is not None and not hits.nnz:
+        return
+    budget = detour * least_weight(network, network.lengths)
+    expected = program_value(network, hits, budget, count)
+    check(*solved(network, detour, ambush_radius=reach, ambushers=count), expected)
+
+
+def test_a_thousand_nodes_with_budget_and_reach():
+    network = terrain_network(11, cells=40)
+    assert 800 < len(network.points) < 1500
+    budget = 1.1 * least_weight(network, network.lengths)
+    expected = program_value(network, geometric_hits(network, 4.0), budget)
+    check(*solved(network, 1.1, ambush_radius=4.0), expected)
+
+
+def parallel(alphas) -> Network:
+    """One node a way, all ways equally long."""
+    n = len(alphas)
+    points = [[0, 0], *([1, 0.0] for _ in alphas), [2, 0]]
+    edges = [(0, k + 1) for k in range(n)] + [(k + 1, n + 1) for k in range(n)]
+    return Network(points, [0, *alphas, 0], edges, 0, n + 1)
+
+
+def test_several_ambushers_by_hand():
+    # Three like nodes abreast, two ambushers: each way 1/3, two of them held.
+    assert solved(parallel([3, 3, 3]), ambushers=2)[2].value == pytest.approx(2.0)
+    # As many ambushers as ways: no way out.
+    assert solved(parallel([3, 3]), ambushers=2)[2].value == pytest.approx(3.0)
+    # A node of loss 1 beside two of 10: k q_j <= 1 fails for the cheap one. All through it costs
+    # 1 in all; any share x elsewhere costs more: 1 - x + 10 x / 2.
+    risk = solved(parallel([1, 10, 10]), ambushers=2)[2]
+    assert risk.value == pytest.approx(1.0, rel=1e-6)
+    assert risk.q[1] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_corridor_is_held_once_by_each_ambusher():
+    network = Network([[k, 0] for k in range(5)], [0, 2, 7, 3, 0],
+                      [(k, k + 1) for k in range(4)], 0, 4)
+    for count, value in ((1, 7.0), (2, 10.0), (3, 12.0)):
+        assert solved(network, ambushers=count)[2].value == pytest.approx(value)
+
+
+@examples(40)
+@given(st.lists(st.sampled_from(PLAIN), min_size=2, max_size=6), st.integers(1, 4))
+def test_ways_abreast_against_all_sets_of_ambushers(alphas, count):
+    """The value is the largest over sets: m ways shared out, the least costly left open."""
+    network, count = parallel(alphas), min(count, len(alphas))
+    risk = solved(network, ambushers=count)[2]
+    x = np.array([risk.p[k] for k in range(len(alphas))])
+    worst = max(sum(alphas[j] * x[j] for j in held) for held in
+                combinations(range(len(alphas)), count))
+    assert risk.value == pytest.approx(worst, rel=1e-9)
+    assert risk.value == pytest.approx(program_value(network, ambushers=count), rel=OPTIMAL)
+
+
+def test_an_exposure_budget_binds():
+    # Straight through loss 4 next to nothing, or round through 1: 2 m x 4 against 4 m x 1.
+    points = [[0, 0], [1, 0], [1, np.sqrt(3)], [2, 0]]
+    network = Network(points, [0, 4, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    free, tight = (solved(network, exposure=e)[2] for e in (np.inf, 1.1))
+    # Least risk: 1/5 straight, 4/5 round, 0.8; exposure 8/5 + 16/5 = 4.8, allowed 4.4: 1/10.
+    assert free.value == pytest.approx(0.8) and tight.value == pytest.approx(0.9)
+    assert tight.prices[1] > 0.0 and free.prices == (0.0, 0.0)
+
+
+def test_budgets_that_contradict_each_other_are_named():
+    points = [[0, 0], [1, 0], [1, 3], [2, 0]]
+    network = Network(points, [0, 9, 0.1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    with pytest.raises(BudgetInfeasible, match="max_detour and max_exposure"):
+        solved(network, 1.01, 1.01)
+
+
+def test_no_time_is_a_time_limit():
+    with pytest.raises(TimeLimit):
+        solved(terrain_network(1, cells=10), 1.1, deadline=time.monotonic() - 1.0)
+
+
+@examples(200)
+@given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
+def test_at_most_one(masses, count):
+    if sum(masses) < 1e-3:
+        return
+    q = at_most_one(np.array(masses) * count / sum(masses), count)
+    assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0
+
+
+def test_the_tolerance_is_below_the_certificates():
+    assert CLOSED < OPTIMAL / 2

@@ -1,0 +1,183 @@
+"""The default strategy against the most route entropy by Clarabel; its stages; its budgets."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from games import (
+    METHODS,
+    PLAIN,
+    examples,
+    is_acyclic,
+    least_weight,
+    networks,
+    paper_example,
+    program_value,
+    quiet_network,
+    terrain_network,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from route_entropy import most_route_entropy
+from scipy.sparse import csr_matrix, vstack
+
+from ambush_planner import GameOptions, SolverFailed, StrategyOptions, solve
+from ambush_planner.core import max_entropy
+from ambush_planner.core.certificate import certify
+from ambush_planner.core.least_risk import least_risk
+from ambush_planner.core.max_entropy import max_entropy_strategy
+from ambush_planner.core.strategy import make_budgets
+
+DETOURS = (1.05, 1.2, 1.5, np.inf)
+
+
+def most_entropy(strategy, value: float, budget: float) -> float:
+    """Clarabel's entropy on the strategy's own edges, losses up to ``value``; NaN: no answer."""
+    game, network = strategy.game, strategy.network
+    edges = np.flatnonzero(strategy.edge_probability > 0.0)
+    rows, limits = game.hits[:, edges], value / game.loss[game.sites]
+    binding = (limits < 1.0) | (game.ambush_radius > 0.0)
+    rows, limits = rows[np.flatnonzero(binding)], limits[binding]
+    if math.isfinite(budget):
+        rows = vstack((rows, csr_matrix(network.lengths[edges] / budget)))
+        limits = np.append(limits, 1.0)
+    return most_route_entropy(network, edges, rows, limits)
+
+
+def check_entropy(strategy, slack: float) -> None:
+    """Not more than anybody can have, nor less than what a tenth less of the slack allows."""
+    budget = strategy.length_budget
+    most = most_entropy(strategy, strategy.value, budget * (1 + 1e-9))
+    if not math.isnan(most):
+        assert strategy.route_entropy <= most * (1 + 1e-5) + 1e-5
+    least = strategy.lower_bound * (1 + 0.8 * slack)
+    shortest = strategy.shortest_length
+    sure = most_entropy(strategy, least, shortest + 0.99 * (budget - shortest))
+    if not math.isnan(sure):
+        assert strategy.route_entropy >= sure * (1 - 5e-3) - 1e-3
+
+
+@pytest.mark.parametrize("method", METHODS)
+@examples(8)
+@given(seed=st.integers(0, 10**6), cells=st.integers(6, 16), detour=st.sampled_from(DETOURS),
+       slack=st.sampled_from((0.01, 0.1)))
+def test_terrain(method, seed, cells, detour, slack):
+    network = terrain_network(seed, method, cells)
+    options = StrategyOptions(max_detour=detour, risk_slack=slack)
+    check_entropy(solve(network, options=options), slack)
+
+
+@examples(60)
+@given(networks(alphas=PLAIN), st.sampled_from(DETOURS))
+def test_any_network(network, detour):
+    check_entropy(solve(network, options=StrategyOptions(max_detour=detour)), 0.01)
+
+
+@examples(12)
+@given(st.integers(0, 10**6), st.floats(1.0, 4.0), st.sampled_from((1.2, np.inf)))
+def test_with_a_reach(seed, reach, detour):
+    network = terrain_network(seed, cells=11)
+    options = StrategyOptions(max_detour=detour, risk_slack=0.05)
+    strategy = solve(network, GameOptions(ambush_radius=reach), options)
+    if strategy.value > 0.0:
+        check_entropy(strategy, 0.05)
+
+
+def test_a_medium_game():
+    network = terrain_network(2, cells=36)
+    check_entropy(solve(network), 0.01)
+
+
+def test_the_papers_example():
+    """Seven routes, three columns' rows binding at 1/3: by Clarabel 1.90 nats, e^1.90 = 6.7."""
+    strategy = solve(paper_example(), options=StrategyOptions(max_detour=np.inf))
+    most = most_entropy(strategy, 1 / 3, np.inf)
+    assert strategy.route_entropy == pytest.approx(most, abs=0.01)
+    assert (strategy.edge_probability > 0.0).all()
+
+
+# The stages.
+
+
+@examples(60)
+@given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
+       st.sampled_from((0.0, 0.01, 0.3)))
+def test_value_within_the_slack_of_the_linear_programs(network, detour, count, slack):
+    shortest, count = least_weight(network, network.lengths), min(count, len(network.points))
+    strategy = solve(network, GameOptions(ambushers=count), StrategyOptions(
+        max_detour=detour, risk_slack=slack))
+    # Where a budget is as good as none for detours, the value is steep in it.
+    loose = program_value(network, None, detour * shortest * (1 + 2e-6), count)
+    tight = program_value(network, None, detour * shortest * (1 + 1e-12), count)
+    assert strategy.value >= loose * (1 - 1e-6) - 1e-9
+    assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
+    assert is_acyclic(network, strategy.edge_probability)
+
+
+def test_routes_past_all_sites_are_taken_with_value_zero():
+    points = [[0, 0], [1, 0], [1, 1], [1, -1], [2, 0]]
+    network = quiet_network(points, [0, 5, 0, 0, 0], [(0, k) for k in (1, 2, 3)] + [
+        (k, 4) for k in (1, 2, 3)], 0, 4)
+    strategy = solve(network, options=StrategyOptions(max_detour=2.0))
+    assert strategy.value == 0.0 and strategy.lower_bound == 0.0
+    assert strategy.route_entropy == pytest.approx(math.log(2.0), abs=1e-9)
+    assert strategy.ambush_probability.sum() == pytest.approx(1.0)
+    # Too far round: the budget leaves nothing but the site.
+    tight = solve(network, options=StrategyOptions(max_detour=1.0))
+    assert tight.value == pytest.approx(5.0)
+
+
+def test_without_a_program_the_soft_search_closes_in(monkeypatch):
+    """What a user gets when time is up in the program: a strategy, a bound, a gap that is true."""
+    network = terrain_network(3, cells=14)
+    exact = solve(network, GameOptions(ambush_radius=2.0))
+
+    def fail(*_):
+        raise SolverFailed("not today")
+
+    monkeypatch.setattr(max_entropy, "least_risk", fail)
+    budgets = make_budgets(exact.game, StrategyOptions())
+    outcome = max_entropy_strategy(exact.game, budgets, 0.01, math.inf)
+    judged = certify(exact.game, outcome.p, outcome.q, budgets, outcome.prices)
+    assert 0.0 < judged.bound <= exact.value and exact.lower_bound <= judged.value
+
+
+def test_more_slack_buys_more_entropy():
+    network = terrain_network(5, cells=14)
+    entropies = [
+        solve(network, options=StrategyOptions(risk_slack=slack)).route_entropy
+        for slack in (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
+    ]
+    assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
+
+
+def test_an_exposure_budget_keeps_out_of_the_light():
+    network = terrain_network(6, cells=14)
+    free, dark = (
+        solve(network, options=StrategyOptions(max_detour=1.5, max_exposure=e, risk_slack=0.05))
+        for e in (np.inf, 1.1)
+    )
+    assert dark.expected_exposure <= 1.1 * dark.least_exposure * (1 + 1e-6)
+    assert free.expected_exposure > dark.expected_exposure
+    assert dark.route_entropy < free.route_entropy
+
+
+def test_a_site_a_million_times_too_costly_is_not_driven_past():
+    network = terrain_network(2, cells=12)
+    alpha = network.alpha.copy()
+    alpha[len(alpha) // 2] = 1e9
+    barred = quiet_network(
+        network.points, alpha, network.edges, network.source, network.target
+    )
+    strategy = solve(barred)
+    assert strategy.visit_probability[len(alpha) // 2] == 0.0
+
+
+def test_the_programs_strategy_is_a_partner_that_fits():
+    network = terrain_network(7, cells=12)
+    strategy = solve(network, options=StrategyOptions(max_detour=1.05, risk_slack=0.0))
+    budgets = make_budgets(strategy.game, StrategyOptions(max_detour=1.05))
+    risk = least_risk(strategy.game, strategy.game, budgets, math.inf)
+    assert strategy.value == pytest.approx(risk.value, rel=2e-5)

@@ -1,0 +1,186 @@
+"""The value with a reach, against all routes, against chains of discs, and against drawn routes."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import networkx
+import numpy as np
+import pytest
+from games import examples, geometric_hits
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.sparse import csr_matrix
+from scipy.spatial import Delaunay
+
+from ambush_planner import (
+    GameOptions,
+    Network,
+    NetworkOptions,
+    RiskMap,
+    StrategyOptions,
+    build_network,
+    solve,
+)
+from ambush_planner.core.routes import route_edges
+
+ROUTES = 20_000
+# Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
+DEVIATIONS = 5.0
+EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
+
+
+def planar_network(seed: int) -> Network:
+    """Delaunay's edges between a few random points, both ways; source and target on the hull."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
+    mesh = Delaunay(points)
+    pairs = {tuple(sorted((int(t[a]), int(t[b])))) for t in mesh.simplices
+             for a, b in ((0, 1), (1, 2), (0, 2))}
+    hull = np.unique(mesh.convex_hull)
+    apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
+    source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
+    edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
+             if e[1] != source and e[0] != target]
+    alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
+    alpha[[source, target]] = 0.0
+    return Network(points, alpha, edges, source, target)
+
+
+def reached(network: Network, reach: float, samples: int = 400) -> np.ndarray:
+    """(N, M): whether any point of an edge lies within reach of a node; no discs at the ends."""
+    start, end = (network.points[network.edges[:, k]] for k in (0, 1))
+    share = np.linspace(0, 1, samples)[:, None, None]
+    along = start + share * (end - start)
+    near = np.array([(np.linalg.norm(along - c, axis=2) <= reach).any(axis=0)
+                     for c in network.points])
+    ends = network.points[[network.source, network.target]]
+    holds = (np.linalg.norm(network.points[:, None] - ends, axis=2) <= reach).any(axis=1)
+    near[holds | (network.alpha == 0.0)] = False
+    return near
+
+
+def routes_of(network: Network) -> list[list[int]]:
+    """All simple routes as edge indices."""
+    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
+    graph = networkx.DiGraph(list(number))
+    return [[number[step] for step in pairwise(route)]
+            for route in networkx.all_simple_paths(graph, network.source, network.target)]
+
+
+def value_by_routes(network: Network, near: np.ndarray, routes) -> float:
+    """Least value over all mixtures of routes, each hit once by each site."""
+    hit = np.array([near[:, route].any(axis=1) for route in routes]).T
+    losses = network.alpha[:, None] * hit
+    rows = np.hstack((losses, -np.ones((len(losses), 1))))
+    found = linprog(
+        np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
+        np.r_[np.ones(len(routes)), 0.0][None], [1.0], method="highs-ds",
+    )
+    return float(found.fun)
+
+
+def value_by_chain(network: Network, near: np.ndarray) -> float:
+    """1 / F, F the cheapest chain of discs through faces from one side of the hull to the other.
+
+    A disc joins all faces with an edge that it reaches, at cost 1 / alpha.
+    """
+    mesh = Delaunay(network.points)
+    side_of: dict[frozenset, list] = {}
+    for face, corners in enumerate(mesh.simplices.tolist()):
+        for a, b in ((0, 1), (1, 2), (0, 2)):
+            side_of.setdefault(frozenset((corners[a], corners[b])), []).append(face)
+    rim = networkx.Graph([tuple(e) for e in mesh.convex_hull.tolist()])
+    rim.remove_nodes_from([network.source, network.target])
+    left = next(iter(networkx.connected_components(rim)), set())
+    for edge, faces in side_of.items():
+        if len(faces) == 1:  # on the hull
+            inner = edge - {network.source, network.target}
+            faces.append("left" if inner and inner <= left else "right")
+    graph = networkx.DiGraph()
+    graph.add_nodes_from(("left", "right"))
+    for site in np.flatnonzero(near.any(axis=1)):
+        graph.add_edge(("in", site), ("out", site), weight=1.0 / network.alpha[site])
+        for k in np.flatnonzero(near[site]):
+            for face in side_of[frozenset(network.edges[k].tolist())]:
+                graph.add_edge(face, ("in", site), weight=0.0)
+                graph.add_edge(("out", site), face, weight=0.0)
+    try:
+        return 1.0 / networkx.dijkstra_path_length(graph, "left", "right")
+    except networkx.NetworkXNoPath:
+        return 0.0
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.2))
+def test_the_published_value_is_at_least_that_of_all_routes_and_of_the_chain(seed, reach):
+    """And equal where no route comes back to a disc."""
+    network = planar_network(seed)
+    routes = routes_of(network)
+    if len(routes) > 4000 or frozenset((network.source, network.target)) in {
+        frozenset(e) for e in network.edges.tolist()
+    }:
+        return
+    near = reached(network, reach)
+    once, chain = value_by_routes(network, near, routes), value_by_chain(network, near)
+    assert once == pytest.approx(chain, abs=1e-7)
+    strategy = solve(network, GameOptions(ambush_radius=reach), EXACT)
+    assert strategy.value >= chain * (1 - 1e-5)
+    entries = geometric_hits(network, reach).toarray()
+    entries[network.alpha == 0.0] = 0.0
+    if all((entries[:, route].sum(axis=1) <= 1).all() for route in routes):
+        assert strategy.value == pytest.approx(chain, rel=2e-5, abs=1e-9)
+
+
+def test_a_route_that_comes_back_to_a_disc_is_where_the_value_is_an_upper_bound():
+    # A hairpin: in, out and in again of the disc around node 3, twice the loss of one hit.
+    points = [[0, -3], [0.2, 0], [4, 0.5], [0, 0.5], [0.2, 1.0], [0, 4]]
+    edges = [(0, 1), (1, 2), (2, 4), (4, 5)]
+    network = Network(points, [0, 0, 0, 3.0, 0, 0], edges, 0, 5)
+    strategy = solve(network, GameOptions(ambush_radius=1.0), EXACT)
+    assert strategy.value == pytest.approx(6.0) and strategy.lower_bound == pytest.approx(6.0)
+
+
+def hilly_network(nodes_across: int) -> Network:
+    """A 100 m square with a smooth risk and a block in the middle, mid-left to mid-right."""
+    cells = 100
+    v, u = np.meshgrid(*2 * [(np.arange(cells) + 0.5) / cells], indexing="ij")
+    alpha = 1 + 4 * np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
+    block = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
+    return build_network(
+        RiskMap(alpha, block, 1.0),
+        (3.0, 50.0),
+        (97.0, 50.0),
+        NetworkOptions(spacing=cells / nodes_across),
+    )
+
+
+@pytest.mark.parametrize("radius", [0.0, 10.0])
+def test_no_site_is_hit_more_often_than_the_value_allows(radius):
+    strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
+    network, rng = strategy.network, np.random.default_rng(7)
+    near = (reached(network, radius, 50) if radius else
+            np.equal.outer(np.arange(len(network.points)), network.heads))
+    used = [route_edges(network, route) for route in strategy.sample_routes(ROUTES, rng)]
+    which = np.repeat(np.arange(ROUTES), [len(edges) for edges in used])
+    shape = (ROUTES, len(network.edges))
+    drives = csr_matrix((np.ones(len(which)), (which, np.concatenate(used))), shape=shape)
+    hits = np.asarray((drives @ csr_matrix(near.T.astype(float)) > 0).sum(axis=0)).ravel()
+    frequency = hits / ROUTES
+    error = np.sqrt(np.maximum(frequency * (1 - frequency), 1 / ROUTES) / ROUTES)
+    loss = strategy.game.loss
+    assert (loss * (frequency - DEVIATIONS * error) <= strategy.value).all()
+
+
+def test_the_reach_makes_the_value_converge():
+    """Without a reach the value falls with the mesh; with it, it settles."""
+    options = StrategyOptions(max_detour=np.inf)
+    networks = [hilly_network(nodes_across) for nodes_across in (12, 20, 30)]
+    points = [solve(n, GameOptions(secured_radius=25.0), options).value for n in networks]
+    discs = [
+        solve(n, GameOptions(ambush_radius=10.0, secured_radius=25.0), options).value
+        for n in networks
+    ]
+    assert points[0] > 1.3 * points[1] > 1.3**2 * points[2]
+    assert max(discs) < 1.2 * min(discs)
