@@ -39,6 +39,8 @@ MAX_EVALUATIONS = 1500
 # Correction pairs of L-BFGS: more where there are few multipliers to store them for.
 CORRECTIONS, MANY_ROWS, FEW_CORRECTIONS = 50, 100_000, 20
 SMALL_START = 1e-3
+# Entropy that may be missing when the search ends, relative.
+MISSING_ENTROPY = 1e-3
 
 
 class AcyclicNetwork:
@@ -182,8 +184,9 @@ def most_entropy(
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0 by L-BFGS-B.
 
     Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance``, when the limits are proved infeasible, after
-    so many ``evaluations``, or at ``deadline`` (``time.monotonic``). ``softness`` lets the
+    ``rows`` (R, m), by no more than ``tolerance`` and whose entropy is within a thousandth of the
+    greatest, when the limits are proved infeasible, after so many ``evaluations``, or at
+    ``deadline`` (``time.monotonic``). ``softness`` lets the
     strategy be over its limits by softness * sum v: then there always is a minimum.
     """
     found = GibbsStrategy(np.empty(0), start)
@@ -200,7 +203,11 @@ def most_entropy(
         found.evaluations += 1
         value = log_z + total + softness / 2.0 * total**2
         found.infeasible = softness == 0.0 and value < 0.0
-        reached = softness == 0.0 and found.excess <= tolerance
+        # The strategy's own entropy is log Z + v' C p; no strategy within the limits has more
+        # than log Z + sum v.
+        missing = total - float(v @ used)
+        near = missing <= MISSING_ENTROPY * max(value, 1.0)
+        reached = softness == 0.0 and found.excess <= tolerance and near
         if reached or found.infeasible or time.monotonic() > deadline:
             raise _Done
         return value, 1.0 - used + softness * total
