@@ -98,6 +98,10 @@ class Budget:
             added = self.cost + behind[network.heads] - behind[network.tails]
         return np.where(self.game.playable, np.maximum(added, 0.0), np.inf)
 
+    def used_room(self, p: FloatArray) -> float:
+        """Mean cost of strategy p (M,) beyond the best playable route's."""
+        return float(self.excess[self.game.playable] @ p[self.game.playable])
+
     def mean(self, p: FloatArray) -> float:
         """Mean cost of strategy p (M,)."""
         return float(p @ self.cost)
@@ -117,6 +121,8 @@ def certify(
 ) -> Certificate:
     """Judge a strategy p (M,) by an ambusher's q (N,) and the prices of the budgets.
 
+    Rounding may take p a little over a budget: the bound then holds for all that use as much.
+
     Raises
     ------
     SolverFailed
@@ -131,7 +137,7 @@ def certify(
                 f"budget of {budget.limit:.9g}"
             )
     value = upper_bound(game, p)
-    bound = lower_bound(game, q, budgets, prices)
+    bound = lower_bound(game, q, budgets, prices, p)
     if bound > value * (1.0 + ROUNDING):
         raise SolverFailed(f"the lower bound {bound:.12g} is above the value {value:.12g}")
     return Certificate(value, bound)
@@ -146,9 +152,12 @@ def upper_bound(game: Game, p: FloatArray) -> float:
 
 
 def lower_bound(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (), prices: tuple[float, ...] = ()
+    game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (), prices: tuple[float, ...] = (),
+    p: FloatArray | None = None,
 ) -> float:
     """Value that no strategy within the budgets can beat, given q (N,): one Dijkstra.
+
+    With ``p`` (M,): that none which uses no more than p can beat, if p is over a budget.
 
     Raises
     ------
@@ -162,7 +171,7 @@ def lower_bound(
             raise SolverFailed(f"the price of the {budget.name} budget is {price}, not >= 0")
         if price > 0.0:
             weights = weights + price * budget.excess
-            paid += price * budget.room
+            paid += price * max(budget.room, 0.0 if p is None else budget.used_room(p))
     network, playable = game.network, game.playable
     distance = distances_from(
         network.edges[playable], weights[playable], game.node_count, network.source

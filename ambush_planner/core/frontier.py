@@ -48,7 +48,8 @@ def frontier(
 ) -> tuple[FrontierRow, ...]:
     """Solve for each of ``detours``, then for each of ``slacks``, the other as ``options`` has it.
 
-    Each solve starts from the one before. ``on_row`` is called with each row as it comes.
+    Each solve starts from the one before, the longest detour first; ``on_row`` is called with each
+    row as it comes, the result has them in the order asked for.
     ``options.time_limit`` holds for each solve; a strategy that is not finished by then has its
     row, with the bound that was reached.
 
@@ -61,15 +62,20 @@ def frontier(
     game = game or GameOptions()
     tasks = [("max_detour", replace(options, max_detour=detour)) for detour in detours]
     tasks += [("risk_slack", replace(options, risk_slack=slack)) for slack in slacks]
-    rows: list[FrontierRow] = []
+    # A law for looser budgets is the better one to start from.
+    order = sorted(range(len(tasks)), key=lambda k: _looseness(tasks[k][1]), reverse=True)
+    rows: dict[int, FrontierRow] = {}
     law: Law | None = None
-    for swept, task in tasks:
-        row, found = _row(network, game, swept, task, law)
+    for k in order:
+        rows[k], found = _row(network, game, *tasks[k], law)
         law = found or law
-        rows.append(row)
         if on_row is not None:
-            on_row(row)
-    return tuple(rows)
+            on_row(rows[k])
+    return tuple(rows[k] for k in range(len(tasks)))
+
+
+def _looseness(options: StrategyOptions) -> tuple[float, float]:
+    return options.max_detour, options.risk_slack
 
 
 def _row(

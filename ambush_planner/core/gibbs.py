@@ -163,13 +163,15 @@ def _natural_lu(matrix: csr_matrix):  # type: ignore[no-untyped-def]
 class GibbsStrategy:
     """The last evaluation of the law: p (m,), multipliers v (R,), how far it is over its limits.
 
-    ``excess`` is max(C p) - 1; ``infeasible`` says that no strategy is within the limits.
+    ``excess`` is max(C p) - 1; ``reached`` says that the search ended where it was to end,
+    ``infeasible`` that no strategy is within the limits.
     """
 
     p: FloatArray
     multipliers: FloatArray
     excess: float = np.inf
     infeasible: bool = False
+    reached: bool = False
     evaluations: int = field(default=0)
 
 
@@ -192,7 +194,7 @@ def most_entropy(
     found = GibbsStrategy(np.empty(0), start)
     if rows.shape[0] == 0:
         _, p, _ = network.law(np.zeros(len(network.edge)))
-        return GibbsStrategy(p, start, 0.0, False, 1)
+        return GibbsStrategy(p, start, 0.0, reached=True, evaluations=1)
     columns = rows.T.tocsr()
 
     def objective(v: FloatArray) -> tuple[float, FloatArray]:
@@ -207,8 +209,8 @@ def most_entropy(
         # than log Z + sum v.
         missing = total - float(v @ used)
         near = missing <= MISSING_ENTROPY * max(value, 1.0)
-        reached = softness == 0.0 and found.excess <= tolerance and near
-        if reached or found.infeasible or time.monotonic() > deadline:
+        found.reached = softness == 0.0 and found.excess <= tolerance and near
+        if found.reached or found.infeasible or time.monotonic() > deadline:
             raise _Done
         return value, 1.0 - used + softness * total
 

@@ -1,4 +1,4 @@
-"""What ``ambush_frontier`` does: read the map, solve along both budgets, write table and picture."""
+"""What ``ambush_frontier`` does: read the map, solve along both budgets, write the results."""
 
 from __future__ import annotations
 
