@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from games import examples, random_map, terrain_networks
+from games import examples, random_map, terrain_network, terrain_networks
 from hypothesis import given
 
 from ambush_planner import (
@@ -22,13 +22,13 @@ from ambush_planner import (
 from ambush_planner.terrain import OccupancyMap, write_map
 from ambush_planner.tools.frontier_run import COLUMNS, read_risk_map
 
-# The law may leave a thousandth of the entropy, and its limits a twentieth of the slack, unused.
+# The law may leave a thousandth of the entropy unused, and up to a tenth of the slack.
 ENTROPY = 0.02
 
 
 @examples(12)
 @given(terrain_networks)
-def test_looser_budgets_cost_no_value_and_no_entropy(network):
+def test_each_row_is_certified_and_looser_budgets_cost_no_value(network):
     rows = frontier(network, detours=(1.3, 1.0, 1.1), slacks=(0.0, 0.3, 0.05))
     assert [row.max_detour for row in rows] == [1.3, 1.0, 1.1] + [1.2] * 3
     assert [row.risk_slack for row in rows] == [0.01] * 3 + [0.0, 0.3, 0.05]
@@ -40,11 +40,15 @@ def test_looser_budgets_cost_no_value_and_no_entropy(network):
     by_detour = sorted(rows[:3], key=lambda row: row.max_detour)
     bounds = [row.lower_bound for row in by_detour]
     assert all(loose <= tight * (1 + 1e-5) for tight, loose in pairwise(bounds))
-    entropies = [row.route_entropy for row in sorted(rows[3:], key=lambda row: row.risk_slack)]
-    assert all(
-        loose >= tight * (1 - ENTROPY) - ENTROPY
-        for tight, loose in pairwise(entropies)
-    )
+
+
+def test_looser_budgets_buy_entropy():
+    """On a network of some size; on tiny ones the acyclic part may change with the budget."""
+    network = terrain_network(5, cells=24)
+    rows = frontier(network, detours=(1.1, 1.2, 1.4), slacks=(0.0, 0.03, 0.3))
+    for sweep in (rows[:3], rows[3:]):
+        assert all(b.route_entropy > a.route_entropy for a, b in pairwise(sweep))
+    assert [row.lower_bound for row in rows[3:]] == pytest.approx([rows[1].lower_bound] * 3)
 
 
 @examples(10)
@@ -140,7 +144,7 @@ def test_the_fields_of_a_risk_map_in_an_npz_file(map_file, tmp_path):
 def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
     done = run(
         map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.0, '--slacks', 0.1,
-        '--set', 'network.spacing=15', 'game.alpha_threshold=6', 'strategy.max_detour=4',
+        '--set', 'network.spacing=15', 'game.alpha_threshold=7.5', 'strategy.max_detour=4',
     )
     assert done.returncode == 1 and 'raise max_detour' in done.stdout, done.stderr
 

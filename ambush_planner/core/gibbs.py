@@ -30,6 +30,7 @@ from scipy.sparse.linalg import splu, spsolve_triangular
 
 from .arrays import FloatArray, IndexArray, sums
 from .game import Game
+from .paths import distances_from
 
 # Before 1.13 scipy solved triangular systems row by row in Python.
 FAST_TRIANGULAR = tuple(int(part) for part in scipy.__version__.split(".")[:2]) >= (1, 13)
@@ -135,13 +136,19 @@ class AcyclicNetwork:
         return csr_matrix((data, self._indices, self._indptr), shape=(self.count, self.count))
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
-        """log Z_i (n,) whatever their size: solved in blocks from the target on, each scaled."""
+        """log Z_i (n,) whatever their size: solved in blocks from the target on, each scaled.
+
+        Relative to the best way on from each node, so that nothing in a block vanishes.
+        """
+        backwards = np.stack((self.head, self.tail), axis=1)
+        best = distances_from(backwards, weights, self.count, self.count - 1)
+        excess = np.maximum(weights + best[self.head] - best[self.tail], 0.0)
         log_z = np.full(self.count, -np.inf)
         log_z[-1] = 0.0
         for end in range(self.count - 1, 0, -BLOCK):
             begin = max(end - BLOCK, 0)
             edges = slice(self._first[begin], self._first[end])
-            tail, head, weight = self.tail[edges] - begin, self.head[edges], weights[edges]
+            tail, head, weight = self.tail[edges] - begin, self.head[edges], excess[edges]
             size, inner = end - begin, self.head[edges] < end
             leaving = log_z[head[~inner]] - weight[~inner]
             scale = float(leaving.max())
@@ -152,7 +159,7 @@ class AcyclicNetwork:
             y = np.asarray(_natural_lu(identity(size, format="csc") - links).solve(pull))
             with np.errstate(divide="ignore", invalid="ignore"):
                 log_z[begin:end] = np.where(y > 0.0, np.log(np.maximum(y, 1e-300)), -690.0) + scale
-        return log_z
+        return log_z - best
 
 
 def _natural_lu(matrix: csr_matrix):  # type: ignore[no-untyped-def]
