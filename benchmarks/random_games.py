@@ -173,8 +173,9 @@ def highs_value(strategy: Strategy) -> float:
         (network.edge_exposure, strategy.exposure_budget),
     ):
         if np.isfinite(limit):
-            rows.append(csr_matrix(np.concatenate((cost[edge] / limit, np.zeros(1 + several)))))
-            limits.append(np.ones(1))
+            unit = limit or 1.0
+            rows.append(csr_matrix(np.concatenate((cost[edge] / unit, np.zeros(1 + several)))))
+            limits.append(np.array([limit / unit]))
     found = linprog(
         np.concatenate((np.zeros(m), [float(k)], np.ones(several))),
         vstack(rows), np.concatenate(limits),
