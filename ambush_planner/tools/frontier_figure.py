@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 from matplotlib.axes import Axes
@@ -37,15 +38,21 @@ def frontier_figure(
             axes.grid(color='0.92')
         column[0].set_title(title, loc='left')
         column[-1].set_xlabel(label)
-    for axes, label in zip(
+    for axes, label, least in zip(
         panels[:, 0],
         ('mean loss by the best ambush', 'mean exposure over the least', 'route entropy [nats]'),
+        (0.0, 1.0, 0.0),
         strict=True,
     ):
         axes.set_ylabel(label)
-        axes.set_ylim(bottom=0.0)
+        axes.set_ylim(bottom=least)
     panels[0, 0].legend(loc='best', frameon=False)
     return figure
+
+
+def over(value: float, least: float) -> float:
+    """The quotient; NaN where the least is 0."""
+    return value / least if least > 0.0 else math.nan
 
 
 def _draw_sweep(column: Sequence[Axes], rows: Sequence[FrontierRow], name: str) -> None:
@@ -58,5 +65,5 @@ def _draw_sweep(column: Sequence[Axes], rows: Sequence[FrontierRow], name: str) 
     draw(column[0], lambda row: row.lower_bound, color='0.45', linestyle=':',
          label='no strategy within the budget has less')
     draw(column[0], lambda row: row.value, color=AMBUSHER, label='the strategy')
-    draw(column[1], lambda row: row.expected_exposure / (row.least_exposure or 1.0), color=CONVOY)
+    draw(column[1], lambda row: over(row.expected_exposure, row.least_exposure), color=CONVOY)
     draw(column[2], lambda row: row.route_entropy, color=CONVOY)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -19,7 +18,8 @@ from ..core.errors import InvalidOption, InvalidRiskMap
 from ..core.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from ..terrain.map_file import read_map
-from .frontier_figure import frontier_figure
+from .frontier_figure import frontier_figure, over
+from .table_file import private
 from .table_options import options_from
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
@@ -74,7 +74,7 @@ def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
 def write_frontier(
     path: Path, rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
 ) -> None:
-    """Write the table (CSV), and beside it the picture (.png)."""
+    """Write the table (CSV), and beside it the picture (.png), mode 0600."""
     text = StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
     writer.writeheader()
@@ -85,8 +85,11 @@ def write_frontier(
         })
     picture = BytesIO()
     frontier_figure(rows, max_detour, risk_slack).savefig(picture, format='png')
-    path.write_text(text.getvalue(), encoding='utf-8')
-    path.with_suffix('.png').write_bytes(picture.getvalue())
+    for file, content in (
+        (path, text.getvalue().encode()), (path.with_suffix('.png'), picture.getvalue())
+    ):
+        with open(file, 'wb', opener=private) as stream:
+            stream.write(content)
 
 
 def table_text(rows: Sequence[FrontierRow]) -> str:
@@ -98,7 +101,7 @@ def table_text(rows: Sequence[FrontierRow]) -> str:
         numbers = (
             f'{row.value:.4g}', f'{gap:.1e}',
             f'{row.expected_length / row.shortest_length:.3f}',
-            f'{_over(row.expected_exposure, row.least_exposure):.3f}', f'{row.route_entropy:.2f}',
+            f'{over(row.expected_exposure, row.least_exposure):.3f}', f'{row.route_entropy:.2f}',
         )
         budgets = f'{row.max_detour:g}', f'{row.risk_slack:g}'
         lines.append((*budgets, *((row.error,) if row.error else numbers)))
@@ -107,10 +110,6 @@ def table_text(rows: Sequence[FrontierRow]) -> str:
         else ''.join(f'{cell:>14}' for cell in line[:2]) + f'  {line[2]}'
         for line in lines
     )
-
-
-def _over(value: float, least: float) -> float:
-    return value / least if least > 0.0 else math.nan
 
 
 def _show_progress(row: FrontierRow) -> None:
