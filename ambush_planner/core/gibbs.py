@@ -205,6 +205,8 @@ def most_entropy(
     columns = rows.T.tocsr()
 
     def objective(v: FloatArray) -> tuple[float, FloatArray]:
+        if not np.isfinite(v).all():  # a line search that ran away
+            raise _Done
         log_z, p, _ = network.law(columns @ v)
         used, total = rows @ p, float(v.sum())
         found.p, found.multipliers = p, v.copy()
