@@ -45,6 +45,7 @@ lint: $(VENV)/.test
 # A latency target that is missed does not keep the next one from being measured.
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python benchmarks/random_games.py --count 200
 	$(BIN)/python benchmarks/ambush_radius.py
 	$(BIN)/python benchmarks/routes.py
 	$(BIN)/python benchmarks/markers.py

@@ -69,6 +69,7 @@ setup(
             'ambush_planner = ambush_planner.ros.planner_node:main',
             'ambush_audit = ambush_planner.tools.audit:main',
             'ambush_demo = ambush_planner.tools.demo:main',
+            'ambush_frontier = ambush_planner.tools.frontier:main',
             'ambush_paper = ambush_planner.tools.paper:main',
             'ambush_recover = ambush_planner.tools.recover:main',
             'ambush_replay = ambush_planner.tools.replay:main',

@@ -15,6 +15,7 @@ from .core.errors import (
     TimeLimit,
 )
 from .core.evaluation import evaluate
+from .core.frontier import FrontierRow, frontier
 from .core.game import GameOptions
 from .core.network import Network
 from .core.risk_map import RiskMap
@@ -23,6 +24,7 @@ from .core.strategy import Strategy, StrategyOptions, solve
 __all__ = [
     "AmbushPlannerError",
     "BudgetInfeasible",
+    "FrontierRow",
     "GameOptions",
     "GoalBlocked",
     "InvalidNetwork",
@@ -41,6 +43,7 @@ __all__ = [
     "TimeLimit",
     "build_network",
     "evaluate",
+    "frontier",
     "solve",
     "solve_many",
 ]

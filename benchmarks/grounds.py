@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from ambush_planner import RiskMap
 from ambush_planner.core.obstacles import nearest_free_cell
 from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.tools import terrain as fault
+from ambush_planner.tools import demo_ground as fault
 
 # Maps of the Nav2 project, beside the checkout where there is one.
 DEPOT = Path(__file__).resolve().parents[2] / "shared" / "data" / "nav2_depot"
@@ -30,7 +30,7 @@ class Ground:
 
 def terrain() -> Ground:
     """The demo's ground: 30 km by 32 km with ridges across the way."""
-    values = fault.load_occupancy()
+    values = fault.load_ground().values
     return Ground(risk_map_from_occupancy(values, fault.RESOLUTION), fault.START, fault.GOAL)
 
 

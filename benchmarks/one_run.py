@@ -1,4 +1,4 @@
-"""Run one solver on one map in a process of its own and print what came out as JSON.
+"""Run one solver on one problem in a process of its own and print what came out as JSON.
 
 A process of its own, so that the peak of its memory is the solver's. Seconds are the processor's:
 on one thread they do not depend on what else the machine does. `solver.py` starts these.
@@ -16,36 +16,33 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from maps import block_network
 from peers import Answer, EntropyProblem, clarabel_entropy, highs
+from problems import Problem, problem
 
-from ambush_planner import GameOptions, solve
+from ambush_planner import Network, Strategy, TimeLimit, solve
+from ambush_planner.core.cut import solve_by_cut
 from ambush_planner.core.game import make_game
-from ambush_planner.core.game_value import solve_by_cut
 
 # Short runs are repeated for this long [s].
 LONG_ENOUGH = 0.5
-# Nodes across the map with which our side loads what it loads at its first use.
-WARM_UP = 12
+# With this our side loads what it loads at its first use.
+WARM_UP = "block:12"
 
 
-def build(nodes: int, file: Path) -> Callable[[], Answer]:
+def build(given: Problem, file: Path) -> Callable[[], Answer]:
     """The network from the map."""
 
     def run() -> Answer:
         started = time.process_time()
-        network = block_network(nodes)
-        seconds = time.process_time() - started
-        return {
-            "seconds": seconds, "nodes": len(network.points), "edges": len(network.edges),
-        }
+        network = given.network()
+        return {"seconds": time.process_time() - started} | _size(network)
 
     return run
 
 
-def value(nodes: int, file: Path) -> Callable[[], Answer]:
+def value(given: Problem, file: Path) -> Callable[[], Answer]:
     """The exact value without a length budget, by a minimum cut."""
-    game = make_game(block_network(nodes), GameOptions())
+    game = make_game(given.network(), given.game)
 
     def run() -> Answer:
         started = time.process_time()
@@ -55,58 +52,78 @@ def value(nodes: int, file: Path) -> Callable[[], Answer]:
     return run
 
 
-def strategy(nodes: int, file: Path) -> Callable[[], Answer]:
+def strategy(given: Problem, file: Path) -> Callable[[], Answer]:
     """The default strategy, all stages; leaves its entropy problem in the file for others."""
-    network = block_network(nodes)
+    network = given.network()
 
     def run() -> Answer:
         started = time.process_time()
-        found = solve(network)
+        answer, found = _solved(network, given)
         seconds = time.process_time() - started
-        edges = np.flatnonzero(found.edge_probability > 0.0)
-        # Up to rounding the strategy uses its whole budget; Clarabel may use what it used.
-        length = max(found.length_budget, found.expected_length)
-        np.savez(
-            file, edges=edges, value=found.value, length=length, budget=found.length_budget
-        )
-        return {
-            "seconds": seconds,
-            "value": found.value,
-            "gap": found.gap,
-            "entropy": found.edge_entropy,
-            "route_entropy": found.route_entropy,
-            "iterations": found.iterations,
-            "acyclic_edges": len(edges),
-        }
+        if found is not None:
+            np.savez(
+                file, edges=np.flatnonzero(found.edge_probability > 0.0), value=found.value,
+                length=found.expected_length, budget=found.length_budget,
+            )
+        return answer | _size(network) | {"seconds": seconds}
 
     return run
 
 
-def simplex(nodes: int, file: Path) -> Callable[[], Answer]:
+def whole(given: Problem, file: Path) -> Callable[[], Answer]:
+    """Network and strategy."""
+
+    def run() -> Answer:
+        started = time.process_time()
+        network = given.network()
+        answer, _ = _solved(network, given)
+        return answer | _size(network) | {"seconds": time.process_time() - started}
+
+    return run
+
+
+def _solved(network: Network, given: Problem) -> tuple[Answer, Strategy | None]:
+    try:
+        found = solve(network, given.game, given.options)
+    except TimeLimit as error:  # rounding stood in the way
+        if error.strategy is None:
+            raise
+        return {"status": "gap not closed", "failed": True, "gap": error.strategy.gap}, None
+    return {
+        "value": found.value,
+        "gap": found.gap,
+        "route_entropy": found.route_entropy,
+        "length": found.expected_length / found.shortest_length,
+        "price": found.length_price,
+        "iterations": found.iterations,
+        "acyclic_edges": int((found.edge_probability > 0.0).sum()),
+    }, found
+
+
+def _size(network: Network) -> Answer:
+    return {"nodes": len(network.points), "edges": len(network.edges)}
+
+
+def simplex(given: Problem, file: Path) -> Callable[[], Answer]:
     """The value with the length budget by HiGHS' dual simplex method."""
     with np.load(file) as left:
-        return highs(block_network(nodes), float(left["budget"]), "simplex")
+        return highs(given.network(), float(left["budget"]), "simplex")
 
 
-def interior_point(nodes: int, file: Path) -> Callable[[], Answer]:
+def interior_point(given: Problem, file: Path) -> Callable[[], Answer]:
     """The value without a length budget by HiGHS' interior point method without crossover."""
-    return highs(block_network(nodes), np.inf, "ipx")
+    return highs(given.network(), np.inf, "ipx")
 
 
-def interior_point_budget(nodes: int, file: Path) -> Callable[[], Answer]:
-    """The same with the length budget."""
+def conic(given: Problem, file: Path) -> Callable[[], Answer]:
+    """The route-entropy problem by Clarabel, within what the strategy used."""
     with np.load(file) as left:
-        return highs(block_network(nodes), float(left["budget"]), "ipx")
+        entropy = EntropyProblem(left["edges"], float(left["value"]), float(left["length"]))
+    return clarabel_entropy(given.network(), entropy)
 
 
-def conic(nodes: int, file: Path) -> Callable[[], Answer]:
-    """The entropy problem by Clarabel."""
-    with np.load(file) as left:
-        problem = EntropyProblem(left["edges"], float(left["value"]), float(left["length"]))
-    return clarabel_entropy(block_network(nodes), problem)
-
-
-TASKS = (build, value, strategy, simplex, interior_point, interior_point_budget, conic)
+OURS = (build, value, strategy, whole)
+TASKS = (*OURS, simplex, interior_point, conic)
 
 
 def measure(run: Callable[[], Answer]) -> Answer:
@@ -122,14 +139,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     tasks = {task.__name__: task for task in TASKS}
     parser.add_argument("task", choices=tasks, help="what is measured")
-    parser.add_argument("nodes", type=int, help="lattice nodes across the map")
+    parser.add_argument("problem", help="such as block:200, of problems.py")
     parser.add_argument("file", type=Path, help=".npz in which `strategy` leaves its problem")
     parser.add_argument("--limit", type=int, default=0, help="seconds after which it ends")
     arguments = parser.parse_args()
     task = tasks[arguments.task]
-    if task in (build, value, strategy):
-        task(WARM_UP, arguments.file)()
-    prepared = task(arguments.nodes, arguments.file)
+    if task in OURS:
+        task(problem(WARM_UP), arguments.file)()
+    prepared = task(problem(arguments.problem), arguments.file)
     # Native code does not look at Python's signals: SIGPROF's default ends the process.
     signal.setitimer(signal.ITIMER_PROF, arguments.limit)
     answer = measure(prepared)

@@ -1,9 +1,9 @@
 """The same problems in the form that other solvers take.
 
 HiGHS (Huangfu and Hall, 2018) gets the linear program for the value, with or without the strategy's
-length budget; Clarabel (Goulart and Chen, 2024), a conic interior point method, gets the entropy
-problem on the strategy's own edges. Both run on one thread with their default tolerances. What is
-timed is the solver alone, not the making of its matrices.
+length budget; Clarabel (Goulart and Chen, 2024), a conic interior point method, gets the problem of
+the greatest route entropy on the strategy's own acyclic edges. Both run on one thread with their
+default tolerances. What is timed is the solver alone, not the making of its matrices.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any
 import clarabel
 import highspy
 import numpy as np
-from scipy.sparse import csc_matrix, identity, vstack
+from scipy.sparse import bmat, csc_matrix, csr_matrix, identity, vstack
 
 from ambush_planner import GameOptions, Network
+from ambush_planner.core.arrays import IndexArray
 from ambush_planner.core.game import make_game
 from ambush_planner.core.linear_program import linear_program
-from ambush_planner.core.network import IndexArray
 
 Answer = dict[str, Any]
 # What they call an answer that they stand by.
@@ -30,7 +30,7 @@ SOLVED = ("Optimal", "Solved", "AlmostSolved")
 
 @dataclass(frozen=True, eq=False)
 class EntropyProblem:
-    """Largest -sum p ln p of a unit flow on ``edges`` (K,), visits and length within limits.
+    """Largest -sum p ln(p / x_tail) of a unit flow on ``edges`` (K,), acyclic, within limits.
 
     ``value`` bounds alpha_j x_j at every node, ``length`` the expected length [m].
     """
@@ -90,41 +90,67 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
 
 
 def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], Answer]:
-    """Prepare the entropy problem for Clarabel.
+    """Prepare the route-entropy problem for Clarabel.
 
-    Variables (p, t): (t_k, p_k, 1) in the exponential cone says t_k <= -p_k ln p_k. The slack
-    b - A v is 0 for conservation and >= 0 for the limits, then comes one cone an edge.
+    Variables (p, t, x), x the visits of each node but the target: what leaves a node and what
+    enters it is x, which keeps all rows sparse. (t_k, p_k, x_tail) in the exponential cone says
+    p exp(t / p) <= x, that is t_k <= -p_k ln(p_k / x_tail). The slack b - A v is 0 for the flow and
+    >= 0 for the limits, each scaled to 1, then comes one cone an edge.
     """
-    edges, m = problem.edges, len(problem.edges)
-    ends = network.edges[edges].T
-    column, shape = np.arange(m), (len(network.points), m)
-    out, into = (csc_matrix((np.ones(m), (end, column)), shape=shape) for end in ends)
-    node = np.setdiff1d(ends, [network.target])
-    with np.errstate(divide="ignore"):
-        capacity = problem.value / network.alpha
-    capped = node[capacity[node] < 1.0]  # a node is visited once at the most
-    flow = vstack(
-        ((out - into)[node], into[capped], csc_matrix(network.lengths[edges] / problem.length))
-    ).tocsc()
-    flow.resize((flow.shape[0], 2 * m))
-    cones = vstack((identity(2 * m), csc_matrix((m, 2 * m)))).tocsr()
-    triples = np.arange(3 * m).reshape(3, m)[[1, 0, 2]].T.ravel()
-    matrix = vstack((flow, -cones[triples])).tocsc()
-    supply = (node == network.source).astype(float)
-    right = np.concatenate((supply, capacity[capped], [1.0], np.tile([0.0, 0.0, 1.0], m)))
-    kinds = [clarabel.ZeroConeT(len(node)), clarabel.NonnegativeConeT(len(capped) + 1)]
+    m = len(problem.edges)
+    tail, head = network.edges[problem.edges].T
+    node = np.unique(tail)
+    n, inner = len(node), node != network.source
+    place = np.full(len(network.points), -1)
+    place[node] = np.arange(n)
+    ones, each = np.ones(m), np.arange(m)
+    onward = np.flatnonzero(head != network.target)
+    out = csr_matrix((ones, (place[tail], each)), shape=(n, m))
+    into = csr_matrix((ones[onward], (place[head[onward]], onward)), shape=(n, m))
+    unit, nothing = identity(n, format="csr"), csr_matrix((n, m))
+    source = csr_matrix((np.ones(1), ([0], [place[network.source]])), shape=(1, n))
+    flow = bmat([
+        [out, nothing, -unit],
+        [into[inner], nothing[inner], -unit[inner]],
+        [csr_matrix((1, m)), csr_matrix((1, m)), source],
+    ])
+    supply = np.append(np.zeros(n + int(inner.sum())), 1.0)
+    limits, kept = _limits(network, problem, node)
+    lengths = csr_matrix(network.lengths[problem.edges] / problem.length)
+    visits = limits[kept].shape[0]
+    room = bmat([
+        [csr_matrix((visits, m)), csr_matrix((visits, m)), limits[kept]],
+        [lengths, csr_matrix((1, m)), csr_matrix((1, n))],
+    ])
+    cones = bmat([
+        [None, identity(m), csr_matrix((m, n))],
+        [identity(m), None, csr_matrix((m, n))],
+        [csr_matrix((m, m)), csr_matrix((m, m)), csr_matrix((ones, (each, place[tail])), (m, n))],
+    ]).tocsr()
+    triples = np.arange(3 * m).reshape(3, m).T.ravel()
+    matrix = csc_matrix(vstack((flow, room, -cones[triples])))
+    right = np.concatenate((supply, np.ones(visits + 1), np.zeros(3 * m)))
+    kinds = [clarabel.ZeroConeT(len(supply)), clarabel.NonnegativeConeT(visits + 1)]
     kinds += [clarabel.ExponentialConeT()] * m
-    cost = np.concatenate((np.zeros(m), -np.ones(m)))
-    nothing = csc_matrix((2 * m, 2 * m))
+    cost = np.concatenate((np.zeros(m), -np.ones(m), np.zeros(n)))
+    quadratic = csc_matrix((2 * m + n, 2 * m + n))
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
 
     def run() -> Answer:
         started = time.process_time()
-        found = clarabel.DefaultSolver(nothing, cost, matrix, right, kinds, settings).solve()
+        found = clarabel.DefaultSolver(quadratic, cost, matrix, right, kinds, settings).solve()
         seconds = time.process_time() - started
         return _answer(
-            str(found.status), seconds, found.iterations, entropy=-found.obj_val
+            str(found.status), seconds, found.iterations, route_entropy=-found.obj_val
         )
 
     return run
+
+
+def _limits(
+    network: Network, problem: EntropyProblem, node: IndexArray
+) -> tuple[csr_matrix, IndexArray]:
+    """Rows alpha_j x_j / value over x, and which of them can matter: a node is visited once."""
+    share = network.alpha[node] / problem.value
+    return csr_matrix((share, (np.arange(len(node)),) * 2)), np.flatnonzero(share > 1.0)

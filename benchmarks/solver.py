@@ -22,18 +22,16 @@ from report import RESULTS, conditions, write_block
 ONE_RUN = Path(__file__).with_name("one_run.py")
 THREAD_VARIABLES = ("OMP", "OPENBLAS", "MKL", "RAYON")
 OURS = ("build", "value", "strategy")
-PEERS = ("simplex", "interior_point", "interior_point_budget", "conic")
-# Lattice nodes across the map whose network has a million candidate points.
-MILLION = 1000
+PEERS = ("simplex", "interior_point", "conic")
 
 Runs = dict[str, list[dict[str, Any]]]
 
 
-def one_run(task: str, nodes: int, file: Path, limit: int) -> dict[str, Any]:
+def one_run(task: str, name: str, file: Path = Path(os.devnull), limit: int = 0) -> dict[str, Any]:
     """Answer of one process; ``{"limit": limit}`` if it was over its time."""
     threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
-    command = [sys.executable, ONE_RUN, task, str(nodes), file, "--limit", str(limit)]
-    print(f"{nodes:5d} across  {task:22s}", end="", file=sys.stderr, flush=True)
+    command = [sys.executable, ONE_RUN, task, name, file, "--limit", str(limit)]
+    print(f"{name:16s}  {task:15s}", end="", file=sys.stderr, flush=True)
     done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
     if done.returncode == -signal.SIGPROF:
         print(f" > {limit} s", file=sys.stderr)
@@ -52,7 +50,8 @@ def runs_of_size(nodes: int, repeats: int, limit: int) -> Runs:
             for task, answers in runs.items():
                 if not answers or (len(answers) + 1) * longest(answers) <= limit:
                     cap = limit if task in PEERS else 0
-                    answers.append(one_run(task, nodes, Path(folder, "problem.npz"), cap))
+                    file = Path(folder, "problem.npz")
+                    answers.append(one_run(task, f"block:{nodes}", file, cap))
     return runs
 
 
@@ -80,12 +79,16 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=3, help="runs to take the median of")
     parser.add_argument(
-        "--peer-limit", type=int, default=120, metavar="SECONDS",
+        "--peer-limit", type=int, default=150, metavar="SECONDS",
         help="processor seconds that all runs of one solver on one size may take",
     )
     parser.add_argument(
-        "--million", type=int, default=MILLION, metavar="N",
-        help="nodes across the map whose network alone is timed",
+        "--growth", type=int, nargs="*", default=[103, 206, 412, 1030], metavar="N",
+        help="nodes across the map, 10 000 to a million in all: network and strategy",
+    )
+    parser.add_argument(
+        "--problems", nargs="*", default=list(solver_tables.HARD), metavar="NAME",
+        help="further ones, of problems.py",
     )
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `solver` is replaced"
@@ -98,11 +101,12 @@ def main() -> None:
         }
         for nodes in options.sizes
     }
-    built = [
-        one_run("build", options.million, Path(os.devnull), 0) for _ in range(options.repeats)
-    ]
-    network = median(built)
-    text = solver_tables.report(measured, network, conditions("highspy", "clarabel"))
+    hard = {
+        name: median([one_run("strategy", name) for _ in range(options.repeats)])
+        for name in options.problems
+    }
+    growth = [one_run("whole", f"block:{nodes}") for nodes in options.growth]
+    text = solver_tables.report(measured, hard, growth, conditions("highspy", "clarabel"))
     print(text)
     write_block(options.results, "solver", text)
 

@@ -1,5 +1,6 @@
 """``ambush_demo`` as a user starts it, and what it leaves."""
 
+import csv
 import os
 import signal
 import subprocess
@@ -117,6 +118,15 @@ def test_pictures_are_large_and_not_blank(done):
         picture = imread(done[0] / name)
         assert picture.shape[0] > 900 and picture.shape[1] > 1500
         assert picture.std() > 0.1
+
+
+def test_the_frontier_goes_through_the_demos_own_strategy(done):
+    with (done[0] / "frontier.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    (own,) = [row for row in rows if row["max_detour"] == "1.3" and row["swept"] == "max_detour"]
+    value = next(line for line in done[1].splitlines() if line.startswith("value")).split()[1]
+    assert float(own["value"]) == pytest.approx(float(value), rel=0.01)
+    assert (done[0] / "frontier.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_table_names_what_was_found(done):

@@ -179,5 +179,5 @@ def test_the_programs_strategy_is_a_partner_that_fits():
     network = terrain_network(7, cells=12)
     strategy = solve(network, options=StrategyOptions(max_detour=1.05, risk_slack=0.0))
     budgets = make_budgets(strategy.game, StrategyOptions(max_detour=1.05))
-    risk = least_risk(strategy.game, strategy.game, budgets, math.inf)
+    risk = least_risk(strategy.game, strategy.game, budgets, 1e-6, math.inf)
     assert strategy.value == pytest.approx(risk.value, rel=2e-5)

@@ -47,7 +47,7 @@ PROGRAM_SHARE = 0.6
 SOFT_ROUNDS, SOFT_EVALUATIONS, SOFTER = 8, 80, 0.25
 # There the limits are at this share of the shortest route's value, unless more is known.
 REFERENCE, FIRST_ENTROPY = 0.01, 30.0
-# Largest first multiplier of a budget.
+# Largest first multiplier of a site or budget.
 FIRST_PRICE = 300.0
 
 
@@ -291,7 +291,7 @@ class _Limits:
         sites = warm.sites[self._game.sites[self._row]] * self._most
         pairs = zip(warm.budgets, self._budgets, strict=True)
         budgets = np.array([price for price, b in pairs if b.binds]) * self._room
-        return np.concatenate((sites, budgets))
+        return np.minimum(np.concatenate((sites, budgets)), FIRST_PRICE)
 
     def law(self, multipliers: FloatArray) -> Law:
         """The multipliers (R,) per hit and per unit of cost."""

@@ -12,7 +12,8 @@ EPILOG = """\
 It starts the node ambush_planner as a process of its own, publishes a risk map made from the
 elevation model that comes with matplotlib, and asks for departures by service call. The folder
 then holds a recording of each departure (MCAP, for ros2 bag and Foxglove), strategy.png,
-routes.png and the node's log. Exit code: 0, or 1 if anything went wrong.
+routes.png, frontier.png (what other budgets would buy), frontier.csv and the node's log. Exit
+code: 0, or 1 if anything went wrong.
 """
 
 
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="ambush_demo",
-        description="Random routes on real ground: departures, recordings and two pictures.",
+        description="Random routes on real ground: departures, recordings and pictures.",
         epilog=EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

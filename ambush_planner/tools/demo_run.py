@@ -15,6 +15,7 @@ from nav_msgs.msg import OccupancyGrid
 from ..core.construction import NetworkOptions
 from ..core.errors import AmbushPlannerError
 from ..core.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
+from ..core.frontier import frontier
 from ..core.game import GameOptions
 from ..core.planner import Plan, PlanningOptions, plan
 from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap
@@ -25,6 +26,7 @@ from .demo_client import DemoClient, NoAnswer
 from .demo_figures import routes_figure, strategy_figure
 from .demo_ground import GOAL, RESOLUTION, START, load_ground
 from .figures import FixedRoute
+from .frontier_run import write_frontier
 from .node_process import NodeFailed, NodeProcess, free_domain
 
 # Four cells: about 6000 nodes.
@@ -32,6 +34,8 @@ SPACING = 360.0
 # Own troops hold the ground around the start and the goal.
 SECURED_RADIUS = 2000.0
 MAX_DETOUR = 1.3
+# What the frontier shows beside them, and the time for each of its strategies.
+DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.15, 1.2, MAX_DETOUR, 1.5), (0.0, 0.1, 0.3), 20.0
 # The diagnostics give nine digits.
 SAME_VALUE = 1e-6
 
@@ -60,7 +64,7 @@ class Progress:
 
 
 def run_demo(folder: Path, departures: int) -> None:
-    """Leave recordings, two pictures and the node's log in ``folder``, and print a table.
+    """Leave recordings, three pictures and the node's log in ``folder``, and print a table.
 
     Raises
     ------
@@ -82,9 +86,12 @@ def run_demo(folder: Path, departures: int) -> None:
     planned = _same_plan(risk_map, status)
     progress.say("drawing strategy.png and routes.png")
     _draw(risk_map, planned, paths, folder)
+    progress.say("frontier.png: what another length budget, or more risk, would buy")
+    _sweep(planned, folder)
     progress.say("done")
     print(table(status, planned, paths, [*seconds, progress.seconds]))
-    print(f"\n{folder}: strategy.png, routes.png, node.log and the recordings")
+    print(f"\n{folder}: strategy.png, routes.png, frontier.png, frontier.csv, node.log and the "
+          "recordings")
     for recording in recordings:
         print(f"  {recording.relative_to(folder)}")
 
@@ -147,6 +154,15 @@ def _draw(
     routes = [path[:, :2] for path in paths]
     figure = routes_figure(risk_map, planned, routes, fixed_routes(planned), SECURED_RADIUS)
     _save(figure, folder / "routes.png")
+
+
+def _sweep(planned: Plan, folder: Path) -> None:
+    """Other budgets on the same network, to choose by looking."""
+    options = StrategyOptions(max_detour=MAX_DETOUR, time_limit=SWEEP_SECONDS)
+    rows = frontier(
+        planned.network, GameOptions(secured_radius=SECURED_RADIUS), DETOURS, SLACKS, options
+    )
+    write_frontier(folder / "frontier.csv", rows, options.max_detour, options.risk_slack)
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -96,7 +96,7 @@ class TableFile:
         for file in (path, self._part):
             if file.exists():
                 self._take(row for _, row in _lines(file, COLUMNS))
-        self._stream = open(self._part, 'a', encoding='utf-8', newline='', opener=_private)
+        self._stream = open(self._part, 'a', encoding='utf-8', newline='', opener=private)
         self._writer = csv.DictWriter(self._stream, COLUMNS, lineterminator='\n')
         if self._part.stat().st_size == 0:
             self._writer.writeheader()
@@ -137,7 +137,7 @@ class TableFile:
     def finish(self, inputs: Sequence[str]) -> None:
         """Write the table with the rows of ``inputs`` in this order, and remove the part."""
         whole = self._path.with_name(f'{self._path.name}.tmp')
-        with open(whole, 'w', encoding='utf-8', newline='', opener=_private) as file:
+        with open(whole, 'w', encoding='utf-8', newline='', opener=private) as file:
             writer = csv.DictWriter(file, COLUMNS, lineterminator='\n', extrasaction='ignore')
             writer.writeheader()
             writer.writerows(self._rows[key] for key in inputs)
@@ -148,5 +148,6 @@ class TableFile:
         self._part.unlink()
 
 
-def _private(path: str, flags: int) -> int:
+def private(path: str, flags: int) -> int:
+    """Opener of files that only the owner reads."""
     return os.open(path, flags, 0o600)

@@ -1,0 +1,166 @@
+"""What a longer way, or more risk, buys: laws of the rows, and the command as a user starts it."""
+
+import csv
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from games import examples, random_map, terrain_network, terrain_networks
+from hypothesis import given
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    StrategyOptions,
+    build_network,
+    frontier,
+    solve,
+)
+from ambush_planner.terrain import OccupancyMap, write_map
+from ambush_planner.tools.frontier_run import COLUMNS, read_risk_map
+
+# The law may leave a thousandth of the entropy unused, and up to a tenth of the slack.
+ENTROPY = 0.02
+
+
+@examples(12)
+@given(terrain_networks)
+def test_each_row_is_certified_and_looser_budgets_cost_no_value(network):
+    rows = frontier(network, detours=(1.3, 1.0, 1.1), slacks=(0.0, 0.3, 0.05))
+    assert [row.max_detour for row in rows] == [1.3, 1.0, 1.1] + [1.2] * 3
+    assert [row.risk_slack for row in rows] == [0.01] * 3 + [0.0, 0.3, 0.05]
+    for row in rows:
+        assert not row.error
+        assert row.lower_bound <= row.value * (1 + 1e-9)
+        assert row.value <= row.lower_bound * (1 + row.risk_slack + 1e-5)
+        assert row.expected_length <= row.max_detour * row.shortest_length * (1 + 1e-6)
+    by_detour = sorted(rows[:3], key=lambda row: row.max_detour)
+    bounds = [row.lower_bound for row in by_detour]
+    assert all(loose <= tight * (1 + 1e-5) for tight, loose in pairwise(bounds))
+
+
+def test_looser_budgets_buy_entropy():
+    """On a network of some size; on tiny ones the acyclic part may change with the budget."""
+    network = terrain_network(5, cells=24)
+    rows = frontier(network, detours=(1.1, 1.2, 1.4), slacks=(0.0, 0.03, 0.3))
+    for sweep in (rows[:3], rows[3:]):
+        assert all(b.route_entropy > a.route_entropy for a, b in pairwise(sweep))
+    assert [row.lower_bound for row in rows[3:]] == pytest.approx([rows[1].lower_bound] * 3)
+
+
+@examples(10)
+@given(terrain_networks)
+def test_a_row_is_what_a_cold_solve_finds(network):
+    detours, game = (1.5, 1.05), GameOptions(ambush_radius=1.5)
+    for row in frontier(network, game, detours, (0.1,)):
+        alone = solve(
+            network, game,
+            StrategyOptions(max_detour=row.max_detour, risk_slack=row.risk_slack),
+        )
+        assert row.lower_bound == pytest.approx(alone.lower_bound, rel=1e-5)
+        assert row.route_entropy == pytest.approx(alone.route_entropy, rel=ENTROPY, abs=ENTROPY)
+        assert row.least_exposure == alone.least_exposure
+
+
+@pytest.fixture(scope='module')
+def network():
+    return build_network(random_map(3), (4.5, -0.5), (13.5, 8.5), NetworkOptions(spacing=1.0))
+
+
+def test_a_budget_that_nothing_fits_has_a_row_that_says_so(network):
+    threshold = np.quantile(network.alpha, 0.75)
+    game = GameOptions(alpha_threshold=float(threshold))
+    rows = frontier(network, game, (1.0, 3.0), ())
+    tight, loose = rows
+    assert 'raise max_detour' in tight.error and np.isnan(tight.value)
+    assert not loose.error and loose.value > 0.0
+
+
+def test_rows_are_told_as_they_come(network):
+    told = []
+    rows = frontier(network, detours=(1.1, 1.3), slacks=(0.01,), on_row=told.append)
+    assert [row.max_detour for row in told] == [1.3, 1.2, 1.1]
+    assert set(told) == set(rows)
+
+
+def test_bad_budgets_are_refused_before_the_first_solve(network):
+    told = []
+    with pytest.raises(InvalidOption, match='max_detour'):
+        frontier(network, detours=(1.1, 0.5), on_row=told.append)
+    assert not told
+
+
+def run(*arguments):
+    command = [sys.executable, '-m', 'ambush_planner.tools.frontier', *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+
+
+ENDS = ('--start', 15, 15, '--goal', 185, 185)
+
+
+@pytest.fixture
+def map_file(tmp_path):
+    values = np.random.default_rng(0).integers(0, 90, (20, 20)).astype(np.int8)
+    values[8:12, 8:12] = 100
+    write_map(tmp_path / 'map.yaml', OccupancyMap(values, 10.0))
+    return tmp_path / 'map.yaml'
+
+
+def test_the_command_writes_table_and_picture(map_file, tmp_path):
+    done = run(
+        map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.1, 1.4, '--slacks', 0.2,
+        '--set', 'network.spacing=15', 'game.ambush_radius=20',
+    )
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / 'f.csv').open(newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    assert [(row['swept'], row['max_detour'], row['risk_slack']) for row in rows] == [
+        ('max_detour', '1.1', '0.01'), ('max_detour', '1.4', '0.01'), ('risk_slack', '1.2', '0.2'),
+    ]
+    assert (tmp_path / 'f.png').read_bytes().startswith(b'\x89PNG')
+    assert done.stdout.count('\n') == 6 and 'f.png' in done.stdout
+
+
+def test_the_fields_of_a_risk_map_in_an_npz_file(map_file, tmp_path):
+    risk_map = random_map(1, yaw=0.5)
+    np.savez(
+        tmp_path / 'map.npz', alpha=risk_map.alpha, obstacles=risk_map.obstacles,
+        resolution=risk_map.resolution, origin=risk_map.origin,
+    )
+    read = read_risk_map(tmp_path / 'map.npz', None)
+    assert np.array_equal(read.alpha, risk_map.alpha) and read.origin == risk_map.origin
+    np.savez(tmp_path / 'half.npz', alpha=risk_map.alpha)
+    (tmp_path / 'no.npz').write_bytes(b'no')
+    for name, reason in (('half.npz', "no 'obstacles'"), ('no.npz', 'no.npz'), ('not', 'not')):
+        done = run(tmp_path / name, *ENDS, '-o', tmp_path / 'f.csv')
+        assert done.returncode == 1 and reason in done.stderr, done.stderr
+        assert 'Traceback' not in done.stderr
+
+
+def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
+    done = run(
+        map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.0, '--slacks', 0.1,
+        '--set', 'network.spacing=15', 'game.alpha_threshold=7.5', 'strategy.max_detour=4',
+    )
+    assert done.returncode == 1 and 'raise max_detour' in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(('arguments', 'reason'), [
+    (('--set', 'strategy.max_detour=0.5'), 'max_detour'),
+    (('--detours', '0.5'), 'max_detour'),
+    (('--goal', '95', '95'), 'goal'),
+])
+def test_bad_input_is_told_in_a_line(map_file, tmp_path, arguments, reason):
+    done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
+    assert done.returncode == 1 and reason in done.stderr
+    assert done.stderr.startswith('ambush_frontier: ') and done.stderr.count('\n') == 1
+    assert not (tmp_path / 'f.csv').exists()
+
+
+def test_the_picture_may_not_take_the_tables_place(map_file, tmp_path):
+    done = run(map_file, *ENDS, '-o', tmp_path / 'f.png')
+    assert done.returncode == 1 and 'choose TABLE.csv' in done.stderr
