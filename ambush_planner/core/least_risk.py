@@ -24,6 +24,7 @@ from .certificate import Budget, lower_bound, upper_bound
 from .errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .game import Game
 from .paths import distances_between
+from .routes import always, shortest_route
 
 # The most that the edges of the program may grow by in one round.
 GROWTH, LEAST_GROWTH = 0.3, 1000
@@ -37,6 +38,8 @@ NEGLIGIBLE = 1e-8
 FAR_OVER_BUDGET = 2.0
 # A unit of loss is this near to the value, or the program is built again.
 UNIT_RANGE = 1e3
+# Edges that are over a budget by this many times its room are as good as unused.
+MOST_EXCESS = 1e7
 MAX_ROUNDS = 30
 
 
@@ -177,9 +180,9 @@ def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
 
 
 def _unit_of(game: Game) -> float:
-    """A loss near the value, to begin with: the least loss of any site, or the largest."""
-    loss = game.loss[game.sites]
-    return float(np.median(loss)) if len(loss) else 1.0
+    """A loss not below the value, to begin with: what the shortest route risks."""
+    route = shortest_route(game.network, np.flatnonzero(game.playable))
+    return upper_bound(game, always(game.network, route)) or 1.0
 
 
 def _solve(
@@ -214,7 +217,9 @@ class _FlowProgram:
         scaled = csr_matrix(rows[self.row].multiply(loss[:, None]))
         out = (game.network.tails[self.edge] == game.network.source).astype(float)
         bound = [b for b in budgets if b.binds]
-        over = [csr_matrix(b.excess[self.edge] / b.room - out) for b in bound]
+        over = [
+            csr_matrix(np.minimum(b.excess[self.edge] / b.room, MOST_EXCESS) - out) for b in bound
+        ]
         several = game.ambushers > 1
         sites = len(self.row)
         extra = 1 + sites if several else 0
