@@ -71,14 +71,14 @@ def targets(measured: Measured, hard: Answers, growth: list[dict[str, Any]]) -> 
     """What was to be reached, what was, and whether that will do."""
     rows = []
     for ours, other, title, wanted in COMPARISONS:
-        for nodes in wanted.keys() & measured.keys():
+        for nodes in (nodes for nodes in wanted if nodes in measured):
             size = measured[nodes]
             rows.append(
                 [f"{title}, {nodes} across", f"{wanted[nodes]:g}x", _ratio(size[ours], size[other]),
                  _met(size[ours], size[other], wanted[nodes])]
             )
     rows.sort()
-    for name in HARD.keys() & hard.keys():
+    for name in (name for name in HARD if name in hard):
         answer, limit = hard[name], HARD[name]
         met = "failed" not in answer and answer["seconds"] < limit
         rows.append([f"`{name}`, {answer['nodes']} nodes", f"< {limit:g} s",

@@ -35,7 +35,7 @@ SPACING = 360.0
 SECURED_RADIUS = 2000.0
 MAX_DETOUR = 1.3
 # What the frontier shows beside them, and the time for each of its strategies.
-DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.15, 1.2, MAX_DETOUR, 1.5), (0.0, 0.1, 0.3), 20.0
+DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.15, MAX_DETOUR, 1.5), (0.03, 0.1, 0.3), 60.0
 # The diagnostics give nine digits.
 SAME_VALUE = 1e-6
 
