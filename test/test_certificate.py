@@ -113,7 +113,7 @@ def test_a_bound_above_the_value_is_refused(monkeypatch):
         certify(*given_)
 
 
-@examples(100)
+@examples(50)
 @given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
 def test_no_route_within_the_budget_beats_the_bound_of_any_q_and_price(
     network, seed, price, detour
@@ -161,7 +161,7 @@ def test_a_budget_below_the_best_route_is_infeasible():
     assert Budget(game, lengths, 3.0, 3.0, "length", "m").room > 0.0
 
 
-@examples(100)
+@examples(50)
 @given(networks())
 def test_excess_adds_up_to_what_a_route_costs_over_the_best(network):
     game = make_game(network, GameOptions())

@@ -24,7 +24,7 @@ def graph_of(network, weights) -> networkx.DiGraph:
     return graph
 
 
-@examples(100)
+@examples(50)
 @given(networks())
 def test_distances_and_a_path(network):
     n, ends = len(network.points), (network.source, network.target)
@@ -39,7 +39,7 @@ def test_distances_and_a_path(network):
     assert networkx.path_weight(graph, path, "weight") == pytest.approx(ahead[ends[1]])
 
 
-@examples(100)
+@examples(50)
 @given(networks())
 def test_reachability(network):
     graph = graph_of(network, network.lengths)

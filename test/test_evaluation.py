@@ -26,7 +26,7 @@ def length(network, route) -> float:
     return float(np.hypot(*steps.T).sum())
 
 
-@examples(100)
+@examples(50)
 @given(networks(max_nodes=7))
 def test_fixed_routes_are_the_best_of_all_routes(network):
     game = solve(network).game
@@ -39,7 +39,7 @@ def test_fixed_routes_are_the_best_of_all_routes(network):
     assert length(network, careful) == pytest.approx(min(length(network, r) for r in ties))
 
 
-@examples(100)
+@examples(50)
 @given(networks())
 def test_rows_of_any_network(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))

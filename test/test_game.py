@@ -22,7 +22,7 @@ def value(network, **options) -> float:
         return np.inf
 
 
-@examples(200)
+@examples(90)
 @given(networks())
 def test_the_value_never_falls_as_the_threshold_falls(network):
     values = [value(network, alpha_threshold=limit) for limit in (np.inf, 7, 3, 2, 1, 0.5, 0)]
@@ -30,13 +30,13 @@ def test_the_value_never_falls_as_the_threshold_falls(network):
         assert tight >= loose * (1 - 1e-12)
 
 
-@examples(200)
+@examples(90)
 @given(networks(alphas=PLAIN), st.floats(0, 8))
 def test_the_value_never_rises_as_more_ground_is_secured(network, radius):
     assert value(network, secured_radius=radius) <= value(network) * (1 + 1e-12)
 
 
-@examples(100)
+@examples(50)
 @given(networks(), st.sampled_from((0.5, 2.0, 3.0)))
 def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
     try:
@@ -48,7 +48,7 @@ def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
     assert network.alpha[strategy.visit_probability > 0.0].max() <= limit
 
 
-@examples(100)
+@examples(50)
 @given(networks(), st.floats(0, 8))
 def test_nobody_waits_on_secured_ground(network, radius):
     game = make_game(network, GameOptions(secured_radius=radius))
@@ -150,7 +150,7 @@ def test_more_ambushers_than_nodes_are_refused():
 # Games within games.
 
 
-@examples(60)
+@examples(35)
 @given(networks(), st.floats(0.1, 3.0))
 def test_a_part_of_the_game_keeps_only_whole_routes(network, radius):
     game = make_game(network, GameOptions(ambush_radius=radius))

@@ -47,7 +47,7 @@ def routes_of(network, acyclic) -> list[list[int]]:
     return [[place[step] for step in pairwise(route)] for route in routes]
 
 
-@examples(150)
+@examples(70)
 @given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
 def test_every_route_is_as_likely_as_its_weight_says(network, seed, size):
     case = forward(network)
@@ -136,7 +136,7 @@ def shortest(network, acyclic) -> float:
     return networkx.dijkstra_path_length(graph, network.source, network.target)
 
 
-@examples(60)
+@examples(35)
 @given(networks(alphas=PLAIN), st.floats(0.2, 0.99))
 def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
     """All of the source's edges together may be used less than once."""

@@ -53,7 +53,7 @@ def check(game, budgets, risk, expected) -> None:
     assert risk.value == pytest.approx(expected, rel=OPTIMAL)
 
 
-@examples(60)
+@examples(35)
 @given(networks(alphas=PLAIN), st.integers(1, 3))
 def test_several_ambushers_on_any_network(network, count):
     expected = program_value(network, ambushers=count)
@@ -145,7 +145,7 @@ def test_no_time_is_a_time_limit():
         solved(terrain_network(1, cells=10), 1.1, deadline=time.monotonic() - 1.0)
 
 
-@examples(200)
+@examples(90)
 @given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
 def test_at_most_one(masses, count):
     if sum(masses) < 1e-3:

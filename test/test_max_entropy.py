@@ -69,7 +69,7 @@ def test_terrain(method, seed, cells, detour, slack):
     check_entropy(solve(network, options=options), slack)
 
 
-@examples(60)
+@examples(35)
 @given(networks(alphas=PLAIN), st.sampled_from(DETOURS))
 def test_any_network(network, detour):
     check_entropy(solve(network, options=StrategyOptions(max_detour=detour)), 0.01)
@@ -101,7 +101,7 @@ def test_the_papers_example():
 # The stages.
 
 
-@examples(60)
+@examples(35)
 @given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
        st.sampled_from((0.0, 0.01, 0.3)))
 def test_value_within_the_slack_of_the_linear_programs(network, detour, count, slack):

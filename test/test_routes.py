@@ -33,7 +33,7 @@ def test_routes_are_simple_and_lead_from_source_to_target(solver):
         check_route(network, strategy.sample_route(rng))
 
 
-@examples(200)
+@examples(90)
 @given(networks(), st.sampled_from(SOLVERS), st.integers(0, 9))
 def test_routes_of_any_network_are_simple_and_use_its_edges(network, solver, seed):
     strategy = solve(network, options=StrategyOptions(solver))
@@ -159,7 +159,7 @@ corners = st.lists(
 ).filter(lambda route: all(a != b for a, b in zip(route[:-1], route[1:], strict=True)))
 
 
-@examples(300)
+@examples(80)
 @given(corners, st.floats(0.2, 200.0))
 def test_densify_laws(route, spacing):
     points = np.array(route, float)

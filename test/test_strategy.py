@@ -104,7 +104,7 @@ def check_entropies(strategy) -> None:
     assert strategy.route_entropy == pytest.approx(route, rel=1e-9, abs=1e-9)
 
 
-@examples(200)
+@examples(90)
 @given(networks(), st.sampled_from(DETOURS))
 def test_default_solver_on_any_network(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
@@ -112,7 +112,7 @@ def test_default_solver_on_any_network(network, max_detour):
     check_value(strategy, max_detour, SLACK)
 
 
-@examples(100)
+@examples(50)
 @given(networks(), st.sampled_from(DETOURS))
 def test_without_slack_the_value_is_the_least(network, max_detour):
     options = StrategyOptions(max_detour=max_detour, risk_slack=0.0)
@@ -122,7 +122,7 @@ def test_without_slack_the_value_is_the_least(network, max_detour):
     assert strategy.value <= strategy.lower_bound * (1 + 1e-5)
 
 
-@examples(200)
+@examples(90)
 @given(networks(alphas=NASTY))
 def test_default_solver_with_losses_from_1e_9_to_1e9(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
@@ -131,13 +131,13 @@ def test_default_solver_with_losses_from_1e_9_to_1e9(network):
     assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
-@examples(100)
+@examples(50)
 @given(networks(alphas=NASTY), st.sampled_from(DETOURS))
 def test_budgets_with_losses_from_1e_9_to_1e9(network, max_detour):
     check_laws(solve(network, options=StrategyOptions(max_detour=max_detour)), max_detour)
 
 
-@examples(120)
+@examples(80)
 @given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
 def test_linear_programs_on_any_network(network, max_detour, solver):
     strategy = solve(network, options=StrategyOptions(solver, max_detour))
@@ -154,7 +154,7 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
         check_value(strategy, max_detour, SLACK if solver == "max_entropy" else 0.0)
 
 
-@examples(60)
+@examples(35)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
 def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
     strict, loose = (

@@ -12,6 +12,7 @@ from .arrays import FloatArray, IndexArray, frozen_array
 from .bottleneck import Bottleneck, find_bottleneck
 from .construction import NetworkOptions, build_network, chosen_spacing
 from .corridors import Corridors, make_corridors
+from .cover import with_hiding_places
 from .driven_path import driven_path, driven_paths
 from .game import GameOptions
 from .network import Network
@@ -142,6 +143,8 @@ def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Pl
     spacing = node_spacing(risk_map, options.network)
     tube = _tube(options, spacing)
     reach = options.game.ambush_radius + (tube or 0.0)
+    if options.game.ambush_in_obstacles and reach > 0.0:
+        network = with_hiding_places(network, risk_map, reach, spacing)
     strategy = solve(network, replace(options.game, ambush_radius=reach), options.strategy)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
     corridors = make_corridors(

@@ -1,0 +1,32 @@
+"""Where an ambusher can hide in obstacles: cells from which he reaches the network."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from .network import Network
+from .risk_map import RiskMap
+
+
+def with_hiding_places(
+    network: Network, risk_map: RiskMap, reach: float, spacing: float
+) -> Network:
+    """The network with obstacle cells as ``cover_points``, each of its nearest free cell's loss.
+
+    Taken are the cells within ``reach`` [m] of some edge or not much further, one in each square of
+    half a ``spacing`` [m].
+    """
+    step = max(int(spacing / 2.0 / risk_map.resolution), 1)
+    rows, columns = np.nonzero(risk_map.obstacles)
+    squares = (rows // step) * (risk_map.obstacles.shape[1] // step + 1) + columns // step
+    _, first = np.unique(squares, return_index=True)
+    rows, columns = rows[first], columns[first]
+    places = risk_map.to_world(np.stack((columns, rows), axis=1) * risk_map.resolution
+                               + risk_map.resolution / 2.0)
+    far = reach + float(network.lengths.max(initial=0.0)) / 2.0
+    near = np.isfinite(cKDTree(network.points).query(places, distance_upper_bound=far)[0])
+    loss = risk_map.nearest_free_alpha()[rows[near], columns[near]]
+    return replace(network, cover_points=places[near], cover_alpha=loss)
