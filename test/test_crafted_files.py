@@ -131,7 +131,7 @@ def test_a_network_of_another_size_is_neither_built_nor_solved(
     called = []
     monkeypatch.setattr(verify_plan, skipped, lambda *_: called.append(skipped))
     forger = Forger(whole)
-    forger.edit_yaml('parameters', **{'network.spacing': spacing})
+    forger.edit_entry('parameters', **{'network.spacing': spacing})
     forger.correct()
     assert verify.main([str(forger.save(tmp_path / 'x.mcap'))]) == 1
     out = capsys.readouterr().out

@@ -14,10 +14,11 @@ def write_durably(path: Path, data: bytes) -> None:
     The data goes to a temporary file beside it, is flushed to the disk and only then renamed:
     a reader sees the old content or the new one, never a part.
 
-    Raises:
-        OSError: Nothing was changed at ``path`` and no temporary file is left, unless the
-            final flush of the folder failed: then the file is in place, but may not survive
-            a power cut.
+    Raises
+    ------
+    OSError
+        Nothing was changed at ``path`` and no temporary file is left, unless the final flush of
+        the folder failed: then the file is in place, but may not survive a power cut.
     """
     temporary = path.with_name(f'{path.name}.tmp')
     try:
@@ -38,9 +39,12 @@ def create_durably(path: Path, data: bytes) -> None:
     The name appears when all is on the disk. What a kill leaves behind is ``*.part``, which
     nobody takes for a recording; the next file of this name replaces it.
 
-    Raises:
-        FileExistsError: Something of this name is already there.
-        OSError: Nothing is left at ``path``, unless the final flush of the folder failed.
+    Raises
+    ------
+    FileExistsError
+        Something of this name is already there.
+    OSError
+        Nothing is left at ``path``, unless the final flush of the folder failed.
     """
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
@@ -60,9 +64,12 @@ def make_private_folders(path: Path) -> None:
 
     Each new one has mode 0700, and its parent is flushed to the disk.
 
-    Raises:
-        FileExistsError: ``path`` or one above it is there, and is not a folder.
-        OSError: One of them cannot be made.
+    Raises
+    ------
+    FileExistsError
+        ``path`` or one above it is there, and is not a folder.
+    OSError
+        One of them cannot be made.
     """
     for folder in reversed([path, *path.parents]):
         if not folder.is_dir():
@@ -76,9 +83,12 @@ def make_private_folders(path: Path) -> None:
 def make_private_folder(path: Path) -> None:
     """Make the folder ``path`` with mode 0700 and flush its parent to the disk.
 
-    Raises:
-        FileExistsError: Something of this name is already there.
-        OSError: The parent does not exist or is not writable.
+    Raises
+    ------
+    FileExistsError
+        Something of this name is already there.
+    OSError
+        The parent does not exist or is not writable.
     """
     path.mkdir(mode=0o700)
     flush_folder(path.parent)
