@@ -6,6 +6,7 @@ reads from the beginning and the one that goes by the index at the end, find the
 
 from __future__ import annotations
 
+import struct
 import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
@@ -42,7 +43,7 @@ _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 # What the library's readers raise at bytes that are not theirs.
 BROKEN = (
     McapError, ValueError, ArithmeticError, LookupError, TypeError, EOFError, MemoryError,
-    RuntimeError, OSError, zlib.error, zstandard.ZstdError,
+    RuntimeError, OSError, struct.error, zlib.error, zstandard.ZstdError,
 )
 
 

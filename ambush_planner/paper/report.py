@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from .paper_environment import EXAMPLE, HIGH_ALPHA, METHODS, THRESHOLDS
-from .paper_results import (
+from .environment import EXAMPLE, HIGH_ALPHA, METHODS, THRESHOLDS
+from .results import (
     DETOURS,
     DRAWS,
     METHOD_3,

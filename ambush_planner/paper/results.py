@@ -12,7 +12,7 @@ from ..core.game import GameOptions
 from ..core.network import Network
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy, StrategyOptions, solve
-from .paper_environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
+from .environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
 
 SOLVERS = ("interior_point", "simplex", "max_entropy")
 # The network of the paper's table III.

@@ -1,7 +1,7 @@
 """``ambush_paper``: the paper's tables and figures, repeated on an environment that is stated.
 
 E. Boidot and E. Feron, *Planning Random path distributions for ambush games in unstructured
-environments*. See ``paper_environment`` for the environment and docs/paper.md for the result.
+environments*. See ``paper.environment`` for the environment and docs/paper.md for the result.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 import scipy
 
 from ..core.errors import AmbushPlannerError
-from . import paper_environment as environment
-from .paper_report import Comparison, compare, report
-from .paper_results import DRAWS, Results, Say, compute
+from . import environment as environment
+from .report import Comparison, compare, report
+from .results import DRAWS, Results, Say, compute
 
 EPILOG = """\
 The folder then holds results.json, tables.md and the figures 2 to 7 of the paper with one of our
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         # Here, so that --help and the message below need no matplotlib.
-        from .paper_figures import draw_all
+        from .figures import draw_all
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         return _fail(f"{package} is not installed; try: pip install 'ambush_planner[figures]'")

@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
-from .figures import (
+from ..tools.figures import (
     PROBABILITY,
     draw_edges,
     draw_ends,
@@ -25,9 +25,9 @@ from .figures import (
     draw_risk_map,
     frame,
 )
-from .paper_environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
-from .paper_report import NAMES
-from .paper_results import METHOD_3, SOLVERS, Results, Say
+from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
+from .report import NAMES
+from .results import METHOD_3, SOLVERS, Results, Say
 
 DOTS_PER_INCH = 100
 CONNECTIVITY = {
