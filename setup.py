@@ -37,7 +37,7 @@ setup(
         'PyYAML>=6.0',
         'mcap>=1.1.1',
         'mcap-ros2-support>=0.5.3',
-        # What mcap compresses with; recover reads files that mcap's own reader gives up on.
+        # What mcap compresses with; chunks are unpacked by these, with a bound on their size.
         'lz4>=4.0',
         'zstandard>=0.19',
     ],
@@ -45,6 +45,8 @@ setup(
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
+        # Words of `ambush` completed in the shell, after register-python-argcomplete.
+        'completion': ['argcomplete'],
         # colcon test runs pytest only because it stands in an extra of this name.
         'test': [
             'pytest>=7.4',
@@ -62,13 +64,14 @@ setup(
     entry_points={
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.planner_node:main',
-            'ambush_audit = ambush_planner.tools.audit:main',
-            'ambush_demo = ambush_planner.tools.demo:main',
-            'ambush_paper = ambush_planner.tools.paper:main',
-            'ambush_recover = ambush_planner.tools.recover:main',
-            'ambush_replay = ambush_planner.tools.replay:main',
-            'ambush_report = ambush_planner.tools.report:main',
-            'ambush_verify = ambush_planner.tools.verify:main',
+            # One program: its name, or its first argument, says which command it is.
+            *(
+                f'{name} = ambush_planner.tools.cli:main'
+                for name in (
+                    'ambush', 'ambush_audit', 'ambush_demo', 'ambush_paper', 'ambush_recover',
+                    'ambush_replay', 'ambush_report', 'ambush_verify',
+                )
+            ),
         ],
     },
 )

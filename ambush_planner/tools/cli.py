@@ -141,19 +141,29 @@ class Console:
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items, with a bar from two seconds on where a terminal shows it."""
-        begin, told, bar = time.monotonic(), 0.0, sys.stderr.isatty() and not self._quiet
+        bar = self.bar(what)
         for number, item in enumerate(items):
             yield item
+            bar((number + 1) / len(items))
+
+    def bar(self, what: str) -> Callable[[float], None]:
+        """Return what shows how much is done, 0..1, from two seconds on."""
+        begin, told, shown_bar = time.monotonic(), 0.0, sys.stderr.isatty() and not self._quiet
+
+        def show(share: float) -> None:
+            nonlocal told
             now = time.monotonic() - begin
-            if now > _PATIENCE and now > told + (0.1 if bar else 10.0):
-                told, share = now, (number + 1) / len(items)
-                text = f'{what}: {number + 1} of {len(items)}'
-                if bar:
-                    print(f'\r[{"#" * int(30 * share):30}] {text}', end='', file=sys.stderr)
+            if told and share >= 1.0 and shown_bar:
+                print('\r' + ' ' * WIDTH + '\r', end='', file=sys.stderr, flush=True)
+            elif now > max(_PATIENCE, told + (0.1 if shown_bar else 10.0)):
+                told = now
+                if shown_bar:
+                    text = f'\r[{"#" * int(30 * share):30}] {share:4.0%} {what}'
+                    print(text, end='', file=sys.stderr, flush=True)
                 else:
-                    self.say(text)
-        if told and bar:
-            print('\r' + ' ' * 70 + '\r', end='', file=sys.stderr, flush=True)
+                    self.say(f'{what}: {share:.0%}')
+
+        return show
 
     def finish(self) -> None:
         """Print the result as JSON where that was asked for."""

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 from ..core.errors import AmbushPlannerError
-from ..recording.types import TYPES
+from ..recording.qos import fields_from_yaml
+from ..review.case import TYPES
 
 _STEP = 0.1  # s; how soon the end of a wait is noticed
 # A listener that has been found finds the publisher a little later, and until then it misses what
@@ -42,9 +50,9 @@ class Player:
             self._publishers[key] = self._node.create_publisher(TYPES[type_], topic, qos)
         except (RuntimeError, TypeError, ValueError, ArithmeticError) as error:
             # RCLError, and what the binding to C++ raises on numbers that do not fit.
-            reason = str(error).partition("\n")[0]
+            reason = str(error).partition('\n')[0]
             raise CannotPublish(
-                f"{topic} cannot be published as {type_}: {reason}; leave it out with --topics"
+                f'{topic} cannot be published as {type_}: {reason}; name the others after --'
             ) from error
 
     def publish(self, key: object, data: bytes) -> None:
@@ -101,3 +109,41 @@ def sleep_until(end: float, going_on: Callable[[], bool]) -> bool:
             return True
         time.sleep(min(left, _STEP))
     return False
+
+
+def qos_from_yaml(text: str) -> QoSProfile:
+    """Return the first profile of a channel's ``offered_qos_profiles``.
+
+    Raises
+    ------
+    ValueError
+        The text does not list complete profiles, or the first is none that a publisher can have.
+    """
+    fields = fields_from_yaml(text)
+    kinds = {
+        'history': HistoryPolicy, 'reliability': ReliabilityPolicy, 'durability': DurabilityPolicy,
+        'liveliness': LivelinessPolicy,
+    }
+    try:
+        policies = {
+            name: kind.get_from_short_key(fields[name]) for name, kind in kinds.items()
+        }
+        profile = QoSProfile(
+            **policies,
+            depth=fields['depth'],
+            **{name: _duration(fields[name])
+               for name in ('deadline', 'lifespan', 'liveliness_lease_duration')},
+            avoid_ros_namespace_conventions=fields['avoid_ros_namespace_conventions'],
+        )
+    except (
+        LookupError, TypeError, ValueError, ArithmeticError, AttributeError, AssertionError,
+    ) as error:
+        raise ValueError('no complete quality-of-service profile') from error
+    unknown = any(policy.name == 'UNKNOWN' for policy in policies.values())
+    if unknown or not 0 <= profile.depth < 2**31:
+        raise ValueError('a quality-of-service profile that no publisher can have')
+    return profile
+
+
+def _duration(fields: dict[str, Any]) -> Duration:
+    return Duration(seconds=fields['sec'], nanoseconds=fields['nsec'])
