@@ -165,6 +165,16 @@ def file_of(messages, compression='zstd', **texts):
     return encode_departure(messages, metadata, [STRATEGY], compression)
 
 
+def record(recorder, messages):
+    """Record messages with the metadata of a whole departure; what is lacking is added."""
+    present = {message.topic for message in messages}
+    more = [each for each in small_departure(messages[0].stamp_ns) if each.topic in
+            set(INPUTS.values()) - present] if messages else []
+    return recorder.record_departure(
+        [*messages, *more], metadata_for([*messages, *more]) if messages else {}, [STRATEGY]
+    )
+
+
 def message_of(recorded):
     """The message of rclpy that was recorded."""
     (class_,) = [type_ for type_ in TYPES if type_name(type_) == recorded.type]

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from typing import IO
 
 import lz4.frame
 import zstandard
@@ -38,6 +39,7 @@ MOST_BYTES = 2**30
 # Without this a message of no bytes, a million times, would be a departure.
 MOST_MESSAGES = 10_000
 _CHUNK_SIZE = 2**20
+_STEP = 2**22  # bytes that are unpacked at a time
 HEADER_SIZE = 9
 _IN_CHUNKS = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
 # What the library's readers raise at bytes that are not theirs.
@@ -245,9 +247,9 @@ def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
     if size > most:
         raise BadFile(f'it unpacks to more than {MOST_BYTES} bytes')
     if chunk.compression == 'zstd':
-        data = zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data)).read(size + 1)
+        data = _at_most(zstandard.ZstdDecompressor().stream_reader(BytesIO(chunk.data)), size)
     elif chunk.compression == 'lz4':
-        data = lz4.frame.LZ4FrameFile(BytesIO(chunk.data)).read(size + 1)
+        data = _at_most(lz4.frame.LZ4FrameFile(BytesIO(chunk.data)), size)
     elif chunk.compression == '':
         data = chunk.data
     else:
@@ -256,6 +258,14 @@ def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
         raise BadFile('a chunk unpacks to another size than it states')
     _check_lengths(data)
     return breakup_chunk(replace(chunk, compression='', data=data), validate_crc=True)
+
+
+def _at_most(reader: IO[bytes], size: int) -> bytes:
+    """Read a little more than ``size`` bytes at most; memory is taken as they come."""
+    parts: list[bytes] = []
+    while sum(map(len, parts)) <= size and (part := reader.read(_STEP)):
+        parts.append(part)
+    return b''.join(parts)
 
 
 def _check_lengths(data: bytes) -> None:

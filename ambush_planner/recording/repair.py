@@ -10,10 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.errors import AmbushPlannerError
-from .bag_folder import FILE_NAME, bag_text, describe_file, listed_files
+from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file, listed_files
 from .durable import flush_folder, write_durably
+from .errors import UnreadableRecording
 from .folder_lock import FolderLock
-from .mcap_file import encode, whole_part
+from .mcap_file import decode, encode, whole_part
 from .reader import natural_order, read_bytes
 from .recorder import SESSION_PREFIX
 
@@ -49,8 +50,8 @@ def repair(directory: Path | str) -> list[Repair]:
     """Put right every session folder below a recording.directory that no recorder holds.
 
     Temporary files that a dying recorder left are finished or removed, and metadata.yaml lists
-    again the files that are there, so that ``ros2 bag`` takes the folder. Recordings without a
-    whole index are not listed, as ``ros2 bag`` would refuse the folder for them. Folders of
+    again the files that are there, so that ``ros2 bag`` takes the folder. Broken recordings are
+    not listed, as ``ros2 bag`` would refuse the folder for them; they keep their names. Folders of
     living recorders are left alone.
 
     Returns
@@ -84,23 +85,21 @@ def list_files(folder: Path) -> tuple[int, list[str]]:
     Returns
     -------
     (int, list of str)
-        How many are listed, and the names of those that have no whole index and are not.
+        How many are listed, and the names of those that are broken and are not.
 
     Raises
     ------
     OSError
         The folder cannot be read or written.
     """
+    known = listed_files(folder) or ()
     files, broken = [], []
-    for path in sorted(folder.glob(f'*{_RECORDING}'), key=natural_order):
-        if not path.is_file():
-            continue
-        try:
-            path.name.encode()  # YAML has no bytes that are not UTF-8
-            with path.open('rb') as file:
-                files.append(describe_file(path.name, file))
-        except ValueError:
-            broken.append(path.name)
+    for name in _recordings(folder):
+        described = _described(folder / name, name in known)
+        if described is None:
+            broken.append(name)
+        else:
+            files.append(described)
     if files:
         write_durably(folder / FILE_NAME, bag_text(files))
     elif (folder / FILE_NAME).exists():
@@ -131,10 +130,42 @@ def _is_in_order(folder: Path) -> bool:
     names = os.listdir(folder)
     if any(name.endswith(_TEMPORARY) for name in names):
         return False
-    recordings = sorted(name for name in names if name.endswith(_RECORDING))
-    if FILE_NAME not in names:
-        return not recordings
-    return sorted(listed_files(folder) or ()) == recordings
+    recordings, listed = _recordings(folder), listed_files(folder)
+    if listed is None:
+        return FILE_NAME not in names and not recordings
+    unlisted = set(recordings) - set(listed)
+    return len(listed) + len(unlisted) == len(recordings) and not any(
+        _described(folder / name, False) for name in unlisted
+    )
+
+
+def _recordings(folder: Path) -> list[str]:
+    """Names that end like those of recordings; YAML has no bytes that are not UTF-8."""
+    return sorted(
+        (name for name in os.listdir(folder) if name.endswith(_RECORDING) and _is_utf8(name)),
+        key=lambda name: natural_order(Path(name)),
+    )
+
+
+def _is_utf8(name: str) -> bool:
+    return all(not '\ud800' <= each <= '\udfff' for each in name)
+
+
+def _described(path: Path, known: bool) -> BagFile | None:
+    """Describe a recording; None if it is broken.
+
+    One that metadata.yaml listed was finished before it, so its index is believed; one that it
+    did not list may be broken anywhere.
+    """
+    if not path.is_file():
+        return None
+    try:
+        if not known:
+            decode(read_bytes(path))
+        with path.open('rb') as file:
+            return describe_file(path.name, file)
+    except (ValueError, UnreadableRecording):
+        return None
 
 
 def _repair_locked(folder: Path, done: list[Repair]) -> None:
@@ -145,7 +176,7 @@ def _repair_locked(folder: Path, done: list[Repair]) -> None:
                 _settle(temporary, done)
         if not _is_in_order(folder):
             count, broken = list_files(folder)
-            without = f', {len(broken)} without a whole index are not' if broken else ''
+            without = f'; broken, see ambush_recover: {", ".join(broken)}' if broken else ''
             done.append(Repair(folder / FILE_NAME, 'listed', f'{count} recordings{without}'))
     finally:
         lock.release()

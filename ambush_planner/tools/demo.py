@@ -170,7 +170,10 @@ def fixed_routes(strategy: Strategy) -> list[FixedRoute]:
 
 
 def table(
-    status: Mapping[str, str], strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float]
+    status: Mapping[str, str],
+    strategy: Strategy,
+    paths: Sequence[FloatArray],
+    seconds: Sequence[float],
 ) -> str:
     """What the node says about its strategy, and how the departures went.
 
@@ -183,20 +186,20 @@ def table(
     *each, total = seconds
     later = f', {1000 * float(np.median(each[1:])):.0f} ms a further departure' * (len(each) > 1)
     rows = [
-        ('value', f'{known['value']:.6f}', 'mean loss by the best ambush, the strategy known'),
-        ('lower bound', f'{known['lower_bound']:.6f}', 'no strategy of this length has less'),
-        ('gap', f'{known['gap']:.1e}', ''),
-        ('fixed shortest route', f'{measures['energy_efficient'].v_repeated:.2f}',
+        ('value', f'{known["value"]:.6f}', 'mean loss by the best ambush, the strategy known'),
+        ('lower bound', f'{known["lower_bound"]:.6f}', 'no strategy of this length has less'),
+        ('gap', f'{known["gap"]:.1e}', ''),
+        ('fixed shortest route', f'{measures["energy_efficient"].v_repeated:.2f}',
          'loss once it is known'),
-        ('fixed safest route', f'{measures['risk_avoidance'].v_repeated:.2f}',
+        ('fixed safest route', f'{measures["risk_avoidance"].v_repeated:.2f}',
          'loss once it is known'),
-        ('edge entropy', f'{known['edge_entropy']:.1f}', 'nats'),
-        ('route entropy', f'{known['route_entropy']:.1f}', 'nats'),
+        ('edge entropy', f'{known["edge_entropy"]:.1f}', 'nats'),
+        ('route entropy', f'{known["route_entropy"]:.1f}', 'nats'),
         ('expected length', f'{length:.1f} km',
          f'{length / shortest:.2f} times the shortest, {shortest:.1f} km'),
-        ('network', f'{status['nodes']} nodes', f'{status['edges']} edges'),
+        ('network', f'{status["nodes"]} nodes', f'{status["edges"]} edges'),
         ('different routes', f'{count_different(paths)} of {len(paths)}', ''),
-        ('seconds', f'{total:.1f}', f'{known['solve_seconds']:.1f} to plan{later}'),
+        ('seconds', f'{total:.1f}', f'{known["solve_seconds"]:.1f} to plan{later}'),
     ]
     return '\n' + '\n'.join(f'{a:<21} {b:>12}   {c}'.rstrip() for a, b, c in rows)
 
