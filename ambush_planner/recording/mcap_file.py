@@ -263,7 +263,7 @@ def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
 def _at_most(reader: IO[bytes], size: int) -> bytes:
     """Read a little more than ``size`` bytes at most; memory is taken as they come."""
     parts: list[bytes] = []
-    while sum(map(len, parts)) <= size and (part := reader.read(_STEP)):
+    while sum(map(len, parts)) <= size and (part := reader.read(min(_STEP, size + 1))):
         parts.append(part)
     return b''.join(parts)
 
