@@ -141,8 +141,8 @@ def record(folder, departures):
     link, paths = Link(), []
     for k, (messages, metadata, files) in enumerate(departures):
         path = folder / f'run_{k}.mcap'
-        chain = chain_text(Link(path.name, link.file, link.sha256))
-        path.write_bytes(encode_departure(messages, {**metadata, 'chain': chain}, files, 'zstd'))
+        chain = {'chain': chain_text(Link(path.name, link.file, link.sha256))}
+        path.write_bytes(encode_departure(messages, {**chain, **metadata}, files, 'zstd'))
         link = Link(path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         paths.append(path)
     return paths

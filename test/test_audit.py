@@ -92,16 +92,17 @@ def test_a_strategy_with_cycles_is_refused():
 
 def test_steps_of_recorded_routes_and_what_cannot_have_been_drawn(paper):
     network, p = paper.network, paper.edge_probability.copy()
-    steps, impossible = ManyRoutes(network, p).recorded( [np.array([0, 1, 4, 7]), np.array([0, 2, 5, 7])])
+    routes = [np.array([0, 1, 4, 7]), np.array([0, 2, 5, 7])]
+    steps, impossible = ManyRoutes(network, p).recorded(routes)
     assert impossible == 0 and steps.count == 2
     edges = [tuple(edge) for edge in network.edges[steps.edge].tolist()]
     assert edges == [(0, 1), (1, 4), (4, 7), (0, 2), (2, 5), (5, 7)]
     assert steps.route.tolist() == [0, 0, 0, 1, 1, 1]
     # 1 -> 6 is no edge, the second route ends early and the third begins late.
     wrong = [np.array([0, 1, 6, 7]), np.array([0, 1, 4]), np.array([1, 4, 7])]
-    assert ManyRoutes(network, p).recorded( wrong)[1] == 3
+    assert ManyRoutes(network, p).recorded(wrong)[1] == 3
     p[route_edges(network, np.array([1, 4]))] = 0.0
-    assert ManyRoutes(network, p).recorded( [np.array([0, 1, 4, 7])])[1] == 1
+    assert ManyRoutes(network, p).recorded([np.array([0, 1, 4, 7])])[1] == 1
 
 
 # The statistics

@@ -172,7 +172,7 @@ def test_roads_by_chance_show_no_pattern():
 
 
 def moving_starts(count, seed):
-    """A strategy for each departure: the start moves by centimetres, as it does when TF tells it."""
+    """A strategy for each departure: the start moves by centimetres, as one from TF does."""
     rng = np.random.default_rng(seed)
     network = terrain_network(5, cells=20)
     for _ in range(count):
