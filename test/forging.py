@@ -103,7 +103,8 @@ class Forger:
         self.set_entry('sha256', hashes)
 
     def save(self, path):
-        files = [Attachment(name, 'application/zip', data) for name, data in self.attachments.items()]
+        kind = 'application/zip'
+        files = [Attachment(name, kind, data) for name, data in self.attachments.items()]
         data = encode_departure(self.messages, self.metadata, files, 'zstd')
         path.write_bytes(self.disguise(data))
         return path

@@ -5,6 +5,8 @@ import time
 
 import numpy as np
 import pytest
+from ambush_planner.recording.salvage import salvage
+from ambush_planner.recording.yaml_text import BadYaml, dump_yaml, load_yaml
 from forging import NEW_ROUTE, Forger, record_runs
 from mcap.writer import CompressionType
 from recording_samples import METADATA, STRATEGY, small_departure
@@ -13,8 +15,6 @@ from ros_harness import free_domain
 from ambush_planner.recording import UnreadableRecording, encoding, read_departure, recordings_in
 from ambush_planner.recording import repair as repairing
 from ambush_planner.recording.repair import repair
-from ambush_planner.recording.salvage import salvage
-from ambush_planner.recording.yaml_text import BadYaml, dump_yaml, load_yaml
 from ambush_planner.review import verify_plan
 from ambush_planner.tools import audit, recover, replay, report, verify
 

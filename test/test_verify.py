@@ -143,7 +143,8 @@ def test_poses_in_another_frame_are_said_not_to_be_checked(which, files, tmp_pat
     code, lines = verified(forger.save(tmp_path / 'tf.mcap'), capsys)
     assert code == 0
     for name in ('start', 'goal'):
-        assert f"not checked: the {name} pose is in the frame 'odom', the map in 'map'" in ' '.join(lines)
+        said = f"not checked: the {name} pose is in the frame 'odom', the map in 'map'"
+        assert said in ' '.join(lines)
 
 
 @pytest.mark.parametrize('name', ['ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'])

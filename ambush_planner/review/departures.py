@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,6 +96,8 @@ def _departure(case: Case, shared: dict[Hashable, Any]) -> Departure:
     strategy = once(case.strategy, 'strategy', metadata.sha256['strategy'],
                     parameters.planning.game)
     risk_map = once(case.risk_map, 'map', metadata.sha256['map'], parameters.occupancy)
+    # Published anew, a map may be serialised to other bytes.
+    risk_map = once(lambda: risk_map, 'content', _content(risk_map))
     route = frozen_array(metadata.route, np.int64)
     if route.max() >= len(strategy.network.points):
         raise case.unreadable('the recorded route leaves the recorded network')
@@ -102,3 +105,8 @@ def _departure(case: Case, shared: dict[Hashable, Any]) -> Departure:
         case.path, case.recorded.sha256, case.recorded.stamp_ns, metadata, parameters, strategy,
         risk_map, route,
     )
+
+
+def _content(risk_map: RiskMap) -> str:
+    digest = hashlib.sha256(risk_map.alpha.tobytes() + risk_map.obstacles.tobytes())
+    return f'{digest.hexdigest()} {risk_map.alpha.shape} {risk_map.resolution} {risk_map.origin}'

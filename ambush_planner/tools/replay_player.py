@@ -139,7 +139,7 @@ def qos_from_yaml(text: str) -> QoSProfile:
         LookupError, TypeError, ValueError, ArithmeticError, AttributeError, AssertionError,
     ) as error:
         raise ValueError('no complete quality-of-service profile') from error
-    unknown = any(policy.name == 'UNKNOWN' for policy in policies.values())
+    unknown = any(getattr(profile, name).name == 'UNKNOWN' for name in kinds)
     if unknown or not 0 <= profile.depth < 2**31:
         raise ValueError('a quality-of-service profile that no publisher can have')
     return profile
