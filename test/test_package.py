@@ -113,7 +113,8 @@ def test_every_library_import_is_declared_for_pip():
     arguments = setup_arguments()
     required = arguments['install_requires'] + arguments['extras_require']['figures']
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros', 'argcomplete'}  # from ROS only, and optional
+    # From ROS only, and optional.
+    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros', 'argcomplete'}
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
 
 
