@@ -12,10 +12,10 @@ import pytest
 from games import paper_example
 
 from ambush_planner import solve
+from ambush_planner.paper import command as paper
 from ambush_planner.paper import environment
 from ambush_planner.paper.report import NAMES, Comparison
 from ambush_planner.paper.results import PAPER_ENTROPY, SOLVERS, distinct_routes
-from ambush_planner.paper import command as paper
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "paper.md"

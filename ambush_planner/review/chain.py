@@ -47,10 +47,11 @@ def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:
                 f'{_shown(each.name)} is moved: it was recorded as {_shown(each.link.file)}'
             )
         if not each.link.follows:
-            if number and any(other.link for other in files[:number]):
-                faults.append(
-                    f'{_shown(each.name)} is inserted, or all before it is: it follows nothing'
-                )
+            earlier = {_session(other.name) for other in files[:number]}
+            if _session(each.name) in earlier:
+                faults.append(f'{_shown(each.name)} is inserted: it follows nothing')
+            elif earlier:
+                notes.append(f'{_shown(each.name)} begins a chain of its own')
             continue
         followed.setdefault(each.link.sha256, []).append(each.name)
         if each.link.sha256 in by_hash:
