@@ -9,6 +9,7 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from recording_samples import encoded_departure
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -18,7 +19,6 @@ from ambush_planner.core.planner import PlanningOptions, plan
 from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.core.strategy import StrategyOptions
 from ambush_planner.recording import Attachment, RecordedMessage
-from ambush_planner.recording.mcap_file import encode_departure
 from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 from ambush_planner.ros.parameters import PARAMETERS
@@ -142,7 +142,7 @@ def record(folder, departures):
     for k, (messages, metadata, files) in enumerate(departures):
         path = folder / f'run_{k}.mcap'
         chain = {'chain': chain_text(Link(path.name, link.file, link.sha256))}
-        path.write_bytes(encode_departure(messages, {**chain, **metadata}, files, 'zstd'))
+        path.write_bytes(encoded_departure(messages, {**chain, **metadata}, files, 'zstd'))
         link = Link(path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
         paths.append(path)
     return paths

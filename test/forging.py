@@ -7,10 +7,10 @@ from io import BytesIO
 
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
+from recording_samples import encoded_departure
 from ros_harness import pose, stage
 
 from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
-from ambush_planner.recording.mcap_file import encode_departure
 from ambush_planner.review.case import TYPES
 
 ROLES = ('map', 'start', 'goal', 'path')
@@ -105,6 +105,6 @@ class Forger:
     def save(self, path):
         kind = 'application/zip'
         files = [Attachment(name, kind, data) for name, data in self.attachments.items()]
-        data = encode_departure(self.messages, self.metadata, files, 'zstd')
+        data = encoded_departure(self.messages, self.metadata, files, 'zstd')
         path.write_bytes(self.disguise(data))
         return path

@@ -22,7 +22,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recording import Attachment, RecordedMessage, type_name
-from ambush_planner.recording.mcap_file import encode_departure
+from ambush_planner.recording.mcap_file import departure_content, encode
 from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
 from ambush_planner.recording.schemas import load_definition
 from ambush_planner.recording.strategy_file import NUMBERS
@@ -159,10 +159,15 @@ def metadata_for(messages, strategy=STRATEGY, **texts):
     return {**entries, **texts}
 
 
+def encoded_departure(*content):
+    """The bytes of a recording, whatever is in it."""
+    return encode(departure_content(*content))
+
+
 def file_of(messages, compression='zstd', **texts):
     """The bytes of a whole recording of these messages."""
     metadata = {'chain': chain_text(Link('x.mcap')), **metadata_for(messages, **texts)}
-    return encode_departure(messages, metadata, [STRATEGY], compression)
+    return encoded_departure(messages, metadata, [STRATEGY], compression)
 
 
 def record(recorder, messages):

@@ -23,11 +23,11 @@ from audit_samples import (
 )
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recording_samples import encoded_departure
 
 from ambush_planner.core.game import GameOptions
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.recording import UnreadableRecording, read_departure, recordings_in
-from ambush_planner.recording.mcap_file import encode_departure
 from ambush_planner.recording.metadata import Link, chain_text
 from ambush_planner.review.case import Case
 from ambush_planner.review.departures import read_departures
@@ -262,7 +262,7 @@ def test_any_text_in_the_metadata_is_read_or_refused(tmp_path, a_plan, key, data
     })[1]
     path = tmp_path / 'one.mcap'
     metadata = {**metadata, 'chain': chain_text(Link())}
-    path.write_bytes(encode_departure(messages, metadata, files, 'zstd'))
+    path.write_bytes(encoded_departure(messages, metadata, files, 'zstd'))
     try:
         Case(read_departure(path)).strategy()
     except UnreadableRecording as error:

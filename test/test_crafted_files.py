@@ -180,7 +180,7 @@ def test_fifos_are_not_waited_for(tmp_path):
         assert [each.action for each in repair(tmp_path)] == ['listed']
     os.mkfifo(session / 'run_1.mcap')
     with InTime():
-        assert [each.action for each in repair(tmp_path)] == ['listed']
+        assert repair(tmp_path) == []
         with pytest.raises(UnreadableRecording, match='not a file'):
             read_departure(session / 'run_1.mcap')
 

@@ -16,6 +16,7 @@ from recording_samples import (
     START_NS,
     STRATEGY,
     departure,
+    encoded_departure,
     fields,
     file_of,
     get_plan_events,
@@ -36,7 +37,7 @@ from ambush_planner.recording import (
     read_departure,
     recordings_in,
 )
-from ambush_planner.recording.mcap_file import COMPRESSIONS, decode, encode, encode_departure
+from ambush_planner.recording.mcap_file import COMPRESSIONS, decode, encode
 from ambush_planner.review.verify_file import file_faults
 
 TEXT = st.text(st.characters(codec='utf-8'))
@@ -94,7 +95,7 @@ def test_any_bytes_stamps_metadata_and_attachments_come_back(
         for topic, stamp, data in rows
     ]
     files = [Attachment(name, 'application/zip', data) for name, data in attachments.items()]
-    data = encode_departure(sent, metadata, files, compression)
+    data = encoded_departure(sent, metadata, files, compression)
     for content in (decode(data), decode(encode(decode(data)))):
         in_order = sorted(sent, key=lambda m: m.stamp_ns)
         read = [

@@ -238,9 +238,9 @@ def content_of(path, change):
     path.write_bytes(encode(content))
 
 
-def unused_channel(content):
+def channel_of_another(content):
     content.schemas[99] = Schema(99, b'string text', 'ros2msg', 'a/msg/B')
-    content.channels[99] = Channel(99, '/unused', 'cdr', {}, 99)
+    content.channels[99] = Channel(99, '/other', 'cdr', {}, 99)
     content.messages.append(replace(content.messages[0], channel_id=99))
 
 
@@ -290,7 +290,7 @@ def type_hash(content):
 
 
 MANIPULATIONS = {
-    unused_channel: 'messages: 1 are of kinds',
+    channel_of_another: 'quality-of-service',
     channel_metadata: 'channels:',
     quality_of_service_text: "quality of service's text",
     publish_time: 'file: it is not laid out',

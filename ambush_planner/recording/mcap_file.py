@@ -84,13 +84,13 @@ class Content:
             self.compression = record.compression
 
 
-def encode_departure(
+def departure_content(
     messages: Iterable[RecordedMessage],
     metadata: dict[str, str],
     attachments: Iterable[Attachment],
     compression: str,
-) -> bytes:
-    """Return the whole file; the messages are put in the order of time.
+) -> Content:
+    """Return what a file of a departure holds; the messages are put in the order of time.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def encode_departure(
             channels[key] = _add_channel(content, *key)
         time = each.stamp_ns
         content.messages.append(records.Message(channels[key], time, each.data, time, 0))
-    return encode(content)
+    return content
 
 
 def encode(content: Content) -> bytes:

@@ -33,6 +33,7 @@ def qos_to_yaml(profile: QoSProfile) -> str:
     return _yaml_of(*(getattr(each, 'nanoseconds', each) for each in values))
 
 
+@lru_cache(maxsize=256)
 def fields_from_yaml(text: str) -> dict[str, Any]:
     """Return the fields of the first profile of a channel's ``offered_qos_profiles``.
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from types import MappingProxyType
 
 from .errors import UnreadableRecording, reading_from
-from .mcap_file import METADATA_RECORD, MOST_BYTES, BadFile, Content, decode
+from .mcap_file import METADATA_RECORD, MOST_BYTES, MOST_MESSAGES, BadFile, Content, decode
 from .messages import RecordedMessage
 from .metadata import ROLES, BadMetadata, Metadata, broken_hashes, parse_metadata
 from .qos import fields_from_yaml
-from .strategy_file import STRATEGY_FILE, BadStrategy, arrays_of
+from .strategy_file import STRATEGY_FILE, arrays_of
 
 _CDR_HEADER_SIZE = 4
 # Reading their quality of service takes time.
@@ -88,7 +88,7 @@ def departure_from(path: Path, data: bytes) -> RecordedDeparture:
         raise UnreadableRecording(path, f'{error}; {advice}') from error
     try:
         return _departure(path, data, content)
-    except (BadMetadata, BadStrategy, ValueError, ArithmeticError) as error:
+    except (ValueError, ArithmeticError) as error:
         raise UnreadableRecording(path, f'{error}; it is not from this planner') from error
 
 
@@ -217,16 +217,18 @@ def _channels(content: Content) -> dict[int, tuple[str, str, str]]:
     return found
 
 
-def check_readable(path: Path, data: bytes) -> None:
-    """Check that the readers would take what is about to be written.
+def check_readable(path: Path, content: Content, size: int) -> None:
+    """Check that the readers would take what is about to be written, a file of ``size`` bytes.
 
     Raises
     ------
     UnreadableRecording
         They would refuse it.
     """
-    recorded = departure_from(path, data)
     try:
-        arrays_of(recorded.strategy)
-    except BadStrategy as error:
+        unpacked = sum(len(each.data) for each in content.messages)
+        if max(size, unpacked) > MOST_BYTES // 2 or len(content.messages) > MOST_MESSAGES // 2:
+            raise ValueError(f'{unpacked} bytes are more than a departure has')
+        arrays_of(_departure(path, b'', content).strategy)
+    except (ValueError, ArithmeticError) as error:
         raise UnreadableRecording(path, str(error)) from error

@@ -21,7 +21,7 @@ from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable import make_private_folder, make_private_folders, write_durably
 from .errors import RecordingFailed, UnreadableRecording, recording_to
 from .folder_lock import FolderLock
-from .mcap_file import COMPRESSIONS, encode_departure
+from .mcap_file import COMPRESSIONS, departure_content, encode
 from .messages import Attachment, RecordedMessage
 from .metadata import Link, chain_text
 from .reader import check_readable, natural_order, read_bytes
@@ -148,11 +148,12 @@ class _Session:
         path = self._folder / f'{self._folder.name}_{self._next}.mcap'
         self._next += 1
         link = Link(path.name, self._last.file, self._last.sha256)
-        data = encode_departure(
+        content = departure_content(
             messages, {**metadata, 'chain': chain_text(link)}, attachments, compression
         )
+        data = encode(content)
         try:
-            check_readable(path, data)
+            check_readable(path, content, len(data))
         except UnreadableRecording as error:
             raise RecordingFailed(
                 path, f'readers would refuse it: {error.reason}; the departure is not recorded'
