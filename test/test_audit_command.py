@@ -64,7 +64,7 @@ def test_good_departures_pass(good, tmp_path, capsys):
     assert '12 departures of 1 strategy' in told and 'at most 1 %' in told
     assert 'reading 12 recordings' in progress and 'Traceback' not in progress
     assert sorted(path.name for path in out.iterdir()) == [
-        'audit.csv', 'audit.png', 'audit.txt', 'audit_passages.csv'
+        'audit.png', 'audit.txt', 'audit_passages.csv'
     ]
     assert mode(out) == 0o700 and {mode(path) for path in out.iterdir()} == {0o600}
     assert (out / 'audit.txt').read_text().strip() in told
@@ -76,12 +76,6 @@ def test_good_departures_pass(good, tmp_path, capsys):
 def test_the_tables_hold_what_was_audited(good, a_plan, tmp_path):
     out = tmp_path / 'out'
     audit.main([str(good), '-o', str(out)])
-    rows = list(csv.DictReader((out / 'audit.csv').open()))
-    assert [row['check'] for row in rows] == [
-        'impossible', 'random_source', 'frequency', 'surprise', 'order', 'repeats'
-    ]
-    assert {row['finding'] for row in rows} == {'False'}
-    assert all(0.0 < float(row['p_value']) <= 1.0 for row in rows[2:])
     passages = list(csv.DictReader((out / 'audit_passages.csv').open()))
     assert sum(float(row['expected_passages']) for row in passages) == pytest.approx(
         12 * a_plan.strategy.edge_probability.sum(), rel=1e-4

@@ -236,7 +236,7 @@ def test_routes_in_the_picture_have_the_numbers_of_the_table(made):
     assert sorted(named) == list(range(5, 13)) and len(set(named.values())) == 8
     assert [text.get_text() for text in legend.get_texts()][-2:] == ['earlier ones', 'impassable']
     for number, colour in named.items():
-        assert f'{number} <span style="color:{colour}">' in html
+        assert f'{number}&nbsp;<span style="color:{colour}">' in html
 
 
 def test_a_start_that_moves_makes_one_section(tmp_path):

@@ -37,6 +37,7 @@ def verified(place, capsys):
     code = tool.main([str(place)])
     out, err = capsys.readouterr()
     assert 'Traceback' not in out + err
+    assert max(map(len, out.splitlines())) < 100 + len(str(place))
     return code, out.splitlines()
 
 
@@ -49,7 +50,7 @@ def test_what_a_node_records_holds(files, capsys):
     told = [line for line in lines if line.startswith('holds')]
     for path, line in zip(files, told, strict=True):
         assert re.fullmatch(
-            rf'holds  {re.escape(str(path))}: departure \d, \d+ nodes, value [\d.]+', line
+            rf'holds  {re.escape(path.name)}: departure \d, \d+ nodes, value [\d.]+', line
         )
 
 
@@ -156,7 +157,7 @@ def test_other_versions_are_told(name, files, tmp_path, capsys):
         forger.edit_entry('versions', **{name: '0.0.1'})
     code, lines = verified(forger.save(tmp_path / 'old.mcap'), capsys)
     assert code == 0
-    assert f"(recorded with {name} '0.0.1', verified with {name} '" in lines[1]
+    assert f"(recorded with {name} '0.0.1', verified with {name} '" in ' '.join(lines)
 
 
 def test_the_node_records_all_entries_of_the_metadata_that_are_known(files):
@@ -182,7 +183,7 @@ def test_an_answer_that_tells_of_trouble_with_the_recording(tmp_path, capsys):
         lambda event: setattr(event.response[0], 'message', answer.message + ' again'),
     )
     code, lines = verified(forger.save(tmp_path / 'x.mcap'), capsys)
-    assert code == 1 and 'response: it does not tell' in lines[1]
+    assert code == 1 and 'response: it does not tell' in ' '.join(lines)
 
 
 def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
@@ -258,7 +259,7 @@ def test_one_bad_file_in_a_folder_does_not_hide_the_others(files, tmp_path, caps
     told = [line for line in lines if line.startswith(('holds', 'FAILS'))]
     assert [line[:5] for line in told] == ['holds', 'FAILS', 'holds', 'FAILS']
     assert 'ambush_recover' in ' '.join(lines)
-    assert f'{files[1].name} is exchanged' in told[-1]
+    assert f'{files[1].name} is exchanged' in ' '.join(lines)
     assert '1 of 3 departures: not consistent' in lines
 
 
@@ -280,4 +281,4 @@ def test_damaged_files_are_refused_without_a_traceback(files, tmp_path, capsys):
     for data in damaged(files):
         path.write_bytes(data)
         code, lines = verified(path, capsys)
-        assert code in (1, 3) and lines[0].startswith(f'FAILS  {path}')
+        assert code in (1, 3) and lines[1].startswith(f'FAILS  {path.name}')

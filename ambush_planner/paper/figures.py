@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
@@ -19,15 +19,18 @@ from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from ..tools.figures import (
     PROBABILITY,
+    FloatArray,
     draw_edges,
     draw_ends,
-    draw_mean_direction,
     draw_risk_map,
     frame,
 )
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
 from .report import NAMES
 from .results import METHOD_3, SOLVERS, Results, Say
+
+# Squares that are visited less often than this, relative to the busiest, get no arrow.
+LEAST_SHARE = 2e-3
 
 DOTS_PER_INCH = 100
 CONNECTIVITY = {
@@ -202,3 +205,56 @@ def _draw_arrow(axes: Axes, tail: np.ndarray, head: np.ndarray, p: float) -> Non
         x, y = tail + 0.36 * (head - tail)
         axes.annotate(f"{p:.2f}", (x, y), ha="center", va="center", fontsize=8, zorder=5,
                       bbox={"boxstyle": "round,pad=0.15", "color": "white", "alpha": 0.85})
+
+
+def binned_directions(
+    points: FloatArray, direction: FloatArray, weight: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Average mean directions over squares of edge ``size`` [m].
+
+    Returns, for each square that holds weight, the centre of its weight (K, 2), the weighted mean
+    direction (K, 2) and its share of the largest weight (K,).
+    """
+    used = weight > 0.0
+    points, direction, weight = points[used], direction[used], weight[used]
+    if len(points) == 0:
+        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    square = np.floor(points / size).astype(np.int64)
+    _, index = np.unique(square, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    total = np.bincount(index, weights=weight)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(index, weights=weight * column) for column in values.T]
+        return np.stack(sums, axis=1) / total[:, None]
+
+    return mean(points), mean(direction), total / total.max()
+
+
+def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
+    """Draw which way the convoy leaves the ground, averaged over squares of edge ``size`` [m].
+
+    An arrow is long where the direction is certain, and dark where the convoy often comes.
+    """
+    places, directions, share = binned_directions(
+        strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
+    )
+    shown = share >= LEAST_SHARE
+    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
+    axes.quiver(
+        *places[shown].T,
+        *(directions[shown] * size * 1.15).T,
+        np.asarray(often)[shown],
+        cmap=PROBABILITY,
+        clim=(0.0, 1.0),
+        angles='xy',
+        scale_units='xy',
+        scale=1.0,
+        pivot='mid',
+        units='xy',
+        width=size * 0.13,
+        headwidth=3.6,
+        headlength=3.6,
+        headaxislength=3.2,
+        zorder=3,
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -30,32 +29,6 @@ def write_durably(path: Path, data: bytes) -> None:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    flush_folder(path.parent)
-
-
-def create_durably(path: Path, data: bytes) -> None:
-    """Put ``data`` in a new file ``path`` (mode 0600); what is there already is left alone.
-
-    The name appears when all is on the disk. What a kill leaves behind is ``*.part``, which
-    nobody takes for a recording; the next file of this name replaces it.
-
-    Raises
-    ------
-    FileExistsError
-        Something of this name is already there.
-    OSError
-        Nothing is left at ``path``, unless the final flush of the folder failed.
-    """
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    part = path.with_name(f'{path.name}.part')
-    try:
-        part.unlink(missing_ok=True)
-        _write_new_file(part, data)
-        _give_new_name(part, path)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
     flush_folder(path.parent)
 
 
@@ -101,21 +74,6 @@ def flush_folder(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _give_new_name(old: Path, new: Path) -> None:
-    """Rename a file to a name that nothing has."""
-    try:
-        os.link(old, new)
-    except FileExistsError:
-        raise
-    except OSError:
-        # Sticks and other file systems without hard links. What another program puts there between
-        # the next two calls is lost; the other way, to reserve the name first, would leave an
-        # empty file when killed.
-        if os.path.lexists(new):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(new)) from None
-        os.rename(old, new)
 
 
 def _write_new_file(path: Path, data: bytes) -> None:

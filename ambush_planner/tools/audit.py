@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Sequence
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ from . import audit_text, cli
 from .audit_figures import audit_figure
 from .report_figures import as_png
 
-TEXT, NUMBERS, PICTURE, PASSAGES = 'audit.txt', 'audit.csv', 'audit.png', 'audit_passages.csv'
+TEXT, PICTURE, PASSAGES = 'audit.txt', 'audit.png', 'audit_passages.csv'
 EPILOG = """\
 Each departure is tested under its own strategy, and all of them together: whether stretches are
 driven as often as published, whether routes are as likely as they should be, whether the order
@@ -27,9 +25,9 @@ shows a rhythm, and whether routes repeat. A start that moves a little does not 
 apart. Also whether each was drawn from random numbers of its own, of full length; a fixed seed is
 a finding. It also says what an observer would have learnt.
 
-The result is printed. With -o, DIR gets audit.txt (the same), audit.csv (the numbers), audit.png
-(published and recorded frequencies on the map) and audit_passages.csv (stretch by stretch). These
-show secret routes: files have mode 0600, a new folder 0700.
+The result is printed. With -o, DIR gets audit.txt (the same), audit.png (published and
+recorded frequencies on the map) and audit_passages.csv (stretch by stretch). These show secret
+routes: files have mode 0600, a new folder 0700.
 
 Fewer than five departures are not enough to tell, nor are strategies with cycles; what cannot
 have been drawn at all is found all the same.
@@ -77,7 +75,7 @@ def read_all(
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
-    files = [TEXT, NUMBERS, PICTURE, PASSAGES]
+    files = [TEXT, PICTURE, PASSAGES]
     if options.output:
         cli.refuse_existing(options.output, files, options.replace)
     departures, unreadable = read_all(options.recordings, console)
@@ -101,7 +99,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
         code, departures, result, impossible, sources, unreadable, len(others), len(audited)
     )
     if options.output:
-        texts = {TEXT: '\n'.join([*lines, '']), NUMBERS: _numbers(result, impossible, sources)}
+        texts = {TEXT: '\n'.join([*lines, ''])}
         _write(options.output, texts, departures, result)
         console.line(f'\nIn {cli.place(options.output)}: {", ".join(files if result else texts)}. '
                      'They are secret.')
@@ -155,20 +153,6 @@ def _write(
         files[PICTURE] = as_png(audit_figure(departures[-1].risk_map, result))
         files[PASSAGES] = audit_text.passages_csv(result).encode()
     cli.write_private(output, files)
-
-
-def _numbers(result: Audit | None, impossible: int, sources: Sequence[str]) -> str:
-    stream = StringIO()
-    writer = csv.writer(stream, lineterminator='\n')
-    writer.writerow(('check', 'recorded', 'by_chance', 'p_value', 'finding'))
-    writer.writerow(('impossible', impossible, 0, '', impossible > 0))
-    writer.writerow(('random_source', len(sources), 0, '', bool(sources)))
-    for name, test in result.tests.items() if result else ():
-        writer.writerow((
-            name, f'{test.observed:.9g}', f'{test.expected:.9g}', f'{test.p_value:.9g}',
-            test.finding,
-        ))
-    return stream.getvalue()
 
 
 def _as_json(

@@ -21,8 +21,7 @@ from ..recording.durable import write_durably
 from ..ros.conversions import path_from_ros
 from . import cli
 from .demo_client import DemoClient, NoAnswer
-from .demo_figures import routes_figure
-from .figures import FixedRoute
+from .demo_figures import FixedRoute, routes_figure
 from .node_process import NodeFailed, NodeProcess, free_domain
 from .report import write_report
 from .report_figures import as_png

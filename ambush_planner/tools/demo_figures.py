@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -15,10 +16,8 @@ from .figures import (
     AMBUSHER,
     OBSTACLE,
     SECURED_DASHES,
-    FixedRoute,
     FloatArray,
     draw_ends,
-    draw_fixed_routes,
     draw_risk_map,
     draw_routes,
     draw_secured,
@@ -26,6 +25,16 @@ from .figures import (
 )
 
 DOTS_PER_INCH = 130
+FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))), ('#117733', (0, (1, 1))))
+
+
+@dataclass(frozen=True, eq=False)
+class FixedRoute:
+    """A route (K, 2) [m] that is driven every time, and the place (2,) of its worst ambush."""
+
+    label: str
+    points: FloatArray
+    worst_place: FloatArray
 
 
 def routes_figure(
@@ -45,7 +54,7 @@ def routes_figure(
         'The same route every day\nWhoever has seen it waits where it hurts most',
     )
     draw_routes(left, routes)
-    lines = draw_fixed_routes(right, fixed)
+    lines = _draw_fixed_routes(right, fixed)
     for axes in (left, right):
         risk = draw_risk_map(axes, risk_map)
         _draw_ends(axes, strategy, secured_radius)
@@ -60,6 +69,24 @@ def routes_figure(
     ambush = _dot('ambush on a route that is known')
     _legend(figure, [*lines, ambush, *_secured(secured_radius), _obstacles()])
     return figure
+
+
+def _draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
+    """Draw routes that are driven every time, and where the ambusher then waits."""
+    lines = []
+    for route, (colour, dashes) in zip(routes, FIXED, strict=False):
+        lines += axes.plot(
+            *route.points.T,
+            color=colour,
+            linestyle=dashes,
+            linewidth=2.6,
+            label=route.label,
+            zorder=4,
+        )
+        axes.scatter(
+            *route.worst_place, s=170, color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5
+        )
+    return lines
 
 
 def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:

@@ -8,7 +8,6 @@ orange the ambusher: told apart by colour-blind readers too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -24,7 +22,6 @@ from matplotlib.transforms import Affine2D
 
 from ..core.network import Network
 from ..core.risk_map import RiskMap
-from ..core.strategy import Strategy
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -36,22 +33,10 @@ PROBABILITY = LinearSegmentedColormap.from_list(
 )
 # Paul Tol's vibrant and muted schemes, without the orange of the ambusher and the greys.
 ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
-FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))), ('#117733', (0, (1, 1))))
 # Edges that are driven less often than this are left out of pictures.
 LEAST_PROBABILITY = 1e-3
-# Squares that are visited less often than this, relative to the busiest, get no arrow.
-LEAST_SHARE = 2e-3
 SECURED_DASHES = (0, (4, 3))
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
-
-
-@dataclass(frozen=True, eq=False)
-class FixedRoute:
-    """A route (K, 2) [m] that is driven every time, and the place (2,) of its worst ambush."""
-
-    label: str
-    points: FloatArray
-    worst_place: FloatArray
 
 
 def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
@@ -128,59 +113,6 @@ def draw_segments(
     return lines
 
 
-def binned_directions(
-    points: FloatArray, direction: FloatArray, weight: FloatArray, size: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Average mean directions over squares of edge ``size`` [m].
-
-    Returns, for each square that holds weight, the centre of its weight (K, 2), the weighted mean
-    direction (K, 2) and its share of the largest weight (K,).
-    """
-    used = weight > 0.0
-    points, direction, weight = points[used], direction[used], weight[used]
-    if len(points) == 0:
-        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    square = np.floor(points / size).astype(np.int64)
-    _, index = np.unique(square, axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    total = np.bincount(index, weights=weight)
-
-    def mean(values: FloatArray) -> FloatArray:
-        sums = [np.bincount(index, weights=weight * column) for column in values.T]
-        return np.stack(sums, axis=1) / total[:, None]
-
-    return mean(points), mean(direction), total / total.max()
-
-
-def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
-    """Draw which way the convoy leaves the ground, averaged over squares of edge ``size`` [m].
-
-    An arrow is long where the direction is certain, and dark where the convoy often comes.
-    """
-    places, directions, share = binned_directions(
-        strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
-    )
-    shown = share >= LEAST_SHARE
-    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
-    axes.quiver(
-        *places[shown].T,
-        *(directions[shown] * size * 1.15).T,
-        np.asarray(often)[shown],
-        cmap=PROBABILITY,
-        clim=(0.0, 1.0),
-        angles='xy',
-        scale_units='xy',
-        scale=1.0,
-        pivot='mid',
-        units='xy',
-        width=size * 0.13,
-        headwidth=3.6,
-        headlength=3.6,
-        headaxislength=3.2,
-        zorder=3,
-    )
-
-
 def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) -> None:
     """Mark where the ambusher waits; a marker's area shows how likely he is there."""
     q = np.asarray(probability, dtype=np.float64)
@@ -235,21 +167,3 @@ def draw_routes(
             solid_joinstyle='round',
             zorder=4,
         )
-
-
-def draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
-    """Draw routes that are driven every time, and where the ambusher then waits."""
-    lines = []
-    for route, (colour, dashes) in zip(routes, FIXED, strict=False):
-        lines += axes.plot(
-            *route.points.T,
-            color=colour,
-            linestyle=dashes,
-            linewidth=2.6,
-            label=route.label,
-            zorder=4,
-        )
-        axes.scatter(
-            *route.worst_place, s=170, color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5
-        )
-    return lines

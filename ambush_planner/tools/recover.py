@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..recording.durable import create_durably, make_private_folder
+from ..recording.durable import make_private_folder, write_durably
 from ..recording.errors import UnreadableRecording, reading_from
 from ..recording.mcap_file import BadFile, Content, decode, encode, whole_part
 from ..recording.reader import is_session, natural_order, read_bytes
@@ -112,7 +112,7 @@ def _recover(
     if copies or fault or target:
         if content.messages or content.metadata or content.attachments:
             saved = target or _beside(path)
-            create_durably(saved, encode(_plain(content)) if fault else data)
+            write_durably(saved, encode(_plain(content)) if fault else data)
     counts = {
         'messages': len(content.messages), 'metadata': len(content.metadata),
         'attachments': len(content.attachments),

@@ -101,7 +101,7 @@ def routes_figure(
             axes.plot(*route.T, color=THIN, linewidth=0.8, alpha=0.5, zorder=3)
     if len(lines) < len(routes):
         lines.append(Line2D([], [], color=THIN, linewidth=0.8, label='earlier ones'))
-    _legend(figure, [*lines, _obstacles(), *_secured(secured_radius)], across=6)
+    _legend(figure, [*lines, _obstacles(), *_secured(secured_radius)], across=5)
     return figure
 
 

@@ -176,7 +176,7 @@ def _departures(section: Section) -> str:
     heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = []
     for number, (name, *cells) in enumerate(rows):
-        dot = f' <span style="color:{colours[number]}">●</span>' if number in colours else ''
+        dot = f'&nbsp;<span style="color:{colours[number]}">●</span>' if number in colours else ''
         data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
         lines.append(f'<tr><th scope="row">{escape(name)}{dot}</th>{data}</tr>')
     content = '\n'.join(lines)

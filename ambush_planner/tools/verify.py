@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ..recording import recordings_in
+from ..recording.errors import shown
 from ..review.verify import Verdict, Verifier, together
 from . import cli
 
@@ -79,16 +80,21 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     paths = recordings_in(options.recordings)
     console.say(f'verifying {cli.count(len(paths), "recording")}')
     verdicts = verify_files(paths, console)
+    folder = None
     for verdict in verdicts:
+        if verdict.path.parent != folder:
+            folder = verdict.path.parent
+            console.line(f'in {cli.place(folder)}:')
         _tell(verdict, console)
     # Of a file alone, nothing says which other ones should be there.
     faults, notes = together(verdicts, options.expect or '') if options.recordings.is_dir() or (
         options.expect) else ([], [])
     notes += _gaps(verdicts)
     for fault in faults:
-        console.line(f'{console.marked("FAILS", False)}  {fault}')
+        console.line(console.marked('FAILS', False))
+        console.item(fault)
     for note in notes:
-        console.line(f'note   {note}')
+        console.item(f'({note})')
     failed = sum(not verdict.holds for verdict in verdicts)
     code = _exit_code(verdicts, faults)
     _conclude(verdicts, faults, failed, console)
@@ -111,7 +117,7 @@ def _tell(verdict: Verdict, console: cli.Console) -> None:
     said = f'departure {verdict.number}' if verdict.readable else ''
     if verdict.nodes:
         said += f', {verdict.nodes} nodes, value {verdict.value:.6g}'
-    console.line(f'{mark}  {cli.place(verdict.path)}' + (f': {said}' if said else ''))
+    console.line(f'{mark}  {shown(verdict.path.name)}' + (f': {said}' if said else ''))
     for problem in verdict.problems:
         console.item(problem)
     for note in verdict.notes:
