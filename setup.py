@@ -35,7 +35,7 @@ setup(
         'numpy>=1.26.4',
         'scipy>=1.11.4',
         'PyYAML>=6.0',
-        'mcap>=1.1.1',
+        'mcap>=1.2.2',
         'mcap-ros2-support>=0.5.3',
         # What mcap compresses with; chunks are unpacked by these, with a bound on their size.
         'lz4>=4.0',
@@ -49,6 +49,7 @@ setup(
         'completion': ['argcomplete'],
         # colcon test runs pytest only because it stands in an extra of this name.
         'test': [
+            'argcomplete',
             'pytest>=7.4',
             'pytest-timeout',
             'pytest-xdist',
