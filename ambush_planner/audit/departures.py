@@ -41,7 +41,7 @@ from ..core.strategy import Strategy
 from .draws import ManyRoutes, NotAuditable
 from .learning import Learning, learning_from
 from .places import Ground, ground_of
-from .tallies import Tallies, identical_pairs
+from .tallies import Order, Tallies, identical_pairs
 
 # With fewer, hardly anything but one route driven again and again would be found.
 FEWEST_DEPARTURES = 5
@@ -76,21 +76,6 @@ class Test:
     expected: float
     p_value: float
     finding: bool
-
-
-@dataclass(frozen=True, eq=False)
-class Order:
-    """Mean shared ground of departures that are k = 1..K apart, each (K,), 0..1.
-
-    ``expected`` is its mean over the draws, ``mean`` that over all k; ``by_lag`` less ``mean``
-    stays within ``band`` of its expectation at all lags in 99 % of draws; ``square`` [m].
-    """
-
-    by_lag: FloatArray
-    expected: FloatArray
-    band: FloatArray
-    mean: float
-    square: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,6 +292,3 @@ def _judged(found: Mapping[str, tuple[float, float, float]], rate: float) -> Map
     return MappingProxyType({
         name: Test(*compared, name in findings) for name, compared in found.items()
     })
-
-
-__all__ = ['Audit', 'Driven', 'NotAuditable', 'Order', 'Test', 'audit']

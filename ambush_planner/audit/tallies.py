@@ -18,6 +18,21 @@ OUTSIDE_BAND = 0.01
 _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
 
 
+@dataclass(frozen=True, eq=False)
+class Order:
+    """Mean shared ground of departures that are k = 1..K apart, each (K,), 0..1.
+
+    ``expected`` is its mean over the draws, ``mean`` that over all k; ``by_lag`` less ``mean``
+    stays within ``band`` of its expectation at all lags in 99 % of draws; ``square`` [m].
+    """
+
+    by_lag: FloatArray
+    expected: FloatArray
+    band: FloatArray
+    mean: float
+    square: float
+
+
 class Tallies:
     """What is counted of each set of departures: the recorded one first, then the drawn ones."""
 

@@ -10,6 +10,8 @@ from pathlib import Path
 from ..recording.bag_folder import FILE_NAME, listed_files
 from ..recording.errors import shown
 from ..recording.metadata import Link
+from .departures import source_findings
+from .verify import Verdict
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,36 @@ class Linked:
     def name(self) -> str:
         """As the chain names files, whatever their folder is called now."""
         return self.path.name
+
+
+def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str], list[str]]:
+    """Check files of a folder against each other and the folder: (faults, notes).
+
+    Parameters
+    ----------
+    verdicts
+        Of all files, in their order.
+    expected
+        The SHA-256 of a recording that was noted elsewhere, or ''.
+    """
+    files = [
+        Linked(each.path, each.sha256, each.metadata.link if each.metadata else None)
+        for each in verdicts
+    ]
+    faults, notes = chain_faults(files)
+    faults += folder_faults([each.path for each in verdicts])
+    faults += [
+        f'random source: {each}' for each in source_findings(
+            (each.path.name, each.metadata) for each in verdicts if each.metadata
+        )
+    ]
+    if expected:
+        hashes = [each.sha256 for each in verdicts]
+        if expected not in hashes:
+            faults.append('the recording of the expected hash is not here: it or its hash changed')
+        elif later := len(hashes) - 1 - hashes.index(expected):
+            notes.append(f'{later} recordings are newer than the one of the expected hash')
+    return faults, notes
 
 
 def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:

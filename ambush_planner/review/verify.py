@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,6 @@ from ..ros.conversions import occupancy_from_ros
 from ..ros.departures import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
-from .chain import Linked, chain_faults, folder_faults
-from .departures import source_findings
 from .verify_file import file_faults
 from .verify_messages import (
     marker_faults,
@@ -209,37 +207,6 @@ class Verifier:
         if hashes == metadata.sha256:
             return []
         return [f'departure_id: it is also that of {first.name}, which holds something else']
-
-
-def together(verdicts: Iterable[Verdict], expected: str = '') -> tuple[list[str], list[str]]:
-    """Check files of a folder against each other and the folder: (faults, notes).
-
-    Parameters
-    ----------
-    verdicts
-        Of all files, in their order.
-    expected
-        The SHA-256 of a recording that was noted elsewhere, or ''.
-    """
-    verdicts = list(verdicts)
-    files = [
-        Linked(each.path, each.sha256, each.metadata.link if each.metadata else None)
-        for each in verdicts
-    ]
-    faults, notes = chain_faults(files)
-    faults += folder_faults([each.path for each in verdicts])
-    faults += [
-        f'random source: {each}' for each in source_findings(
-            (each.path.name, each.metadata) for each in verdicts if each.metadata
-        )
-    ]
-    if expected:
-        hashes = [each.sha256 for each in verdicts]
-        if expected not in hashes:
-            faults.append('the recording of the expected hash is not here: it or its hash changed')
-        elif later := len(hashes) - 1 - hashes.index(expected):
-            notes.append(f'{later} recordings are newer than the one of the expected hash')
-    return faults, notes
 
 
 class _Check:

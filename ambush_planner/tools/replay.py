@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import argparse
 import math
-import signal
 import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import rclpy
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
-from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from ..core.errors import AmbushPlannerError
 from ..recording import RecordedMessage, UnreadableRecording, read_departure, recordings_in
-from ..review.case import INPUT_TYPES, TYPES
+from ..review.case import INPUT_TYPES
 from . import cli
-from .replay_player import CannotPublish, Player, qos_from_yaml, sleep_until
+from .replay_player import (
+    CannotPublish,
+    Channel,
+    Player,
+    Stop,
+    check_channels,
+    qos_from_yaml,
+    sleep_until,
+)
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -51,44 +54,6 @@ _LAST_RECEIPTS = 30.0  # s
 
 class NothingToPublish(AmbushPlannerError):
     """The recordings have no message that was asked for."""
-
-
-@dataclass(frozen=True)
-class Channel:
-    """What is published under one name, with one type and one quality of service."""
-
-    topic: str
-    type: str
-    qos: str
-
-    @classmethod
-    def of(cls, recorded: RecordedMessage) -> Channel:
-        """Return the channel of a message."""
-        return cls(recorded.topic, recorded.type, recorded.qos_text)
-
-
-class Stop:
-    """Raised like a flag by SIGINT and SIGTERM, which end nothing by themselves while it holds."""
-
-    def __init__(self) -> None:
-        self._stopped = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Stop:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def going_on(self) -> bool:
-        """Whether neither a signal nor the end of the context has come."""
-        return not self._stopped and rclpy.ok()
-
-    def _on_signal(self, *_: object) -> None:
-        self._stopped = True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -194,7 +159,7 @@ class _Replay:
     def _messages(self, path: Path) -> Sequence[RecordedMessage]:
         try:
             messages = read_departure(path).messages
-            _check_channels(path, set(map(Channel.of, messages)))
+            check_channels(path, set(map(Channel.of, messages)))
             return messages
         except UnreadableRecording as error:
             if path not in self._unreadable:
@@ -288,23 +253,6 @@ def _init(for_ros: Sequence[str]) -> None:
     except (RuntimeError, UnicodeError) as error:
         # Names of files need not be UTF-8, and ROS takes nothing else.
         raise cli.UsageError(f'after --ros-args: {error}') from error
-
-
-def _check_channels(path: Path, channels: Iterable[Channel]) -> None:
-    for channel in channels:
-        if channel.type not in TYPES:
-            raise UnreadableRecording(
-                path, f'{channel.topic[:60]!r} is of the type {channel.type[:60]!r}'
-            )
-        try:
-            validate_full_topic_name(channel.topic)
-            qos_from_yaml(channel.qos)
-        except InvalidTopicNameException as error:
-            # Its own words repeat the name as it is, control characters and all.
-            reason = f'{channel.topic[:60]!r} is no name of a topic'
-            raise UnreadableRecording(path, reason) from error
-        except ValueError as error:
-            raise UnreadableRecording(path, f'{channel.topic[:60]!r}: {error}') from error
 
 
 def _check_types(node: Node, channels: Iterable[Channel]) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import rclpy
 from rclpy.duration import Duration
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import (
@@ -16,8 +21,10 @@ from rclpy.qos import (
     QoSProfile,
     ReliabilityPolicy,
 )
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from ..core.errors import AmbushPlannerError
+from ..recording import RecordedMessage, UnreadableRecording
 from ..recording.qos import fields_from_yaml
 from ..review.case import TYPES
 
@@ -29,6 +36,44 @@ _SETTLING = 0.5  # s
 
 class CannotPublish(AmbushPlannerError):
     """The middleware takes no publisher like the recorded one."""
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What is published under one name, with one type and one quality of service."""
+
+    topic: str
+    type: str
+    qos: str
+
+    @classmethod
+    def of(cls, recorded: RecordedMessage) -> Channel:
+        """Return the channel of a message."""
+        return cls(recorded.topic, recorded.type, recorded.qos_text)
+
+
+class Stop:
+    """Raised like a flag by SIGINT and SIGTERM, which end nothing by themselves while it holds."""
+
+    def __init__(self) -> None:
+        self._stopped = False
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Stop:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._before[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def going_on(self) -> bool:
+        """Whether neither a signal nor the end of the context has come."""
+        return not self._stopped and rclpy.ok()
+
+    def _on_signal(self, *_: object) -> None:
+        self._stopped = True
 
 
 class Player:
@@ -147,3 +192,21 @@ def qos_from_yaml(text: str) -> QoSProfile:
 
 def _duration(fields: dict[str, Any]) -> Duration:
     return Duration(seconds=fields['sec'], nanoseconds=fields['nsec'])
+
+
+def check_channels(path: Path, channels: Iterable[Channel]) -> None:
+    """Raise UnreadableRecording where a file has what this planner does not record."""
+    for channel in channels:
+        if channel.type not in TYPES:
+            raise UnreadableRecording(
+                path, f'{channel.topic[:60]!r} is of the type {channel.type[:60]!r}'
+            )
+        try:
+            validate_full_topic_name(channel.topic)
+            qos_from_yaml(channel.qos)
+        except InvalidTopicNameException as error:
+            # Its own words repeat the name as it is, control characters and all.
+            reason = f'{channel.topic[:60]!r} is no name of a topic'
+            raise UnreadableRecording(path, reason) from error
+        except ValueError as error:
+            raise UnreadableRecording(path, f'{channel.topic[:60]!r}: {error}') from error

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..recording import recordings_in
-from ..review.verify import together
+from ..review.chain import together
 from . import cli
 from .audit import read_all
 from .report_figures import as_png, ground_figure, routes_figure, strategy_figure

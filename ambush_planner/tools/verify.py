@@ -13,7 +13,8 @@ from typing import Any
 
 from ..recording import recordings_in
 from ..recording.errors import shown
-from ..review.verify import Verdict, Verifier, together
+from ..review.chain import together
+from ..review.verify import Verdict, Verifier
 from . import cli
 
 EPILOG = """\
