@@ -22,8 +22,9 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recording import Attachment, RecordedMessage, type_name
-from ambush_planner.recording.mcap_file import departure_content, encode
+from ambush_planner.recording.mcap_file import encode
 from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
+from ambush_planner.recording.recorder import departure_content
 from ambush_planner.recording.schemas import load_definition
 from ambush_planner.recording.strategy_file import NUMBERS
 

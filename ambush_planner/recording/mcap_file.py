@@ -23,9 +23,6 @@ from mcap.reader import SeekingReader
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, Writer
 
-from .messages import Attachment, RecordedMessage
-from .schemas import load_definition
-
 MAGIC = b'\x89MCAP0\r\n'
 COMPRESSIONS = {
     'zstd': CompressionType.ZSTD,
@@ -82,36 +79,6 @@ class Content:
             self.profile, self.library = record.profile, record.library
         elif isinstance(record, records.Chunk):
             self.compression = record.compression
-
-
-def departure_content(
-    messages: Iterable[RecordedMessage],
-    metadata: dict[str, str],
-    attachments: Iterable[Attachment],
-    compression: str,
-) -> Content:
-    """Return what a file of a departure holds; the messages are put in the order of time.
-
-    Raises
-    ------
-    RecordingFailed
-        A message's definition is not installed.
-    """
-    ordered = sorted(messages, key=lambda each: each.stamp_ns)
-    content = Content('ros2', compression=compression.removeprefix('none'))
-    content.metadata = [records.Metadata(METADATA_RECORD, metadata)]
-    content.attachments = [
-        records.Attachment(0, ordered[0].stamp_ns, each.name, each.media_type, each.data)
-        for each in attachments
-    ]
-    channels: dict[tuple[str, str, str], int] = {}
-    for each in ordered:
-        key = each.topic, each.type, each.qos_text
-        if key not in channels:
-            channels[key] = _add_channel(content, *key)
-        time = each.stamp_ns
-        content.messages.append(records.Message(channels[key], time, each.data, time, 0))
-    return content
 
 
 def encode(content: Content) -> bytes:
@@ -215,20 +182,6 @@ def whole_part(data: bytes) -> tuple[Content, str]:
     if not ended or stream.tell() != len(data):
         return content, 'its end is not where it should be'
     return content, ''
-
-
-def _add_channel(content: Content, topic: str, type_: str, qos: str) -> int:
-    definition = load_definition(type_)
-    schemas = {each.name: each.id for each in content.schemas.values()}
-    if type_ not in schemas:
-        schemas[type_] = len(schemas) + 1
-        content.add(records.Schema(
-            schemas[type_], definition.text.encode(), definition.encoding, type_
-        ))
-    number = len(content.channels) + 1
-    metadata = {'offered_qos_profiles': qos, 'topic_type_hash': definition.type_hash}
-    content.add(records.Channel(number, topic, 'cdr', metadata, schemas[type_]))
-    return number
 
 
 def _add(content: Content, found: Iterable[object]) -> None:

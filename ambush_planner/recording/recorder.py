@@ -10,21 +10,24 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 from threading import Lock
+
+from mcap import records
 
 from ..core.errors import InvalidOption
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable import make_private_folder, make_private_folders, write_durably
 from .errors import RecordingFailed, UnreadableRecording, recording_to
 from .folder_lock import FolderLock
-from .mcap_file import COMPRESSIONS, departure_content, encode
+from .mcap_file import COMPRESSIONS, METADATA_RECORD, Content, encode
 from .messages import Attachment, RecordedMessage
 from .metadata import Link, chain_text
 from .reader import check_readable, natural_order, read_bytes
+from .schemas import load_definition
 
 __all__ = ['COMPRESSIONS', 'MOST_FILES', 'SESSION_PREFIX', 'Recorder']
 
@@ -117,6 +120,50 @@ class Recorder:
         if self._session is not None:
             self._session.end()
             self._session = None
+
+
+def departure_content(
+    messages: Iterable[RecordedMessage],
+    metadata: dict[str, str],
+    attachments: Iterable[Attachment],
+    compression: str,
+) -> Content:
+    """Return what a file of a departure holds; the messages are put in the order of time.
+
+    Raises
+    ------
+    RecordingFailed
+        A message's definition is not installed.
+    """
+    ordered = sorted(messages, key=lambda each: each.stamp_ns)
+    content = Content('ros2', compression=compression.removeprefix('none'))
+    content.metadata = [records.Metadata(METADATA_RECORD, metadata)]
+    content.attachments = [
+        records.Attachment(0, ordered[0].stamp_ns, each.name, each.media_type, each.data)
+        for each in attachments
+    ]
+    channels: dict[tuple[str, str, str], int] = {}
+    for each in ordered:
+        key = each.topic, each.type, each.qos_text
+        if key not in channels:
+            channels[key] = _add_channel(content, *key)
+        time = each.stamp_ns
+        content.messages.append(records.Message(channels[key], time, each.data, time, 0))
+    return content
+
+
+def _add_channel(content: Content, topic: str, type_: str, qos: str) -> int:
+    definition = load_definition(type_)
+    schemas = {each.name: each.id for each in content.schemas.values()}
+    if type_ not in schemas:
+        schemas[type_] = len(schemas) + 1
+        content.add(records.Schema(
+            schemas[type_], definition.text.encode(), definition.encoding, type_
+        ))
+    number = len(content.channels) + 1
+    metadata = {'offered_qos_profiles': qos, 'topic_type_hash': definition.type_hash}
+    content.add(records.Channel(number, topic, 'cdr', metadata, schemas[type_]))
+    return number
 
 
 class _Session:
