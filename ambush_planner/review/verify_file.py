@@ -55,7 +55,7 @@ def _channel_faults(content: Content) -> list[str]:
     for channel in content.channels.values():
         schema = content.schemas[channel.schema_id]
         if set(channel.metadata) != _CHANNEL_KEYS:
-            faults.append(f"channels: that of {channel.topic[:60]!r} does not state what ours do")
+            faults.append(f'channels: that of {channel.topic[:60]!r} does not state what ours do')
         elif not is_written_so(channel.metadata['offered_qos_profiles']):
             faults.append(f"channels: {channel.topic[:60]!r} has another quality of service's text")
         if schema.name not in TYPES:
