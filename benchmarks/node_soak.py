@@ -36,7 +36,7 @@ from node_rig import (
 )
 from report import RESULTS, conditions, table, write_block
 
-from ambush_planner.recording.bag_metadata import FILE_NAME, listed_files
+from ambush_planner.recording.bag_folder import FILE_NAME, listed_files
 
 CELLS, RESOLUTION, SPACING = 120, 0.5, 2.0
 START = pose(5.0, 30.0)
@@ -129,7 +129,7 @@ def leftovers(rig: Rig, memory: Sequence[Path], workers: Sequence[int]) -> Itera
             yield f"process {pid}"
     for folder in rig.recordings.iterdir():
         there = {path.name for path in folder.iterdir()} - {FILE_NAME}
-        listed = set(listed_files((folder / FILE_NAME).read_bytes()))
+        listed = set(listed_files(folder) or ())
         yield from (f"unlisted {name}" for name in sorted(there - listed))
         yield from (f"listed, but missing {name}" for name in sorted(listed - there))
 

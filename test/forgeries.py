@@ -14,7 +14,7 @@ from visualization_msgs.msg import MarkerArray
 
 from ambush_planner.core.routes import always, shortest_route
 from ambush_planner.recording import recordings_in
-from ambush_planner.review.departures import record_from, strategy_from
+from ambush_planner.review.case import Case
 
 
 def cell_at(forger, node):
@@ -80,34 +80,34 @@ def lift_first(path, rng):
 
 
 def change_route(forger, rng):
-    route = forger.yaml('route')
+    route = forger.entry('route')
     k = int(rng.integers(1, len(route) - 1))
-    forger.set_yaml('route', [*route[:k], (route[k] + 1) % 90, *route[k + 1:]])
+    forger.set_entry('route', [*route[:k], (route[k] + 1) % 90, *route[k + 1:]])
 
 
 def leave_network(forger, rng):
-    forger.set_yaml('route', [10**6, *forger.yaml('route')[1:]])
+    forger.set_entry('route', [10**6, *forger.entry('route')[1:]])
 
 
 def change_source(forger, rng):
-    forger.set_yaml('route_entropy_source', [int(rng.integers(2**62))])
+    forger.set_entry('route_entropy_source', [int(rng.integers(2**62))])
 
 
 def longer_source(forger, rng):
-    forger.set_yaml('route_entropy_source', [*forger.yaml('route_entropy_source'), 1])
+    forger.set_entry('route_entropy_source', [*forger.entry('route_entropy_source'), 1])
 
 
 def parameter(**changes):
     def set_it(forger, rng):
         named = {name.replace('__', '.'): value for name, value in changes.items()}
-        forger.edit_yaml('parameters', **named)
+        forger.edit_entry('parameters', **named)
     return set_it
 
 
 def forget_parameter(forger, rng):
-    values = forger.yaml('parameters')
+    values = forger.entry('parameters')
     del values['recording.compression']
-    forger.set_yaml('parameters', values)
+    forger.set_entry('parameters', values)
 
 
 def swap_strategy(forger, rng):
@@ -137,8 +137,7 @@ def change_loss(forger, rng):
 
 def always_shortest(forger, rng):
     """Another strategy, all of whose numbers follow from it: always the shortest route."""
-    recorded = forger.recorded
-    strategy = strategy_from(recorded, record_from(recorded))
+    strategy = Case(forger.recorded).strategy()
     network = strategy.network
     p = always(network, shortest_route(network, np.arange(len(network.edges))))
     forger.set_arrays(
@@ -149,9 +148,9 @@ def always_shortest(forger, rng):
 
 def edit_trip(change):
     def edit(forger, rng):
-        trip = forger.yaml('trip')
+        trip = forger.entry('trip')
         change(trip, rng)
-        forger.set_yaml('trip', trip)
+        forger.set_entry('trip', trip)
     return edit
 
 
@@ -197,8 +196,8 @@ def metadata(key, value):
 
 
 def swap_roles(forger, rng):
-    topics = forger.yaml('inputs')
-    forger.edit_yaml('inputs', start=topics['goal'], goal=topics['start'])
+    topics = forger.entry('inputs')
+    forger.edit_entry('inputs', start=topics['goal'], goal=topics['start'])
 
 
 def move_marker(forger, rng):

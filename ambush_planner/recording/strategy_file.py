@@ -1,4 +1,4 @@
-"""The attachment ``strategy.npz``: a strategy with its network, read back and checked."""
+"""The attachment ``strategy.npz``: a strategy with its network, written, read back and checked."""
 
 from __future__ import annotations
 
@@ -40,17 +40,37 @@ class BadStrategy(ValueError):
     """The bytes are no strategy of this format; the text says why."""
 
 
+def strategy_file(strategy: Strategy) -> bytes:
+    """Return the strategy and its network as an npz file (``numpy.load`` reads it)."""
+    network = strategy.network
+    stream = BytesIO()
+    np.savez_compressed(
+        stream,
+        points=network.points,
+        alpha=network.alpha,
+        edges=network.edges,
+        source=network.source,
+        target=network.target,
+        edge_probability=strategy.edge_probability,
+        ambush_probability=strategy.ambush_probability,
+        **{name: getattr(strategy, name) for name in NUMBERS},
+    )
+    return stream.getvalue()
+
+
 def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
     """Return the strategy in the bytes of a ``strategy.npz``, for the game with these options.
 
     All that follows from the probabilities is computed again, the certificate too, and must be
     what the file states. The number of iterations is not in the file and comes back as 0.
 
-    Raises:
-        BadStrategy: An array is missing or of the wrong shape, a number is not finite, the
-            probabilities are no strategy, or a stated number does not follow from them.
+    Raises
+    ------
+    BadStrategy
+        An array is missing or of the wrong shape, a number is not finite, the probabilities are
+        no strategy, or a stated number does not follow from them.
     """
-    content = _content(data)
+    content = arrays_of(data)
     try:
         with warnings.catch_warnings():
             # Edges that the network drops are found by the shape of the probabilities.
@@ -73,7 +93,14 @@ def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
     return strategy
 
 
-def _content(data: bytes) -> dict[str, np.ndarray]:
+def arrays_of(data: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays in the bytes of a ``strategy.npz``, checked for shape and size only.
+
+    Raises
+    ------
+    BadStrategy
+        An array is missing, of the wrong shape, or would take more memory than any strategy.
+    """
     try:
         _check_sizes(data)
         with np.load(BytesIO(data), allow_pickle=False) as archive:

@@ -11,7 +11,8 @@ from ..core.cycles import is_acyclic
 from ..core.network import Network
 from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions
 from ..recording.strategy_file import NUMBERS
-from .departures import DepartureRecord
+from .case import Case
+from .departures import LEAST_BITS
 
 # Of numbers that have to be the same but for rounding, relative.
 VALUE_TOLERANCE = 1e-9
@@ -71,13 +72,8 @@ def strategy_faults(
 ) -> tuple[list[str], list[str]]:
     """Compare a strategy with that planned again on the same network.
 
-    Args:
-        data: The recorded file, for the numbers that it states.
-        recorded: What its probabilities give.
-        planned: What the solver finds now.
-
-    Returns:
-        (faults, notes)
+    ``data`` is the recorded file, for the numbers that it states; ``recorded`` is what its
+    probabilities give, ``planned`` what the solver finds now. Returns (faults, notes).
     """
     faults = [*_stated_faults(data, recorded), *_number_faults(recorded, planned)]
     apart = max(
@@ -117,13 +113,15 @@ def _number_faults(recorded: Strategy, planned: Strategy) -> list[str]:
     return faults
 
 
-def source_faults(record: DepartureRecord) -> list[str]:
+def source_faults(case: Case) -> list[str]:
     """Check that the generator was made from the seed as the node makes it."""
-    seed, source = record.parameters.seed, record.route_entropy_source
+    seed, source = case.parameters.seed, case.metadata.route_entropy_source
     if seed < 0:
         if len(source) != 1 or source[0] >= 2**_ENTROPY_BITS:
             return [f'route_entropy_source: it is not one number of {_ENTROPY_BITS} bits']
-    elif source != [seed, record.number]:
+        if source[0].bit_length() < LEAST_BITS:
+            return [f'route_entropy_source: it has fewer than {LEAST_BITS} bits']
+    elif source != [seed, case.metadata.number]:
         return [
             'route_entropy_source: it is not what the parameter seed and the number of the '
             'departure give'
@@ -131,9 +129,9 @@ def source_faults(record: DepartureRecord) -> list[str]:
     return []
 
 
-def route_faults(record: DepartureRecord, strategy: Strategy) -> list[str]:
+def route_faults(case: Case, strategy: Strategy) -> list[str]:
     """Draw the route again from the recorded strategy, and compare it node for node."""
-    drawn = strategy.sample_route(np.random.default_rng(record.route_entropy_source))
-    if np.array_equal(drawn, record.route):
+    drawn = strategy.sample_route(np.random.default_rng(case.metadata.route_entropy_source))
+    if np.array_equal(drawn, case.metadata.route):
         return []
     return ['route: it is not what route_entropy_source draws from the strategy']

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from io import BytesIO
 from types import MappingProxyType
 from typing import Any
 
@@ -20,20 +17,12 @@ from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 
 from ..core.planner import Plan, Route
-from ..core.strategy import Strategy
 from ..recording import Attachment, RecordedMessage, type_name
-from ..recording.encoding import FORMAT
-from ..recording.strategy_file import NUMBERS, STRATEGY_FILE
-from ..recording.yaml_text import dump_yaml
+from ..recording.metadata import metadata_texts
+from ..recording.strategy_file import STRATEGY_FILE
 from .inputs import Received, Trip
 from .outbox import LATEST
 from .parameters import NodeParameters
-
-# The entries of the metadata, all of them.
-METADATA_KEYS = frozenset({
-    'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
-    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'sha256',
-})
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,55 +73,31 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
 
 def recorded_metadata(departure: Departure, strategy: bytes) -> dict[str, str]:
     """Return what is needed to plan and draw the departure again, and hashes of all of it."""
-    trip, x_y = departure.trip, departure.plan.goal_xy
-    texts = {
-        'parameters': dump_yaml(dict(departure.parameters.values)),
-        # A list of whole numbers in JSON is one in YAML too, and made in no time.
-        'route_entropy_source': json.dumps(departure.entropy_source),
-        'route': json.dumps(departure.route.nodes.tolist()),
-        'trip': dump_yaml({
-            'start': list(trip.start_xy), 'goal': list(x_y), 'tolerance': trip.goal_tolerance,
-        }),
+    trip = departure.trip
+    roles = {
+        'map': trip.map.received, 'start': trip.start, 'goal': trip.goal, 'path': departure.path,
     }
-    topics = {
-        'map': trip.map.received.topic, 'start': trip.start.topic, 'goal': trip.goal.topic,
-        'path': departure.path.topic,
-    }
-    contents = {
-        'map': trip.map.received.data, 'start': trip.start.data, 'goal': trip.goal.data,
-        'path': departure.path.data, 'strategy': strategy,
-        **{name: text.encode() for name, text in texts.items()},
-    }
-    return {
-        'format': FORMAT,
-        'planner_version': planner_version(),
-        'versions': dump_yaml(dict(software_versions())),
-        'service': departure.call.name.rsplit('/', 1)[-1],
-        'departure': str(departure.number),
-        'departure_id': departure.id,
-        'frame': trip.map.frame,
-        'inputs': dump_yaml(topics),
-        **texts,
-        'sha256': dump_yaml(_hashes(contents)),
-    }
-
-
-def strategy_file(strategy: Strategy) -> bytes:
-    """Return the strategy and its network as an npz file (``numpy.load`` reads it)."""
-    network = strategy.network
-    stream = BytesIO()
-    np.savez_compressed(
-        stream,
-        points=network.points,
-        alpha=network.alpha,
-        edges=network.edges,
-        source=network.source,
-        target=network.target,
-        edge_probability=strategy.edge_probability,
-        ambush_probability=strategy.ambush_probability,
-        **{name: getattr(strategy, name) for name in NUMBERS},
+    return metadata_texts(
+        inputs={role: each.topic for role, each in roles.items()},
+        contents={**{role: each.data for role, each in roles.items()}, 'strategy': strategy},
+        json_entries={
+            'parameters': dict(departure.parameters.values),
+            'versions': dict(software_versions()),
+            'route_entropy_source': departure.entropy_source,
+            'route': departure.route.nodes.tolist(),
+            'trip': {
+                'start': list(trip.start_xy), 'goal': list(departure.plan.goal_xy),
+                'tolerance': trip.goal_tolerance,
+            },
+        },
+        texts={
+            'planner_version': planner_version(),
+            'service': departure.call.name.rsplit('/', 1)[-1],
+            'departure': str(departure.number),
+            'departure_id': departure.id,
+            'frame': trip.map.frame,
+        },
     )
-    return stream.getvalue()
 
 
 def strategy_attachment(data: bytes) -> Attachment:
@@ -167,10 +132,6 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> R
     topic = f'{departure.call.name}/_service_event'
     data = serialize_message(kind(info=info, **content))
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
-
-
-def _hashes(contents: Mapping[str, bytes]) -> dict[str, str]:
-    return {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
 
 
 @cache

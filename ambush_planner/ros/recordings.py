@@ -15,13 +15,13 @@ from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan
 from ..recording import Recorder, RecordingFailed
 from ..recording.repair import repair
+from ..recording.strategy_file import strategy_file
 from ..worker.errors import forget_frames, unexpected
 from .departures import (
     Departure,
     recorded_messages,
     recorded_metadata,
     strategy_attachment,
-    strategy_file,
 )
 from .parameters import RecordingOptions
 

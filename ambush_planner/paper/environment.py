@@ -43,12 +43,12 @@ THRESHOLDS = (7.0, 6.0, 5.0, 4.5)
 # For one strategy of ours: ground around start and goal where nobody can wait.
 SECURED_RADIUS = 5.0
 
-EXAMPLE = "8 nodes"
+EXAMPLE = '8 nodes'
 # The paper's table I.
 METHODS = {
-    "Method 1": "random_delaunay",
-    "Method 2": "uniform_grid8",
-    "Method 3": "lattice_delaunay",
+    'Method 1': 'random_delaunay',
+    'Method 2': 'uniform_grid8',
+    'Method 3': 'lattice_delaunay',
 }
 
 

@@ -12,11 +12,11 @@ from ..core.game import GameOptions
 from ..core.network import Network
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy, StrategyOptions, solve
-from .paper_environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
+from .environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
 
-SOLVERS = ("interior_point", "simplex", "max_entropy")
+SOLVERS = ('interior_point', 'simplex', 'max_entropy')
 # The network of the paper's table III.
-METHOD_3 = "Method 3"
+METHOD_3 = 'Method 3'
 LENGTH_WEIGHT = 0.01
 # Budgets of our strategies beside it: the default, and two near to the shortest route.
 DETOURS = (1.5, 1.1, 1.06)
@@ -26,18 +26,18 @@ DRAWS_SEED = 1
 UNUSED = 1e-6
 
 PAPER_ENTROPY = {
-    (EXAMPLE, "interior_point"): 4.10,
-    (EXAMPLE, "simplex"): 3.30,
-    ("Method 1", "interior_point"): 934.58,
-    ("Method 1", "simplex"): 117.05,
-    ("Method 2", "interior_point"): 331.54,
-    ("Method 2", "simplex"): 244.54,
-    (METHOD_3, "interior_point"): 404.21,
-    (METHOD_3, "simplex"): 239.96,
+    (EXAMPLE, 'interior_point'): 4.10,
+    (EXAMPLE, 'simplex'): 3.30,
+    ('Method 1', 'interior_point'): 934.58,
+    ('Method 1', 'simplex'): 117.05,
+    ('Method 2', 'interior_point'): 331.54,
+    ('Method 2', 'simplex'): 244.54,
+    (METHOD_3, 'interior_point'): 404.21,
+    (METHOD_3, 'simplex'): 239.96,
 }
-STOCHASTIC, SHORTEST, SAFEST = "stochastic", "energy efficient", "risk avoidance"
-WEIGHTED = "stochastic, 0.99 / 0.01"
-SECURED = f"ours, ends secured within {SECURED_RADIUS:g} m"
+STOCHASTIC, SHORTEST, SAFEST = 'stochastic', 'energy efficient', 'risk avoidance'
+WEIGHTED = 'stochastic, 0.99 / 0.01'
+SECURED = f'ours, ends secured within {SECURED_RADIUS:g} m'
 # Expected length, P_1, P_inf, V_inf; of the weighted variant the text tells only the length.
 PAPER_MEASURES: dict[str, tuple[float | None, ...]] = {
     STOCHASTIC: (89.57, 0.33, 0.33, 1.09),
@@ -122,17 +122,17 @@ class Results:
     def rows(self) -> dict[str, list[dict[str, object]]]:
         """All rows, ready for JSON."""
         tables = {
-            "table_2": self.table_2,
-            "table_3": self.table_3,
-            "table_3_spread": self.spread_3,
-            "alpha_thresholds": self.table_thresholds,
+            'table_2': self.table_2,
+            'table_3': self.table_3,
+            'table_3_spread': self.spread_3,
+            'alpha_thresholds': self.table_thresholds,
         }
         return {name: [asdict(row) for row in rows] for name, rows in tables.items()}
 
 
 def budgeted_name(max_detour: float) -> str:
     """Name of our strategy with a length budget in table III."""
-    return f"ours, max_detour {max_detour:g}"
+    return f'ours, max_detour {max_detour:g}'
 
 
 def compute(risk_map: RiskMap, say: Say) -> Results:
@@ -143,22 +143,22 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
     AmbushPlannerError
         A strategy was not found.
     """
-    say("building the networks")
+    say('building the networks')
     networks = make_networks(risk_map)
     strategies, table_2 = {}, []
     for name, network in networks.items():
         for solver in SOLVERS:
-            say(f"{name}: {solver}, {DRAWS} routes")
+            say(f'{name}: {solver}, {DRAWS} routes')
             strategy = _solve(network, solver)
             strategies[name, solver] = strategy
             table_2.append(_spread(name, solver, strategy))
     network = networks[METHOD_3]
-    say(f"{METHOD_3}: length weight {LENGTH_WEIGHT}, budgets, alpha thresholds")
-    weighted = solve(network, options=_paper_options("interior_point", LENGTH_WEIGHT))
+    say(f'{METHOD_3}: length weight {LENGTH_WEIGHT}, budgets, alpha thresholds')
+    weighted = solve(network, options=_paper_options('interior_point', LENGTH_WEIGHT))
     budgeted = {d: solve(network, options=StrategyOptions(max_detour=d)) for d in DETOURS}
     thresholds = {
         threshold: solve(network, GameOptions(alpha_threshold=threshold),
-                         _paper_options("interior_point"))
+                         _paper_options('interior_point'))
         for threshold in THRESHOLDS
     }
     secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS))
@@ -176,7 +176,7 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
         secured,
         thresholds,
         tuple(table_2),
-        _planner_rows(strategies[METHOD_3, "interior_point"], named),
+        _planner_rows(strategies[METHOD_3, 'interior_point'], named),
         tuple(_spread(METHOD_3, name, strategy) for name, strategy in named.items()),
         tuple(_threshold_row(threshold, s) for threshold, s in thresholds.items()),
     )
@@ -184,7 +184,7 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
 
 def _solve(network: Network, solver: str) -> Strategy:
     """The paper's linear programs know no length budget; ours has its default."""
-    if solver == "max_entropy":
+    if solver == 'max_entropy':
         return solve(network)
     return solve(network, options=_paper_options(solver))
 
@@ -224,10 +224,10 @@ def _planner_rows(raw: Strategy, named: Mapping[str, Strategy]) -> tuple[Planner
     """The paper's planners from its own strategy's table, then the other strategies."""
     measures = evaluate(raw)
     rows = {
-        STOCHASTIC: measures["stochastic"],
-        SHORTEST: measures["energy_efficient"],
-        SAFEST: measures["risk_avoidance"],
-        **{name: evaluate(strategy)["stochastic"] for name, strategy in named.items()},
+        STOCHASTIC: measures['stochastic'],
+        SHORTEST: measures['energy_efficient'],
+        SAFEST: measures['risk_avoidance'],
+        **{name: evaluate(strategy)['stochastic'] for name, strategy in named.items()},
     }
     return tuple(
         PlannerRow(
