@@ -32,7 +32,7 @@ from ..recording.errors import UnreadableRecording
 from ..recording.reader import read_departure
 from ..recording.strategy_file import STRATEGY_FILE
 from ..ros.conversions import occupancy_from_ros
-from ..ros.departures import planner_version, software_versions
+from ..ros.departure_record import planner_version, software_versions
 from .departures import DepartureRecord, record_from, strategy_from
 from .verify_file import file_faults
 from .verify_messages import (

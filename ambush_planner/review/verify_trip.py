@@ -11,7 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 from ..recording.departure import RecordedDeparture
 from ..recording.errors import UnreadableRecording
 from ..ros.conversions import position_from_ros
-from ..ros.departures import METADATA_KEYS, software_versions
+from ..ros.departure_record import METADATA_KEYS, software_versions
 from ..ros.parameters import PARAMETERS
 from .departures import DepartureRecord
 

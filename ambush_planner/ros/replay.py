@@ -65,7 +65,8 @@ class Player:
         going_on
             Ends the wait when it is false.
         """
-        end, before, changed = time.monotonic() + seconds, set(), time.monotonic()
+        end, changed = time.monotonic() + seconds, time.monotonic()
+        before: set[str] = set()
         while going_on() and (now := time.monotonic()) < end:
             unheard = self._unheard()
             if unheard != before:

@@ -16,23 +16,28 @@ from typing import Any
 import numpy as np
 import scipy
 from builtin_interfaces.msg import Time
+from nav_msgs.srv import GetPlan
 from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 
-from ..core.planner import Plan, Route
+from ..core.planner import Route
 from ..core.strategy import Strategy
 from ..recording import Attachment, RecordedMessage, type_name
 from ..recording.encoding import FORMAT
 from ..recording.strategy_file import NUMBERS, STRATEGY_FILE
 from ..recording.yaml_text import dump_yaml
+from .cdr import plan_event_bytes
 from .inputs import Received, Trip
-from .outbox import LATEST
 from .parameters import NodeParameters
+from .paths import DeparturePath
+from .planning import HeldPlan
+from .qos import LATEST
 
+MAP_CHANGES_FILE = 'map_changes.npz'
 # The entries of the metadata, all of them.
 METADATA_KEYS = frozenset({
     'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
-    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'sha256',
+    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'ends', 'sha256',
 })
 
 
@@ -40,7 +45,7 @@ METADATA_KEYS = frozenset({
 class ServiceCall:
     """What somebody asked for: a service's type and full name, and the request."""
 
-    kind: type
+    kind: Any
     name: str
     request: Any
 
@@ -49,22 +54,37 @@ class ServiceCall:
 class Departure:
     """One convoy's departure; times in nanoseconds of the node's clock, the end last.
 
-    ``path`` and ``others`` (markers, diagnostics) are what was published.
+    Attributes
+    ----------
+    trip
+        What was asked for, on the newest map.
+    held
+        The plan that it left on, perhaps of an older map and a nearby trip.
+    path
+        From the pose asked for, along the route, to the goal.
+    published, others
+        The path, and markers and diagnostics, as they were published.
+    trouble
+        What went wrong with the recordings, if anything did.
+    response
+        What was answered, once it is; at ``end_ns``.
     """
 
     id: str
     number: int
     call: ServiceCall
-    response: Any
     trip: Trip
     parameters: NodeParameters
-    plan: Plan
+    held: HeldPlan
     entropy_source: list[int]
     route: Route
+    path: DeparturePath
+    published: RecordedMessage
+    others: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
-    path: RecordedMessage
-    others: tuple[RecordedMessage, ...]
+    trouble: str = ''
+    response: Any = None
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
@@ -74,33 +94,37 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     before, and the clock may have been set since.
     """
     trip, begin = departure.trip, departure.begin_ns
-    inputs = [_received(each, begin) for each in (trip.map.received, trip.start, trip.goal)]
+    planned_on = departure.held.trip.map.received
+    inputs = [_received(each, begin) for each in (planned_on, trip.start, trip.goal)]
     published = [
         replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
-        for each in (*departure.others, departure.path)
+        for each in (*departure.others, departure.published)
     ]
     return [*inputs, _request(departure), *published, _response(departure)]
 
 
 def recorded_metadata(departure: Departure, strategy: bytes) -> dict[str, str]:
     """Return what is needed to plan and draw the departure again, and hashes of all of it."""
-    trip, x_y = departure.trip, departure.plan.goal_xy
+    trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
+    planned_on = planned.map.received
     texts = {
         'parameters': dump_yaml(dict(departure.parameters.values)),
         # A list of whole numbers in JSON is one in YAML too, and made in no time.
         'route_entropy_source': json.dumps(departure.entropy_source),
         'route': json.dumps(departure.route.nodes.tolist()),
         'trip': dump_yaml({
-            'start': list(trip.start_xy), 'goal': list(x_y), 'tolerance': trip.goal_tolerance,
+            'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
+            'tolerance': trip.goal_tolerance,
         }),
+        'ends': json.dumps([*map(list, departure.held.ends(trip))]),
     }
     topics = {
-        'map': trip.map.received.topic, 'start': trip.start.topic, 'goal': trip.goal.topic,
-        'path': departure.path.topic,
+        'map': planned_on.topic, 'start': trip.start.topic, 'goal': trip.goal.topic,
+        'path': departure.published.topic,
     }
     contents = {
-        'map': trip.map.received.data, 'start': trip.start.data, 'goal': trip.goal.data,
-        'path': departure.path.data, 'strategy': strategy,
+        'map': planned_on.data, 'start': trip.start.data, 'goal': trip.goal.data,
+        'path': departure.published.data, 'strategy': strategy,
         **{name: text.encode() for name, text in texts.items()},
     }
     return {
@@ -135,14 +159,27 @@ def strategy_file(strategy: Strategy) -> bytes:
     return stream.getvalue()
 
 
+def map_changes(departure: Departure) -> list[Attachment]:
+    """Return the cells in which the newest map differs from the one that was planned on, if any.
+
+    An npz file: ``cells`` (K, 2) = (row, column), ``values`` (K,) on the newest map.
+    """
+    newest, planned = departure.trip.map, departure.held.trip.map
+    if newest is planned:
+        return []
+    cells = np.argwhere(newest.values != planned.values).astype(np.int32)
+    stream = BytesIO()
+    np.savez_compressed(stream, cells=cells, values=newest.values[tuple(cells.T)])
+    return [Attachment(MAP_CHANGES_FILE, 'application/zip', stream.getvalue())]
+
+
 def strategy_attachment(data: bytes) -> Attachment:
     """Return a strategy's file as it stands in a recording."""
     return Attachment(STRATEGY_FILE, 'application/zip', data)
 
 
 def _received(received: Received, stamp_ns: int) -> RecordedMessage:
-    kind = type_name(received.message)
-    return RecordedMessage(received.topic, kind, received.data, received.qos, stamp_ns)
+    return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
 
 
 def _request(departure: Departure) -> RecordedMessage:
@@ -165,7 +202,11 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> R
     )
     kind = departure.call.kind.Event
     topic = f'{departure.call.name}/_service_event'
-    data = serialize_message(kind(info=info, **content))
+    event = kind(info=info, **content)
+    if kind is GetPlan.Event and 'response' in content:
+        data = plan_event_bytes(event, departure.published.data)
+    else:
+        data = serialize_message(event)
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
 
 

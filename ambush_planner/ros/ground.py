@@ -1,0 +1,207 @@
+"""How a strategy stands on ground that has changed since it was worked out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from ..core.errors import NoRoute
+from ..core.game import GameOptions, make_game
+from ..core.obstacles import ObstacleField
+from ..core.planner import Plan
+from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
+from ..core.strategy import Strategy
+from .inputs import MapInForce
+
+_Cells = npt.NDArray[np.int64]
+# With more new obstacle cells than this it is another map, which nobody looks through.
+_MOST_CELLS = 100_000
+_TOUCH = 1e-6  # of a cell: touching is meeting
+_SIDE_MARGIN = 2  # cells around what a connection can meet
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A strategy on another map: its value there, a lower bound on what any strategy has there.
+
+    ``blocked`` is true if one of its routes could meet an obstacle that is new, or would be driven
+    where nobody may. The bound is over the routes of the strategy's own network: ground that has
+    become free counts from the next solve on.
+    """
+
+    value: float
+    lower_bound: float
+    blocked: bool
+
+    @property
+    def gap(self) -> float:
+        """How much better than this one another strategy could be, at most."""
+        return self.value - self.lower_bound
+
+    def stale(self, before: float, tolerance: float) -> bool:
+        """Whether another strategy is wanted: ``before`` is the value on the strategy's own map."""
+        return self.blocked or self.value > before * (1.0 + tolerance) + 1e-12
+
+    def fit_to_depart(self, max_gap: float) -> bool:
+        """Whether somebody can depart on it meanwhile; ``max_gap`` is a share of the value."""
+        return not self.blocked and self.gap <= max_gap * self.value
+
+
+class Ground:
+    """What a plan has to know of other maps of the same ground.
+
+    Parameters
+    ----------
+    plan, planned_on
+        The plan, and the map that it was worked out on.
+    occupancy, game
+        The options that it was worked out with.
+    reach
+        How far from an obstacle its paths have to stay, measured from the drawn route [m].
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        planned_on: MapInForce,
+        occupancy: OccupancyOptions,
+        game: GameOptions,
+        reach: float,
+    ) -> None:
+        self._plan, self._planned_on = plan, planned_on
+        self._occupancy, self._game, self._reach = occupancy, game, reach
+        network = plan.network
+        self._uv = _map_axes(planned_on, network.points)
+        used = network.edges[plan.strategy.edge_probability > 0.0]
+        self._used = _Segments(self._uv[used[:, 0]], self._uv[used[:, 1]])
+        self._latest: tuple[MapInForce, Standing, FloatArray] | None = None
+
+    def standing(self, newest: MapInForce) -> Standing:
+        """How the strategy stands on the newest map, which is of the same ground."""
+        return self._look(newest)[1]
+
+    def meets_new_obstacle(self, points: FloatArray, newest: MapInForce) -> bool:
+        """Whether a path (K, 2) comes within the clearance of an obstacle that is new."""
+        uv = _map_axes(newest, points)
+        centres = self._look(newest)[2]
+        return _Segments(uv[:-1], uv[1:]).meet(centres, self._distance(newest))
+
+    def clear(self, a: FloatArray, b: FloatArray, newest: MapInForce) -> bool:
+        """Whether all segments a -> b, both (K, 2), stay clear of the newest map's obstacles."""
+        ends = _map_axes(newest, np.concatenate((a, b)))
+        size = np.array(newest.values.shape[::-1]) * newest.resolution
+        if not ((ends >= 0.0) & (ends <= size)).all():
+            return False
+        corner, part = self._part(newest, ends)
+        tails, heads = np.split(ends - corner, [len(a)])
+        return bool(ObstacleField(part).clear_segments(tails, heads, self._reach).all())
+
+    def _part(self, newest: MapInForce, uv: FloatArray) -> tuple[FloatArray, RiskMap]:
+        """The map around some positions, and where its lower left corner lies."""
+        step = newest.resolution
+        margin = math.ceil(self._reach / step) + _SIDE_MARGIN
+        low = np.maximum(np.floor(uv.min(axis=0) / step).astype(np.int64) - margin, 0)
+        high = np.floor(uv.max(axis=0) / step).astype(np.int64) + margin + 1
+        values = newest.values[low[1]:high[1], low[0]:high[0]]
+        part = risk_map_from_occupancy(values, step, (0.0, 0.0, 0.0), self._occupancy)
+        return low * step, part
+
+    def _look(self, newest: MapInForce) -> tuple[MapInForce, Standing, FloatArray]:
+        if self._latest is None or self._latest[0] is not newest:
+            strategy = self._plan.strategy
+            if newest is self._planned_on:
+                centres: FloatArray = np.empty((0, 2))
+                standing = Standing(strategy.value, strategy.lower_bound, False)
+            else:
+                cells = self._new_obstacles(newest)
+                centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
+                blocked = len(cells) > _MOST_CELLS or self._used.meet(
+                    centres, self._distance(newest)
+                )
+                standing = self._revalued(newest, blocked)
+            self._latest = newest, standing, centres
+        return self._latest
+
+    def _distance(self, newest: MapInForce) -> float:
+        """From a cell's centre, so that what stays further away cannot meet the cell."""
+        return self._reach + (math.sqrt(0.5) + _TOUCH) * newest.resolution
+
+    def _new_obstacles(self, newest: MapInForce) -> _Cells:
+        """Cells (K, 2) = (column, row) that are obstacles now and were none."""
+        before, now = self._planned_on.values, newest.values
+        rows, columns = np.nonzero(before != now)
+        changed = now[rows, columns], before[rows, columns]
+        new = _obstacles(changed[0], self._occupancy) & ~_obstacles(changed[1], self._occupancy)
+        return np.stack((columns[new], rows[new]), axis=1)
+
+    def _revalued(self, newest: MapInForce, blocked: bool) -> Standing:
+        strategy = self._plan.strategy
+        alpha = self._losses(newest)
+        forbidden = alpha > self._game.alpha_threshold
+        blocked = blocked or bool((forbidden & (strategy.visit_probability > 0.0)).any())
+        value, bound = revalue(strategy, self._game, alpha)
+        return Standing(value, bound, blocked)
+
+    def _losses(self, newest: MapInForce) -> FloatArray:
+        """Alpha (N,) of the nodes on the newest map."""
+        height, width = newest.values.shape
+        cells = np.floor(self._uv / newest.resolution).astype(np.int64)
+        columns, rows = np.clip(cells, 0, (width - 1, height - 1)).T
+        values = newest.values[rows, columns][None, :]
+        alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
+        network = self._plan.network
+        alpha[[network.source, network.target]] = 0.0
+        return alpha
+
+
+def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray) -> tuple[float, float]:
+    """Value and lower bound of a strategy where the losses (N,) are others."""
+    network = replace(strategy.network, alpha=alpha)
+    try:
+        game = make_game(network, options)
+    except NoRoute:
+        return math.inf, 0.0
+    value = game.upper_bound(strategy.edge_probability)
+    bound = game.lower_bound(
+        strategy.ambush_probability, strategy.length_price, strategy.length_budget
+    )
+    return value, min(bound, value)
+
+
+class _Segments:
+    """Segments a -> b, both (K, 2), among which those near a place are found quickly."""
+
+    def __init__(self, a: FloatArray, b: FloatArray) -> None:
+        self._a, self._b = a, b
+        self._middles = cKDTree((a + b) / 2) if len(a) else None
+        self._half = float(np.hypot(*(b - a).T).max(initial=0.0)) / 2
+
+    def meet(self, places: FloatArray, distance: float) -> bool:
+        """Whether a segment comes within ``distance`` of one of the places (K, 2)."""
+        if self._middles is None or not len(places):
+            return False
+        near = self._middles.query_ball_point(places, self._half + distance)
+        place = np.repeat(np.arange(len(places)), [len(each) for each in near])
+        segment = np.array([k for each in near for k in each], dtype=np.int64)
+        a, b, c = self._a[segment], self._b[segment], places[place]
+        along = b - a
+        squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+        t = np.clip(((c - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+        gaps = np.hypot(*(a + t[:, None] * along - c).T)
+        return bool((gaps <= distance).any())
+
+
+def _obstacles(values: npt.NDArray[np.int8], options: OccupancyOptions) -> npt.NDArray[np.bool_]:
+    unknown = (values == -1) & (options.unknown_alpha < 0.0)
+    found: npt.NDArray[np.bool_] = (values >= options.obstacle_threshold) | unknown
+    return found
+
+
+def _map_axes(grid: MapInForce, points: FloatArray) -> FloatArray:
+    """World positions (K, 2) in map axes [m], to the last digit as ``RiskMap`` has them."""
+    empty = RiskMap(np.zeros((1, 1)), np.zeros((1, 1), bool), grid.resolution, grid.origin)
+    return empty.to_map_axes(points)
