@@ -147,12 +147,12 @@ class _TfListener:
 
     def _receive(self, static: bool, data: bytes) -> None:
         try:
-            transforms = read_transforms(data)
+            for transform in read_transforms(data):
+                self._buffer.add(transform, static)
         except ValueError as error:
             self._logger.warning(f'TF: {error}', throttle_duration_sec=10.0)
-            return
-        for transform in transforms:
-            self._buffer.add(transform, static)
+        except Exception as error:  # one that leaves a callback is printed with its own words
+            self._tell(error)
 
     def _tell(self, error: Exception) -> None:
         self._logger.error(
