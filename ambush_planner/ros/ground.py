@@ -78,6 +78,7 @@ class Ground:
         self._uv = _map_axes(planned_on, network.points)
         used = network.edges[plan.strategy.edge_probability > 0.0]
         self._used = _Segments(self._uv[used[:, 0]], self._uv[used[:, 1]])
+        self._cells = self._cells_of_nodes()
         self._latest: tuple[MapInForce, Standing, FloatArray] | None = None
 
     def standing(self, newest: MapInForce) -> Standing:
@@ -148,14 +149,30 @@ class Ground:
 
     def _losses(self, newest: MapInForce) -> FloatArray:
         """Alpha (N,) of the nodes on the newest map."""
-        height, width = newest.values.shape
-        cells = np.floor(self._uv / newest.resolution).astype(np.int64)
-        columns, rows = np.clip(cells, 0, (width - 1, height - 1)).T
-        values = newest.values[rows, columns][None, :]
+        return self._losses_in(newest, self._cells)
+
+    def _losses_in(self, grid: MapInForce, cells: _Cells) -> FloatArray:
+        values = grid.values[cells[:, 1], cells[:, 0]][None, :]
         alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         network = self._plan.network
         alpha[[network.source, network.target]] = 0.0
         return alpha
+
+    def _cells_of_nodes(self) -> _Cells:
+        """Cells (N, 2) = (column, row) of the nodes.
+
+        A node on the border between cells has the loss of one of them, which the rounding of its
+        position may have turned into the other one: it is the one whose loss the node has.
+        """
+        on = self._planned_on
+        last = np.array(on.values.shape[::-1]) - 1
+        uv, alpha = self._uv / on.resolution, self._plan.network.alpha
+        found: _Cells = np.clip(np.floor(uv + _TOUCH), 0, last).astype(np.int64)
+        for shift in ((-1, -1), (-1, 1), (1, -1)):
+            other = np.flatnonzero(self._losses_in(on, found) != alpha)
+            moved = np.floor(uv[other] + _TOUCH * np.array(shift))
+            found[other] = np.clip(moved, 0, last).astype(np.int64)
+        return found
 
 
 def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray) -> tuple[float, float]:
