@@ -133,11 +133,12 @@ class Ground:
 
     def _new_obstacles(self, newest: MapInForce) -> _Cells:
         """Cells (K, 2) = (column, row) that are obstacles now and were none."""
-        before, now = self._planned_on.values, newest.values
-        rows, columns = np.nonzero(before != now)
-        changed = now[rows, columns], before[rows, columns]
-        new = _obstacles(changed[0], self._occupancy) & ~_obstacles(changed[1], self._occupancy)
-        return np.stack((columns[new], rows[new]), axis=1)
+        before, now = self._planned_on.values.ravel(), newest.values.ravel()
+        # Flat: for the rows and columns of a map of 4000 x 4000 numpy takes five times as long.
+        changed = np.flatnonzero(before != now)
+        was, is_now = (_obstacles(each[changed], self._occupancy) for each in (before, now))
+        rows, columns = np.divmod(changed[is_now & ~was], newest.values.shape[1])
+        return np.stack((columns, rows), axis=1)
 
     def _revalued(self, newest: MapInForce, blocked: bool) -> Standing:
         strategy = self._plan.strategy

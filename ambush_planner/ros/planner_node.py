@@ -7,6 +7,7 @@ import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from threading import Event
@@ -71,11 +72,12 @@ class PlannerNode(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
-        try:
+        self._closing = ExitStack()
+        self._closing.callback(super().destroy_node)
+        with ExitStack() as unless_built:
+            unless_built.enter_context(self._closing)
             self._build()
-        except BaseException:
-            super().destroy_node()
-            raise
+            unless_built.pop_all()
 
     def _build(self) -> None:
         self._guard_own_services()
@@ -95,6 +97,7 @@ class PlannerNode(Node):
             self._settings.error_hold,
         )
         self._transforms = FrameTransforms(self)
+        self._closing.callback(self._transforms.close)
         self._inputs = Inputs(self._transforms)
         self._dispatcher = Dispatcher(
             self._settings,
@@ -105,6 +108,7 @@ class PlannerNode(Node):
             self.get_logger(),
             self.resolve_topic_name('start_pose'),
         )
+        self._closing.callback(self._dispatcher.close)
         self._reporter.recording(self._settings.recording.enabled)
         self._tell_missing()
         self._listen()
@@ -119,9 +123,7 @@ class PlannerNode(Node):
 
     def destroy_node(self) -> None:
         """Answer all who wait, write the last recordings, and end all that belongs to the node."""
-        self._dispatcher.close()
-        self._transforms.close()
-        super().destroy_node()
+        self._closing.close()
 
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
