@@ -19,7 +19,7 @@ from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.planner import PlanningOptions, plan
 from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.recording import read_departure
-from ambush_planner.ros import planner_node
+from ambush_planner.ros import subscriptions
 from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
 from ambush_planner.ros.ground import Ground, Standing
@@ -65,7 +65,7 @@ def changed(values, cells, new):
 def test_on_its_own_map_a_strategy_stands_as_it_was_made(yaw, spacing):
     """Also where nodes lie on the borders of cells, and a turn of the map rounds them."""
     made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing)
-    assert ground.standing(on) == Standing(made.strategy.value, made.strategy.lower_bound, False)
+    assert ground.standing(on) == Standing(made.strategy.value, made.strategy.lower_bound)
     again = ground.standing(grid(on.values.copy(), on.origin))
     assert again.value == pytest.approx(made.strategy.value, rel=1e-12)
     assert again.lower_bound == pytest.approx(made.strategy.lower_bound, rel=1e-9)
@@ -84,11 +84,29 @@ def test_a_strategy_is_blocked_if_a_segment_of_its_meets_a_new_obstacle(clearanc
     risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
     ends = risk_map.to_map_axes(network.points[network.edges[p > 0.0]])
     field = ObstacleField(risk_map)
-    blocked = ground.standing(grid(values)).blocked
+    blocked = ground.standing(grid(values)).share < 1.0
     assert blocked or field.clear_segments(ends[:, 0], ends[:, 1], clearance).all()
     if blocked:
         wide = clearance + 0.5 * RESOLUTION
         assert not field.clear_segments(ends[:, 0], ends[:, 1], wide).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(*[st.integers(6, 17)] * 2), min_size=1, max_size=6))
+def test_what_is_left_of_a_strategy_is_what_is_drawn_until_a_route_is_clear(where):
+    """Its value, against the frequencies of routes that are drawn and kept."""
+    made, on, ground = PLANS[0.0]
+    newest = grid(changed(on.values, where, 100))
+    standing = ground.standing(newest)
+    rng, count = np.random.default_rng(5), 1000
+    routes = [made.strategy.sample_route(rng) for _ in range(count)]
+    kept = [route for route in routes if ground.holds(route, newest)]
+    assert len(kept) / count == pytest.approx(standing.share, abs=0.08)
+    if standing.share > 0.3:
+        visits = np.bincount(np.concatenate(kept), minlength=len(made.network.points)) / len(kept)
+        loss = made.network.alpha * visits
+        assert loss.max() == pytest.approx(standing.value, rel=0.35)
+        assert standing.fit_to_depart(np.inf)
 
 
 @settings(max_examples=50, deadline=None)
@@ -105,7 +123,7 @@ def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
     hits = alpha * (strategy.visit_probability)
     assert standing.value == pytest.approx(hits.max())
     assert standing.lower_bound <= standing.value
-    assert not standing.blocked
+    assert standing.share == 1.0
     # No strategy on this network goes below the bound: the best one there included.
     again = Network(network.points, alpha, network.edges, network.source, network.target)
     game = make_game(again, GameOptions())
@@ -117,7 +135,7 @@ def test_ground_that_becomes_free_or_cheap_leaves_a_strategy_as_it_is():
     values = on.values.copy()
     values[9:14, 10:13] = 0
     standing = ground.standing(grid(values))
-    assert not standing.blocked
+    assert standing.share == 1.0
     assert not standing.stale(made.strategy.value, 0.0)
     assert standing.fit_to_depart(0.1)
 
@@ -131,7 +149,7 @@ def test_losses_that_rise_make_it_stale_by_their_share():
     assert rise > 0.1
     assert standing.stale(made.strategy.value, 0.99 * rise)
     assert not standing.stale(made.strategy.value, 1.01 * rise)
-    assert not standing.blocked
+    assert standing.share == 1.0
 
 
 def test_a_threshold_that_is_passed_blocks():
@@ -140,8 +158,9 @@ def test_a_threshold_that_is_passed_blocks():
     node = int(np.argmax(np.where(made.network.alpha > 0, made.strategy.visit_probability, 0.0)))
     risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
     row, column = risk_map.cells(risk_map.to_map_axes(made.network.points[node]))
-    assert not ground.standing(grid(changed(values, [(0, 0)], 90))).blocked
-    assert ground.standing(grid(changed(values, [(row, column)], 90))).blocked
+    assert ground.standing(grid(changed(values, [(0, 0)], 90))).share == 1.0
+    standing = ground.standing(grid(changed(values, [(row, column)], 90)))
+    assert standing.share == pytest.approx(1.0 - made.strategy.visit_probability[node])
 
 
 def test_another_map_altogether_blocks_at_once():
@@ -149,7 +168,7 @@ def test_another_map_altogether_blocks_at_once():
     made, on, ground = planned(values)
     new = np.full_like(values, 100)
     new[8:18] = 0
-    assert ground.standing(grid(new)).blocked
+    assert not ground.standing(grid(new)).fit_to_depart(1e9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -171,7 +190,7 @@ def test_connections_are_clear_exactly_where_the_whole_map_says_so(clearance, se
 @pytest.fixture(autouse=True)
 def installed(monkeypatch):
     """The message of map updates, as a stand-in where it is not installed."""
-    monkeypatch.setattr(planner_node, 'OccupancyGridUpdate', UPDATE)
+    monkeypatch.setattr(subscriptions, 'OccupancyGridUpdate', UPDATE)
 
 
 FLAT = np.full((20, 20), 10, dtype=np.int8)

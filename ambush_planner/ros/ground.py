@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -11,15 +12,19 @@ from scipy.spatial import cKDTree
 
 from ..core.errors import NoRoute
 from ..core.game import GameOptions, make_game
+from ..core.network import IndexArray
 from ..core.obstacles import ObstacleField
 from ..core.planner import Plan
 from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
 from ..core.strategy import Strategy
+from .conditioned import Conditioned
 from .inputs import MapInForce
 
 _Cells = npt.NDArray[np.int64]
 # With more new obstacle cells than this it is another map, which nobody looks through.
 _MOST_CELLS = 100_000
+# Where fewer routes than this are left, nobody departs before it is solved anew.
+_LEAST_SHARE = 0.1
 _TOUCH = 1e-6  # of a cell: touching is meeting
 _SIDE_MARGIN = 2  # cells around what a connection can meet
 
@@ -28,14 +33,15 @@ _SIDE_MARGIN = 2  # cells around what a connection can meet
 class Standing:
     """A strategy on another map: its value there, a lower bound on what any strategy has there.
 
-    ``blocked`` is true if one of its routes could meet an obstacle that is new, or would be driven
-    where nobody may. The bound is over the routes of the strategy's own network: ground that has
-    become free counts from the next solve on.
+    ``share`` is the chance that a route meets no obstacle that is new and leads nowhere where
+    nobody may drive any more. Where it is less than 1, the value is that of drawing until a route
+    is clear. The bound is over the routes of the strategy's own network: ground that has become
+    free counts from the next solve on.
     """
 
     value: float
     lower_bound: float
-    blocked: bool
+    share: float = 1.0
 
     @property
     def gap(self) -> float:
@@ -44,11 +50,11 @@ class Standing:
 
     def stale(self, before: float, tolerance: float) -> bool:
         """Whether another strategy is wanted: ``before`` is the value on the strategy's own map."""
-        return self.blocked or self.value > before * (1.0 + tolerance) + 1e-12
+        return self.share < 1.0 or self.value > before * (1.0 + tolerance) + 1e-12
 
     def fit_to_depart(self, max_gap: float) -> bool:
         """Whether somebody can depart on it meanwhile; ``max_gap`` is a share of the value."""
-        return not self.blocked and self.gap <= max_gap * self.value
+        return self.share >= _LEAST_SHARE and self.gap <= max_gap * self.value
 
 
 class Ground:
@@ -76,20 +82,28 @@ class Ground:
         self._occupancy, self._game, self._reach = occupancy, game, reach
         network = plan.network
         self._uv = _map_axes(planned_on, network.points)
-        used = network.edges[plan.strategy.edge_probability > 0.0]
-        self._used = _Segments(self._uv[used[:, 0]], self._uv[used[:, 1]])
+        self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
+        self._segments = _Segments(*(self._uv[network.edges[self._used, k]] for k in (0, 1)))
+        self._conditioned: Conditioned | None = None
         self._cells = self._cells_of_nodes()
-        self._latest: tuple[MapInForce, Standing, FloatArray] | None = None
+        self._latest: _Look | None = None
 
     def standing(self, newest: MapInForce) -> Standing:
         """How the strategy stands on the newest map, which is of the same ground."""
-        return self._look(newest)[1]
+        return self._look(newest).standing
+
+    def holds(self, nodes: IndexArray, newest: MapInForce) -> bool:
+        """Whether a route is still clear on the newest map."""
+        lost = self._look(newest).lost
+        return not lost or lost.isdisjoint(pairwise(nodes.tolist()))
 
     def meets_new_obstacle(self, points: FloatArray, newest: MapInForce) -> bool:
         """Whether a path (K, 2) comes within the clearance of an obstacle that is new."""
+        centres = self._look(newest).new_obstacles
+        if not len(centres):
+            return False
         uv = _map_axes(newest, points)
-        centres = self._look(newest)[2]
-        return _Segments(uv[:-1], uv[1:]).meet(centres, self._distance(newest))
+        return len(_Segments(uv[:-1], uv[1:]).met(centres, self._distance(newest))) > 0
 
     def clear(self, a: FloatArray, b: FloatArray, newest: MapInForce) -> bool:
         """Whether all segments a -> b, both (K, 2), stay clear of the newest map's obstacles."""
@@ -111,21 +125,33 @@ class Ground:
         part = risk_map_from_occupancy(values, step, (0.0, 0.0, 0.0), self._occupancy)
         return low * step, part
 
-    def _look(self, newest: MapInForce) -> tuple[MapInForce, Standing, FloatArray]:
-        if self._latest is None or self._latest[0] is not newest:
-            strategy = self._plan.strategy
+    def _look(self, newest: MapInForce) -> _Look:
+        if self._latest is None or self._latest.newest is not newest:
             if newest is self._planned_on:
-                centres: FloatArray = np.empty((0, 2))
-                standing = Standing(strategy.value, strategy.lower_bound, False)
+                strategy = self._plan.strategy
+                standing = Standing(strategy.value, strategy.lower_bound)
+                self._latest = _Look(newest, standing, np.empty((0, 2)), frozenset())
             else:
-                cells = self._new_obstacles(newest)
-                centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
-                blocked = len(cells) > _MOST_CELLS or self._used.meet(
-                    centres, self._distance(newest)
-                )
-                standing = self._revalued(newest, blocked)
-            self._latest = newest, standing, centres
+                self._latest = self._compare(newest)
         return self._latest
+
+    def _compare(self, newest: MapInForce) -> _Look:
+        network, strategy = self._plan.network, self._plan.strategy
+        cells, alpha = self._new_obstacles(newest), self._losses(newest)
+        centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
+        if len(cells) > _MOST_CELLS:
+            return _Look(newest, Standing(math.inf, 0.0, 0.0), centres, frozenset())
+        lost = np.zeros(len(network.edges), dtype=bool)
+        lost[self._used[self._segments.met(centres, self._distance(newest))]] = True
+        lost[self._used] |= (alpha > self._game.alpha_threshold)[network.heads[self._used]]
+        share, p = 1.0, strategy.edge_probability
+        if lost.any():
+            if self._conditioned is None:
+                self._conditioned = Conditioned(strategy)
+            share, p = self._conditioned.avoiding(lost)
+        value, bound = revalue(strategy, self._game, alpha, p)
+        pairs = frozenset(map(tuple, network.edges[lost].tolist()))
+        return _Look(newest, Standing(value, bound, share), centres, pairs)
 
     def _distance(self, newest: MapInForce) -> float:
         """From a cell's centre, so that what stays further away cannot meet the cell."""
@@ -139,14 +165,6 @@ class Ground:
         was, is_now = (_obstacles(each[changed], self._occupancy) for each in (before, now))
         rows, columns = np.divmod(changed[is_now & ~was], newest.values.shape[1])
         return np.stack((columns, rows), axis=1)
-
-    def _revalued(self, newest: MapInForce, blocked: bool) -> Standing:
-        strategy = self._plan.strategy
-        alpha = self._losses(newest)
-        forbidden = alpha > self._game.alpha_threshold
-        blocked = blocked or bool((forbidden & (strategy.visit_probability > 0.0)).any())
-        value, bound = revalue(strategy, self._game, alpha)
-        return Standing(value, bound, blocked)
 
     def _losses(self, newest: MapInForce) -> FloatArray:
         """Alpha (N,) of the nodes on the newest map."""
@@ -176,18 +194,33 @@ class Ground:
         return found
 
 
-def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray) -> tuple[float, float]:
-    """Value and lower bound of a strategy where the losses (N,) are others."""
+def revalue(
+    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray
+) -> tuple[float, float]:
+    """Value of the strategy p (M,), and the strategy's lower bound, where losses (N,) are others.
+
+    A strategy without routes, p = 0, has an infinite value.
+    """
     network = replace(strategy.network, alpha=alpha)
     try:
         game = make_game(network, options)
     except NoRoute:
         return math.inf, 0.0
-    value = game.upper_bound(strategy.edge_probability)
+    value = game.upper_bound(p) if p.any() else math.inf
     bound = game.lower_bound(
         strategy.ambush_probability, strategy.length_price, strategy.length_budget
     )
     return value, min(bound, value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """What the newest map means: centres (K, 2) of cells, and the edges in use that are lost."""
+
+    newest: MapInForce
+    standing: Standing
+    new_obstacles: FloatArray
+    lost: frozenset[tuple[int, ...]]
 
 
 class _Segments:
@@ -198,10 +231,10 @@ class _Segments:
         self._middles = cKDTree((a + b) / 2) if len(a) else None
         self._half = float(np.hypot(*(b - a).T).max(initial=0.0)) / 2
 
-    def meet(self, places: FloatArray, distance: float) -> bool:
-        """Whether a segment comes within ``distance`` of one of the places (K, 2)."""
+    def met(self, places: FloatArray, distance: float) -> IndexArray:
+        """The segments that come within ``distance`` of one of the places (K, 2)."""
         if self._middles is None or not len(places):
-            return False
+            return np.empty(0, dtype=np.int64)
         near = self._middles.query_ball_point(places, self._half + distance)
         place = np.repeat(np.arange(len(places)), [len(each) for each in near])
         segment = np.array([k for each in near for k in each], dtype=np.int64)
@@ -210,7 +243,7 @@ class _Segments:
         squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
         t = np.clip(((c - a) * along).sum(axis=1) / squared, 0.0, 1.0)
         gaps = np.hypot(*(a + t[:, None] * along - c).T)
-        return bool((gaps <= distance).any())
+        return np.unique(segment[gaps <= distance])
 
 
 def _obstacles(values: npt.NDArray[np.int8], options: OccupancyOptions) -> npt.NDArray[np.bool_]:

@@ -8,46 +8,37 @@ import sys
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from threading import Event
 from typing import Any, TypeVar
 
 import rclpy
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from ..core.errors import AmbushPlannerError, InvalidOption
+from ..core.errors import InvalidOption
 from ..core.planner import Plan
 from ..recording import type_name
-from ..worker.errors import for_the_log, forget_frames, unexpected
-from .cdr import GridUpdate, read_grid_update
 from .departure_record import Departure, ServiceCall, planner_version
 from .dispatcher import Dispatcher
-from .errors import UnreadableMessage
 from .futures import done
+from .guard import Guard
 from .inputs import Asked, Inputs, Received, RobotOptions
 from .outbox import Outbox
 from .parameters import NodeParameters, declare_parameters
-from .qos import LATCHED, LATEST, UPDATES
+from .qos import LATEST
 from .reporter import Reporter
 from .services import DeferredService
+from .subscriptions import Subscriptions
 from .transforms import FrameTransforms
-
-try:
-    from map_msgs.msg import OccupancyGridUpdate  # comes with ROS, not from PyPI
-except ImportError:
-    OccupancyGridUpdate = None
 
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
@@ -96,6 +87,7 @@ class PlannerNode(Node):
             lambda: self._dispatcher.solving,
             self._settings.error_hold,
         )
+        self._guard = Guard(self.context, self.get_logger(), self._reporter.failed)
         self._transforms = FrameTransforms(self)
         self._closing.callback(self._transforms.close)
         self._inputs = Inputs(self._transforms)
@@ -111,7 +103,9 @@ class PlannerNode(Node):
         self._closing.callback(self._dispatcher.close)
         self._reporter.recording(self._settings.recording.enabled)
         self._tell_missing()
-        self._listen()
+        self._listening = Subscriptions(
+            self, self._inputs, self._guard, self._tell_missing, self._map_accepted
+        )
         self._serve()
         # Steady: a simulation's clock that stands still must not silence the diagnostics.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -136,6 +130,11 @@ class PlannerNode(Node):
     def _tell_missing(self) -> None:
         self._reporter.inputs(self._inputs.missing(self._robot()))
 
+    def _map_accepted(self) -> None:
+        self._reporter.map_accepted()
+        self._tell_missing()
+        self._dispatcher.ground_changed()
+
     def _robot(self) -> RobotOptions:
         return RobotOptions(self._settings.robot_base_frame)
 
@@ -154,61 +153,6 @@ class PlannerNode(Node):
             # Not the error's own words: they hold what was sent.
             self.get_logger().error(f'{name}: refused, {type(error).__name__}')
             return response
-
-    def _listen(self) -> None:
-        self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, self._accept_map)
-        if OccupancyGridUpdate is not None:
-            self._subscribe(
-                OccupancyGridUpdate, 'alpha_map_updates', UPDATES, self._update_map,
-                read_grid_update,
-            )
-        self._start_topic = self._subscribe(PoseStamped, 'start_pose', LATEST, self._set_start)
-        self._goal_topic = self._subscribe(PoseStamped, 'goal_pose', LATEST, self._set_goal)
-        self._subscribe(
-            PoseWithCovarianceStamped, 'initialpose', LATEST,
-            lambda got: self._set_start(_without_covariance(got)),
-        )
-
-    def _subscribe(
-        self,
-        kind: type,
-        topic: str,
-        qos: QoSProfile,
-        use: Callable[[Received], None],
-        read: Callable[[bytes], Any] | None = None,
-    ) -> str:
-        """Subscribe, and return the topic's full name."""
-        name = self.resolve_topic_name(topic)
-        concern = 'map' if topic.startswith('alpha_map') else 'request'
-
-        def receive(data: bytes) -> None:
-            self._attempt(name, concern, lambda: use(_received(kind, name, data, qos, read)))
-
-        # Raw: what cannot be read would end the executor, and recordings keep the bytes that came.
-        self.create_subscription(kind, topic, receive, qos, raw=True)
-        return name
-
-    def _accept_map(self, received: Received) -> None:
-        self._inputs.accept_map(received)
-        self._map_accepted()
-
-    def _update_map(self, received: Received) -> None:
-        update: GridUpdate = received.message
-        self._inputs.update_map(update)
-        self._map_accepted()
-
-    def _map_accepted(self) -> None:
-        self._reporter.map_accepted()
-        self._tell_missing()
-        self._dispatcher.ground_changed()
-
-    def _set_start(self, received: Received) -> None:
-        self._inputs.set_start(received)
-        self._tell_missing()
-
-    def _set_goal(self, received: Received) -> None:
-        self._inputs.set_goal(received)
-        self._tell_missing()
 
     def _serve(self) -> None:
         planning = MutuallyExclusiveCallbackGroup()
@@ -259,8 +203,8 @@ class PlannerNode(Node):
             raise InvalidOption(f'tolerance must be >= 0 [m], got {request.tolerance}')
         self._inputs.map_in_force()
         return Asked(
-            _as_received(self._start_topic, request.start),
-            _as_received(self._goal_topic, request.goal),
+            _as_received(self._listening.start_topic, request.start),
+            _as_received(self._listening.goal_topic, request.goal),
             request.tolerance,
         )
 
@@ -288,52 +232,13 @@ class PlannerNode(Node):
         success: Callable[[_Result], Any],
     ) -> Any:
         """Make the response; where something has failed, the reason is told and logged."""
-        response, error = self._attempt(what, 'request', lambda: success(outcome.result()))
+        response, error = self._guard.attempt(what, 'request', lambda: success(outcome.result()))
         if response is not None:
             return response
         return _failure(error) if kind is Trigger else kind.Response()
 
     def _on_timer(self) -> None:
-        self._attempt('diagnostics', 'request', self._reporter.report)
-
-    def _attempt(
-        self, what: str, concern: str, action: Callable[[], _Result]
-    ) -> tuple[_Result | None, Exception | None]:
-        """Return (result, None) or (None, error).
-
-        No exception leaves a callback, where it would end the executor: it goes into the log
-        once, and into the diagnostics.
-        """
-        try:
-            return action(), None
-        except AmbushPlannerError as error:
-            known: AmbushPlannerError = error
-        except Exception as error:
-            known = unexpected(error)
-            forget_frames(error)
-        forget_frames(known)
-        if self.context.ok():
-            self.get_logger().error(f'{what}: {for_the_log(known)}')
-            self._reporter.failed(concern, known)
-        return None, known
-
-
-def _received(
-    kind: type, topic: str, data: bytes, qos: QoSProfile, read: Callable[[bytes], Any] | None
-) -> Received:
-    try:
-        message = read(data) if read else deserialize_message(data, kind)
-    except Exception as error:  # rclpy's own error type is not public
-        raise UnreadableMessage(
-            f'{len(data)} bytes on {topic} are not a message of type {kind.__name__}'
-        ) from error
-    return Received(topic, type_name(kind), message, data, qos)
-
-
-def _without_covariance(got: Received) -> Received:
-    """The pose of an estimate, with the bytes that came."""
-    pose = PoseStamped(header=got.message.header, pose=got.message.pose.pose)
-    return replace(got, message=pose)
+        self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 
 def _as_received(topic: str, pose: PoseStamped) -> Received:
