@@ -37,7 +37,7 @@ from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
 CELLS, RESOLUTION = 4000, 0.5
 START, GOAL = pose(100.0, 1000.0), pose(1900.0, 1000.0)
 PARAMETERS = {"network.target_nodes": 10_000, "recording.enabled": False}
-CHANGED = 9  # cells a second
+SIDE = 3  # cells, of an obstacle that is somewhere else each second
 PERIOD = 0.2  # s, of departures and goals
 MEDIAN, SELDOM = 100.0, 500.0  # ms, targets
 
@@ -65,18 +65,17 @@ def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]
 
 
 def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
-    """Publish the map with other values in some cells, once a second."""
+    """Publish the map once a second; each time an obstacle of 3 x 3 cells is somewhere else."""
     rng, published = np.random.default_rng(7), [0]
     publisher = caller.publisher(OccupancyGrid, "/alpha_map")
-    current = values.copy()
 
     def change(passed: float) -> int:
         if passed < published[0]:
             return 0
         published[0] += 1
-        rows, columns = rng.integers(0, CELLS, (2, CHANGED))
-        # As a costmap's: obstacles come and go, and so do losses.
-        current[rows, columns] = rng.choice([0, 30, 59, 100], CHANGED)
+        row, column = rng.integers(0, CELLS - SIDE, 2)
+        current = values.copy()
+        current[row:row + SIDE, column:column + SIDE] = 100
         header = Header(frame_id=FRAME, stamp=caller.node.get_clock().now().to_msg())
         publisher.publish(occupancy_to_ros(current, RESOLUTION, (0.0, 0.0, 0.0), header))
         return 1
@@ -111,7 +110,7 @@ def measure(seconds: float) -> dict[str, Found]:
         found = {}
         for name, change in (
             (f"the goal moves within the tolerance, every {PERIOD:g} s", moving_goal(caller)),
-            (f"{CHANGED} cells change, once a second",
+            (f"an obstacle of {SIDE} x {SIDE} cells jumps, once a second",
              changing_map(caller, occupancy_from_ros(grid)[0])),
         ):
             say(f"{name}, for {seconds:g} s")

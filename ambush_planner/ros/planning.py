@@ -149,7 +149,8 @@ class Plans:
                 self._keep(solve.result())
 
     def _keep(self, held: HeldPlan) -> None:
-        self._kept = [*(each for each in self._kept if each is not held), held][-_KEPT:]
+        others = [each for each in self._kept if not _supersedes(held, each)]
+        self._kept = [*others, held][-_KEPT:]
 
 
 def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
@@ -189,6 +190,15 @@ def _tolerance(parameters: NodeParameters, spacing: float) -> float:
     Never more than half the distance of nodes.
     """
     return min(parameters.start_tolerance, 0.5 * spacing)
+
+
+def _supersedes(new: HeldPlan, old: HeldPlan) -> bool:
+    """Whether a plan answers the same question as an older one: of an earlier map, perhaps."""
+    return (
+        old.trip.start_xy == new.trip.start_xy
+        and _goal(old.trip) == _goal(new.trip)
+        and _options(old.parameters) == _options(new.parameters)
+    )
 
 
 def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
