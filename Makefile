@@ -21,7 +21,7 @@ help:
 	@echo 'make test       linters, type checker and the whole test suite'
 	@echo 'make lint       linters and type checker only'
 	@echo 'make benchmark  speed of solver and node, in about 15 minutes; benchmarks/results.md'
-	@echo 'make endurance  the node for an hour, and 10 000 messages that are none'
+	@echo 'make endurance  the node for an hour, and 10 000 malformed messages'
 	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
@@ -48,6 +48,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/ambush_radius.py
 	$(BIN)/python benchmarks/markers.py
 	-$(BIN)/python benchmarks/node_latency.py
+	-$(BIN)/python benchmarks/node_ground.py
 	$(BIN)/python benchmarks/node_load.py
 
 endurance: $(VENV)/.test
