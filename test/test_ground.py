@@ -106,7 +106,7 @@ def test_what_is_left_of_a_strategy_is_what_is_drawn_until_a_route_is_clear(wher
         visits = np.bincount(np.concatenate(kept), minlength=len(made.network.points)) / len(kept)
         loss = made.network.alpha * visits
         assert loss.max() == pytest.approx(standing.value, rel=0.35)
-        assert standing.fit_to_depart(np.inf)
+        assert standing.fit_to_depart(np.inf, 0.0)
 
 
 @settings(max_examples=50, deadline=None)
@@ -137,7 +137,7 @@ def test_ground_that_becomes_free_or_cheap_leaves_a_strategy_as_it_is():
     standing = ground.standing(grid(values))
     assert standing.share == 1.0
     assert not standing.stale(made.strategy.value, 0.0)
-    assert standing.fit_to_depart(0.1)
+    assert standing.fit_to_depart(0.1, 0.0)
 
 
 def test_losses_that_rise_make_it_stale_by_their_share():
@@ -150,6 +150,15 @@ def test_losses_that_rise_make_it_stale_by_their_share():
     assert standing.stale(made.strategy.value, 0.99 * rise)
     assert not standing.stale(made.strategy.value, 1.01 * rise)
     assert standing.share == 1.0
+
+
+def test_a_slack_that_was_asked_for_is_no_reason_to_wait():
+    with stage(parameters={'strategy.risk_slack': 0.6, 'strategy.max_gap': 0.05}) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        assert client.call('new_route').success
+        assert shown(client) == 1
+        assert float(client.diagnostics(departures='2')['gap']) > 0.0
 
 
 def test_a_threshold_that_is_passed_blocks():
@@ -168,7 +177,7 @@ def test_another_map_altogether_blocks_at_once():
     made, on, ground = planned(values)
     new = np.full_like(values, 100)
     new[8:18] = 0
-    assert not ground.standing(grid(new)).fit_to_depart(1e9)
+    assert not ground.standing(grid(new)).fit_to_depart(1e9, 0.0)
 
 
 @settings(max_examples=60, deadline=None)

@@ -22,7 +22,6 @@ ROSDEP_KEYS = {
     'mcap_ros2': 'mcap-ros2-support',
     'numpy': 'python3-numpy',
     'scipy': 'python3-scipy',
-    'tf2_ros': 'tf2_ros_py',
     'yaml': 'python3-yaml',
     'zstandard': 'mcap-ros2-support',
 }
@@ -110,7 +109,7 @@ def test_every_library_import_is_declared_for_pip():
     arguments = setup_arguments()
     required = arguments['install_requires'] + arguments['extras_require']['figures']
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros'}  # from ROS only
+    libraries = imported_packages() & set(ROSDEP_KEYS)
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
 
 

@@ -38,7 +38,8 @@ _SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
 _EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
 # What the diagnostics say beside the strategy and the departure.
 _UNFORESEEN = (
-    'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap', 'stale',
+    'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
+    'stale',
 )
 
 

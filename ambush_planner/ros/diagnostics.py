@@ -16,6 +16,9 @@ from ..worker.errors import SolveCancelled
 from .errors import OK_CODE, code_of
 from .ground import Standing
 
+# Of the value: a gap that is left by rounding, or by the slack that is usual.
+_SOLVED = 0.02
+
 
 class Problem(NamedTuple):
     """What is wrong: a code (``errors.code_of``), the message for people, and the level."""
@@ -99,9 +102,22 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
     if status.stale:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {status.stale}'
+    if status.plan is not None and (warning := _gap_warning(status.plan)):
+        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     if status.plan is not None and (warning := _warning(status.plan.bottleneck)):
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
+
+
+def _gap_warning(plan: Plan) -> str:
+    """Say so where the time was up before the strategy was the best."""
+    strategy = plan.strategy
+    if strategy.gap <= _SOLVED * strategy.value:
+        return ''
+    return (
+        f'the value {strategy.value:.4g} may be {strategy.gap:.3g} over the least one: allow more '
+        'max_planning_time, or a smaller strategy.risk_slack'
+    )
 
 
 def _warning(bottleneck: Bottleneck) -> str:

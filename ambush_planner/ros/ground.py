@@ -52,9 +52,14 @@ class Standing:
         """Whether another strategy is wanted: ``before`` is the value on the strategy's own map."""
         return self.share < 1.0 or self.value > before * (1.0 + tolerance) + 1e-12
 
-    def fit_to_depart(self, max_gap: float) -> bool:
-        """Whether somebody can depart on it meanwhile; ``max_gap`` is a share of the value."""
-        return self.share >= _LEAST_SHARE and self.gap <= max_gap * self.value
+    def fit_to_depart(self, max_gap: float, before: float) -> bool:
+        """Whether somebody can depart on it meanwhile.
+
+        ``max_gap`` is how much the gap may have grown, as a share of the value, since it was
+        ``before`` on the strategy's own map: a risk slack that was asked for is in both.
+        """
+        grown = self.gap - before
+        return self.share >= _LEAST_SHARE and grown <= max_gap * self.value + 1e-12
 
 
 class Ground:

@@ -12,6 +12,7 @@ from threading import RLock
 
 import numpy as np
 
+from ..core.errors import TimeLimit
 from ..core.planner import Plan, PlanRequest
 from ..core.risk_map import FloatArray
 from ..worker.solve_queue import SolveQueue
@@ -162,7 +163,8 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     apart = _apart(held.trip, trip)
     if apart > _tolerance(parameters, held.plan.spacing):
         return False
-    if not held.ground.standing(trip.map).fit_to_depart(parameters.max_gap):
+    standing = held.ground.standing(trip.map)
+    if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
         return False
     return apart == 0.0 or _connected(held, trip)
 
@@ -254,7 +256,16 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    planning = parameters.planning
+    planning, strategy = parameters.planning, plan.strategy
+    # As far as it was not asked for: with a slack, a better strategy is known and not taken.
+    gap = strategy.value / (1.0 + planning.strategy.risk_slack) - strategy.lower_bound
+    if gap > parameters.max_gap * strategy.value + 1e-9:
+        raise TimeLimit(
+            f'the strategy that was found in max_planning_time, {planning.strategy.time_limit:g} '
+            f's, may be {gap / strategy.value:.2g} of its value from the best, more than '
+            f'strategy.max_gap, {parameters.max_gap:g}; allow more time, or choose a larger '
+            'network.spacing'
+        )
     ground = Ground(
         plan, trip.map, parameters.occupancy, planning.game, planning.network.clearance
     )
