@@ -1,6 +1,7 @@
 """How a strategy stands on changed ground: against planning anew, cell by cell, and over DDS."""
 
 import re
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -323,6 +324,27 @@ def test_an_updated_map_is_recorded_whole(tmp_path):
     data = recorded.recorded('map').data
     other = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, 'nav_msgs/msg/OccupancyGrid')
     assert (other.data.reshape(20, 20) == wanted).all()
+
+
+def test_what_a_departure_left_on_is_recorded(tmp_path):
+    """The planned trip and map, where the path begins and ends, and what has changed since."""
+    with stage(tmp_path) as running:
+        client = running.give(risk_grid(FLAT))
+        assert client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)).poses
+        update(client, 0, 0, [[100, 90]])
+        wait_until(lambda: running.planner._inputs.map_in_force().values[0, 0] == 100, 'the update')
+        assert client.get_plan(pose(1.6, 5.4), pose(8.5, 5.6)).poses
+    first, second = map(read_departure, sorted(tmp_path.rglob('*.mcap')))
+    assert first.yaml('ends') == [[1.5, 5.5], [8.5, 5.5]]
+    assert 'map_changes.npz' not in first.attachments
+    assert second.yaml('ends') == [[1.6, 5.4], [8.5, 5.6]]
+    assert second.yaml('trip') == first.yaml('trip')
+    assert second.recorded('map').data == first.recorded('map').data
+    path = path_from_ros(second.message('path'))
+    assert (path[0, :2].tolist(), path[-1, :2].tolist()) == ([1.6, 5.4], [8.5, 5.6])
+    changes = np.load(BytesIO(second.attachment('map_changes.npz')))
+    assert changes['cells'].tolist() == [[0, 0], [0, 1]]
+    assert changes['values'].tolist() == [100, 90]
 
 
 def test_updates_are_read_as_an_independent_library_writes_them():
