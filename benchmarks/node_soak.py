@@ -2,9 +2,9 @@
 
 An obstacle is somewhere else each time. Now and then the goal changes, the whole map, somebody asks
 for a plan between other places, or has the game solved anew. Every departure is recorded in a
-temporary folder, about 0.5 GB in an hour. Exit code 1 if a call failed, if the node grew (judged in
-runs of ten minutes or more), or if it left anything: a file that metadata.yaml does not list, shared
-memory, a process.
+temporary folder, about 0.5 GB in an hour. Exit code 1 if a call failed, if the node grew (judged
+in runs of ten minutes or more), or if it left anything: a file that metadata.yaml does not list,
+shared memory, a process.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
 from ambush_planner.ros.ground import Ground, Standing
 from ambush_planner.ros.inputs import MapInForce
+from ambush_planner.worker.process import WorkerProcess
 
 SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)
 OCCUPANCY = OccupancyOptions()
@@ -374,3 +375,29 @@ def test_maps_are_shared_and_not_copied():
         message = OccupancyGrid(header=header())
         assert type(held.received.message) is type(message)
         assert np.shares_memory(held.values, np.frombuffer(held.received.data, np.uint8))
+
+
+def test_a_start_moved_a_little_uses_the_steps_that_are_left(monkeypatch):
+    """Where the first step of one route is lost, the others are enough for a start nearby."""
+    solves, solve = [], WorkerProcess.solve
+    monkeypatch.setattr(
+        WorkerProcess, 'solve', lambda *given: (solves.append(1), solve(*given))[1])
+    parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9}
+    with stage(parameters=parameters) as running:
+        client = running.give(risk_grid(FLAT))
+        assert client.call('new_route').success
+        held = running.planner._dispatcher._shown
+        network = held.plan.network
+        firsts = network.points[network.heads[
+            (network.tails == network.source) & (held.plan.strategy.edge_probability > 0)]]
+        assert len(firsts) > 1
+        # Away from the start, so that the cell meets this step only.
+        x, y = firsts[np.argmax(firsts[:, 1])] * 0.8 + np.array([1.5, 5.5]) * 0.2
+        column, row = int(x / 0.5), int(y / 0.5)
+        monkeypatch.setattr(type(running.planner._dispatcher), '_solve_in_background',
+                            lambda *_: None)
+        update(client, column, row, [[100]])
+        client.diagnostics(stale='yes')
+        path = client.get_plan(pose(1.5, 5.45), pose(8.5, 5.5))
+        assert path_from_ros(path)[0, :2] == pytest.approx((1.5, 5.45))
+        assert len(solves) == 1

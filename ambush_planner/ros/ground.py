@@ -99,8 +99,12 @@ class Ground:
 
     def holds(self, nodes: IndexArray, newest: MapInForce) -> bool:
         """Whether a route is still clear on the newest map."""
-        lost = self._look(newest).lost
-        return not lost or lost.isdisjoint(pairwise(nodes.tolist()))
+        pairs = self._look(newest).lost_pairs
+        return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
+
+    def lost(self, newest: MapInForce) -> npt.NDArray[np.bool_]:
+        """Which edges (M,) in use meet an obstacle that is new, or lead where nobody may drive."""
+        return self._look(newest).lost
 
     def meets_new_obstacle(self, points: FloatArray, newest: MapInForce) -> bool:
         """Whether a path (K, 2) comes within the clearance of an obstacle that is new."""
@@ -135,7 +139,8 @@ class Ground:
             if newest is self._planned_on:
                 strategy = self._plan.strategy
                 standing = Standing(strategy.value, strategy.lower_bound)
-                self._latest = _Look(newest, standing, np.empty((0, 2)), frozenset())
+                none = np.zeros(len(self._plan.network.edges), dtype=bool)
+                self._latest = _Look(newest, standing, np.empty((0, 2)), none, frozenset())
             else:
                 self._latest = self._compare(newest)
         return self._latest
@@ -144,9 +149,9 @@ class Ground:
         network, strategy = self._plan.network, self._plan.strategy
         cells, alpha = self._new_obstacles(newest), self._losses(newest)
         centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
-        if len(cells) > _MOST_CELLS:
-            return _Look(newest, Standing(math.inf, 0.0, 0.0), centres, frozenset())
         lost = np.zeros(len(network.edges), dtype=bool)
+        if len(cells) > _MOST_CELLS:
+            return _Look(newest, Standing(math.inf, 0.0, 0.0), centres, lost, frozenset())
         lost[self._used[self._segments.met(centres, self._distance(newest))]] = True
         lost[self._used] |= (alpha > self._game.alpha_threshold)[network.heads[self._used]]
         share, p = 1.0, strategy.edge_probability
@@ -156,7 +161,7 @@ class Ground:
             share, p = self._conditioned.avoiding(lost)
         value, bound = revalue(strategy, self._game, alpha, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return _Look(newest, Standing(value, bound, share), centres, pairs)
+        return _Look(newest, Standing(value, bound, share), centres, lost, pairs)
 
     def _distance(self, newest: MapInForce) -> float:
         """From a cell's centre, so that what stays further away cannot meet the cell."""
@@ -220,12 +225,16 @@ def revalue(
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What the newest map means: centres (K, 2) of cells, and the edges in use that are lost."""
+    """What the newest map means: centres (K, 2) of cells, and the edges in use that are lost.
+
+    The edges are given as a mask (M,) and as pairs (tail, head).
+    """
 
     newest: MapInForce
     standing: Standing
     new_obstacles: FloatArray
-    lost: frozenset[tuple[int, ...]]
+    lost: npt.NDArray[np.bool_]
+    lost_pairs: frozenset[tuple[int, ...]]
 
 
 class _Segments:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import secrets
-from collections.abc import Iterator
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
@@ -14,7 +13,6 @@ import numpy as np
 
 from ..core.errors import TimeLimit
 from ..core.planner import Plan, PlanRequest
-from ..core.risk_map import FloatArray
 from ..worker.solve_queue import SolveQueue
 from .futures import done
 from .ground import Ground
@@ -227,19 +225,14 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
 
     All of them: whether a route can be used must not depend on which one is drawn.
     """
-    segments = list(_connections(held, *held.ends(trip)))
-    a, b = (np.concatenate(ends) for ends in zip(*segments, strict=True))
-    return held.ground.clear(a, b, trip.map)
-
-
-def _connections(
-    held: HeldPlan, start: _Position, goal: _Position
-) -> Iterator[tuple[FloatArray, FloatArray]]:
     network, p = held.plan.network, held.plan.strategy.edge_probability
-    firsts = network.points[network.heads[(p > 0.0) & (network.tails == network.source)]]
-    lasts = network.points[network.tails[(p > 0.0) & (network.heads == network.target)]]
-    yield np.broadcast_to(start, firsts.shape), firsts
-    yield lasts, np.broadcast_to(goal, lasts.shape)
+    start, goal = held.ends(trip)
+    left = (p > 0.0) & ~held.ground.lost(trip.map)
+    firsts = network.points[network.heads[left & (network.tails == network.source)]]
+    lasts = network.points[network.tails[left & (network.heads == network.target)]]
+    a = np.concatenate((np.broadcast_to(start, firsts.shape), lasts))
+    b = np.concatenate((firsts, np.broadcast_to(goal, lasts.shape)))
+    return held.ground.clear(a, b, trip.map)
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:
