@@ -5,8 +5,10 @@ import sys
 import threading
 import time
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.srv import GetPlan
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -25,7 +27,7 @@ from waiting import TIMEOUT
 
 from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recording import Recorder
-from ambush_planner.ros import planning
+from ambush_planner.ros import dispatcher, planning
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.errors import NoMap
 from ambush_planner.ros.ground import Ground
@@ -190,7 +192,8 @@ def test_the_level_is_that_of_the_worst(errors, level, code):
 
 def test_ground_that_changes_too_fast_is_answered(monkeypatch):
     """Where each plan is out of date before it is there, nobody waits for ever."""
-    monkeypatch.setattr(planning, 'usable', lambda *_: False)
+    for module in (planning, dispatcher):
+        monkeypatch.setattr(module, 'usable', lambda *_: False)
     with stage() as running:
         answer = running.give().call('new_route')
         assert not answer.success
@@ -205,3 +208,15 @@ def test_a_path_that_meets_a_new_obstacle_is_not_published(monkeypatch):
         assert running.give().call('new_route').success
         assert len(running.client.received['path']) == 1
 
+
+
+def test_more_plans_at_once_than_are_kept(monkeypatch):
+    """Whoever waited for a plan departs on it, kept or not."""
+    monkeypatch.setattr(planning, '_KEPT', 1)
+    with stage(parameters={'queue.size': 20}) as running:
+        client = running.give(risk_grid(np.zeros((20, 20))))
+        requests = [GetPlan.Request(start=START, goal=pose(8.5, 1.5 + k)) for k in range(7)]
+        futures = [client.send('get_plan', each) for each in requests]
+        wait_until(lambda: all(each.done() for each in futures), 'the answers')
+        ends = [each.result().plan.poses[-1].pose for each in futures]
+        assert ends == [each.goal.pose for each in requests]

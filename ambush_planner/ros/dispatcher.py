@@ -27,7 +27,7 @@ from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
 from .parameters import NodeParameters, RecordingOptions
 from .paths import DeparturePath, departure_path
-from .planning import HeldPlan, Plans, route_entropy_source
+from .planning import HeldPlan, Plans, route_entropy_source, usable
 from .recordings import Recordings
 from .reporter import Reporter
 
@@ -148,15 +148,17 @@ class Dispatcher:
         """End the solve that runs and all that wait; return how many there were."""
         return self._plans.cancel()
 
-    def _try(self, request: _Request) -> None:
-        """Depart on a plan that is there, or have one solved and try again."""
+    def _try(self, request: _Request, solved: HeldPlan | None = None) -> None:
+        """Depart on a plan that is there, or have one solved and try again with it."""
         self._refuse_when_closing()
-        trip = self._inputs.locate(request.asked, self._robot(request.parameters))
-        plan = self._plans.plan_for(trip, request.parameters)
-        if plan.done():
-            self._leave(plan.result(), trip, request)
-            return
-        self._wait(request, plan)
+        parameters = request.parameters
+        trip = self._inputs.locate(request.asked, self._robot(parameters))
+        good = solved is not None and usable(solved, trip, parameters)
+        held = solved if good else self._plans.find(trip, parameters)
+        if held is None:
+            self._wait(request, self._plans.plan_for(trip, parameters))
+        else:
+            self._leave(held, trip, request)
 
     def _wait(self, request: _Request, plan: Future[HeldPlan]) -> None:
         """Try again when the plan is there."""
@@ -167,7 +169,7 @@ class Dispatcher:
                 'robot changes too fast; choose a larger network.spacing, route.start_tolerance '
                 'or strategy.max_gap'
             )
-        self._when_solved(plan, lambda _: self._try(request), request.departure)
+        self._when_solved(plan, lambda held: self._try(request, held), request.departure)
 
     def _when_solved(
         self, solve: Future[HeldPlan], go_on: Callable[[HeldPlan], None], outcome: Future[Any]

@@ -69,10 +69,21 @@ class Plans:
         """Whether a solve runs or waits."""
         return self._solves.busy
 
-    def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[HeldPlan]:
-        """Return a kept plan that is good for the trip, or what will be one.
+    def find(self, trip: Trip, parameters: NodeParameters) -> HeldPlan | None:
+        """Return the kept plan that is good for the trip, the nearest one, if there is any."""
+        with self._lock:
+            good = [held for held in self._kept if usable(held, trip, parameters)]
+            if not good:
+                return None
+            nearest = min(reversed(good), key=lambda held: _apart(held.trip, trip))
+            self._keep(nearest)
+            return nearest
 
-        A solve for nearly this trip that waits or runs already is shared.
+    def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[HeldPlan]:
+        """Return a plan for the trip that is kept by now, or else will be.
+
+        A solve for nearly this trip that waits or runs already is shared: look whether its plan is
+        ``usable``.
 
         Raises
         ------
@@ -82,7 +93,7 @@ class Plans:
             Too many solves wait already.
         """
         with self._lock:
-            if (held := self._find(trip, parameters)) is not None:
+            if (held := self.find(trip, parameters)) is not None:
                 return done(lambda: held)
             for each in self._pending:
                 if not each.solve.done() and _near(each, trip, parameters):
@@ -116,14 +127,6 @@ class Plans:
     def close(self) -> None:
         """End all solves and the worker process."""
         self._solves.close()
-
-    def _find(self, trip: Trip, parameters: NodeParameters) -> HeldPlan | None:
-        good = [held for held in self._kept if usable(held, trip, parameters)]
-        if not good:
-            return None
-        nearest = min(reversed(good), key=lambda held: _apart(held.trip, trip))
-        self._keep(nearest)
-        return nearest
 
     def _submit(
         self, trip: Trip, parameters: NodeParameters, background: bool
