@@ -28,7 +28,7 @@ from .parameters import RecordingOptions
 
 # Writing [s] that may wait for the disk: little enough that all of it is done when the node is
 # told to end. The next departure waits until there is no more.
-_MOST_BACKLOG = 0.5
+_MOST_BACKLOG = 0.25
 # A write that takes longer [s] is of a disk that does not answer. Nobody waits for that one, but
 # only so many departures are kept for it.
 _PATIENCE, _MOST_KEPT = 2.0, 16
