@@ -26,7 +26,6 @@ ROSDEP_KEYS = {
     'mcap_ros2': 'mcap-ros2-support',
     'numpy': 'python3-numpy',
     'scipy': 'python3-scipy',
-    'tf2_ros': 'tf2_ros_py',
     'yaml': 'python3-yaml',
     'zstandard': 'mcap-ros2-support',
 }
@@ -118,8 +117,7 @@ def test_every_library_import_is_declared_for_pip():
     arguments = setup_arguments()
     required = arguments['install_requires'] + arguments['extras_require']['figures']
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    # From ROS only, and optional.
-    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros', 'argcomplete'}
+    libraries = imported_packages() & set(ROSDEP_KEYS) - {'argcomplete'}  # optional
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
 
 

@@ -19,12 +19,13 @@ from ambush_planner.ros.planner_node import PlannerNode
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
 # DESIGN section 6.
 NAMES = """
-    map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha
+    map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha map.preset
     network.method network.spacing network.target_nodes network.clearance
     network.clear_of_edge
     game.ambush_radius game.secured_radius game.alpha_threshold game.ambushers
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
-    max_planning_time route.path_spacing
+    strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
+    max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
     recording.enabled recording.directory recording.compression seed
 """.split()
 
@@ -114,6 +115,8 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
     ({'recording__enabled': 'yes'}, 'Wrong parameter type'),
     ({'recording__directory': ' '}, 'recording.directory must not be empty'),
     ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
+    ({'map__preset': 'mixed'}, 'map.preset must be one of alpha, costmap'),
+    ({'queue__size': 0}, 'out of range'),
     ({'seed': 7}, 'read-only'),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):

@@ -21,8 +21,8 @@ from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.recording.metadata import KEYS
 from ambush_planner.review.case import Case
 from ambush_planner.review.verify import Verifier
+from ambush_planner.ros.dispatcher import Dispatcher
 from ambush_planner.ros.paths import departure_path
-from ambush_planner.ros.session import Session
 from ambush_planner.tools import verify as tool
 
 SECRET_KEYS = ('route', 'route_entropy_source')
@@ -194,12 +194,12 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
     assert {message.stamp_ns for message in read_departure(path).messages} == {0}
     with stage(tmp_path / 'back') as running:
         client = running.give()
-        times = Session._now
+        times = Dispatcher._now
 
         for set_back in (1, 2, 3):  # before the path is stamped, before it leaves, and after
             calls = itertools.count(1)
             monkeypatch.setattr(
-                Session, '_now',
+                Dispatcher, '_now',
                 lambda self, calls=calls, k=set_back: times(self) - 10**12 * (next(calls) > k),
             )
             assert client.call('new_route').success

@@ -15,15 +15,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 # What the entries mean; another number where that changes.
-FORMAT = '3'
+FORMAT = '4'
 ROLES = ('map', 'start', 'goal', 'path')
-_HASHED = ('parameters', 'route_entropy_source', 'route', 'trip')
+_HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
+_FILES = ('strategy', 'map_changes')
 KEYS = frozenset({
     'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
-    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'sha256', 'chain',
+    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'ends', 'sha256', 'chain',
 })
 # More than any node writes; reports and messages repeat what is below these.
 _LONGEST_NAME, _LONGEST_VALUE, _LONGEST_ENTRY, _MOST_VALUES = 255, 4096, 2**22, 1000
+
+Position = tuple[float, float]
 
 
 class BadMetadata(ValueError):
@@ -34,8 +37,8 @@ class BadMetadata(ValueError):
 class RecordedTrip:
     """Where a departure led, in the map's frame [m]; ``tolerance`` [m] as requested."""
 
-    start_xy: tuple[float, float]
-    goal_xy: tuple[float, float]
+    start_xy: Position
+    goal_xy: Position
     tolerance: float
 
 
@@ -72,7 +75,9 @@ class Metadata:
     parameters
         All parameters of the node.
     trip
-        From where to where.
+        From where to where was planned.
+    ends
+        Where the path begins and ends [m]: at the trip's ends, or somewhat beside them.
     route
         Node indices, at least 2.
     route_entropy_source
@@ -94,6 +99,7 @@ class Metadata:
     inputs: Mapping[str, str]
     parameters: Mapping[str, Any]
     trip: RecordedTrip
+    ends: tuple[Position, Position]
     route: list[int] = field(repr=False)
     route_entropy_source: list[int] = field(repr=False)
     sha256: Mapping[str, str] = field(repr=False)
@@ -115,9 +121,9 @@ def metadata_texts(
     inputs
         The topics of map, start, goal and path.
     contents
-        The serialised messages by role, and the strategy's file.
+        The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
-        ``parameters``, ``route_entropy_source``, ``route``, ``trip`` and ``versions``.
+        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends`` and ``versions``.
     texts
         The other entries.
     """
@@ -162,9 +168,10 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         inputs=_names(texts, 'inputs', ROLES),
         parameters=_scalars(texts, 'parameters'),
         trip=_trip(texts),
+        ends=_ends(texts),
         route=_wholes(texts, 'route', 2, 63),
         route_entropy_source=_wholes(texts, 'route_entropy_source', 1, 4096),
-        sha256=_names(texts, 'sha256', (*ROLES, *_HASHED, 'strategy')),
+        sha256=_names(texts, 'sha256', (*ROLES, *_HASHED, *_FILES)),
         link=Link(**_names(texts, 'chain', ('file', 'follows', 'sha256'))),
         texts=dict(texts),
     )
@@ -255,12 +262,26 @@ def _wholes(texts: Mapping[str, str], key: str, least: int, bits: int) -> list[i
 
 def _trip(texts: Mapping[str, str]) -> RecordedTrip:
     trip = _mapping(texts, 'trip')
-    try:
-        (x0, y0), (x1, y1) = trip['start'], trip['goal']
-        numbers = [float(number) for number in (x0, y0, x1, y1, trip['tolerance'])]
-    except (LookupError, TypeError, ValueError, OverflowError):
-        numbers = [math.nan]
-    if len(trip) != 3 or not all(map(math.isfinite, numbers)):
+    if set(trip) != {'start', 'goal', 'tolerance'}:
         raise BadMetadata('the recorded trip is not two places in metres')
-    x0, y0, x1, y1, tolerance = numbers
-    return RecordedTrip((x0, y0), (x1, y1), tolerance)
+    start, goal = _places('trip', [trip['start'], trip['goal']])
+    tolerance = trip['tolerance']
+    if type(tolerance) not in (int, float) or not abs(tolerance) < math.inf:
+        raise BadMetadata('the recorded trip has no tolerance in metres')
+    return RecordedTrip(start, goal, float(tolerance))
+
+
+def _ends(texts: Mapping[str, str]) -> tuple[Position, Position]:
+    return _places('ends', _json(texts, 'ends'))
+
+
+def _places(key: str, places: Any) -> tuple[Position, Position]:
+    try:
+        (x0, y0), (x1, y1) = places
+        numbers = [float(number) for number in (x0, y0, x1, y1)]
+    except (TypeError, ValueError, OverflowError):
+        numbers = [math.nan]
+    if not all(map(math.isfinite, numbers)):
+        raise BadMetadata(f'the recorded {key} is not two places in metres')
+    x0, y0, x1, y1 = numbers
+    return (x0, y0), (x1, y1)

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from .errors import UnreadableRecording, reading_from
+from .map_changes import MAP_CHANGES_FILE
 from .mcap_file import METADATA_RECORD, MOST_BYTES, MOST_MESSAGES, BadFile, Content, decode
 from .messages import RecordedMessage
 from .metadata import ROLES, BadMetadata, Metadata, broken_hashes, parse_metadata
@@ -55,6 +56,11 @@ class RecordedDeparture:
     def strategy(self) -> bytes:
         """The strategy's file."""
         return self.attachments[STRATEGY_FILE]
+
+    @property
+    def map_changes(self) -> bytes:
+        """How the ground had changed since it was planned on; empty where it had not."""
+        return self.attachments.get(MAP_CHANGES_FILE, b'')
 
     @property
     def stamp_ns(self) -> int:
@@ -191,11 +197,12 @@ def _contents(
         if len(found) != 1:
             raise BadMetadata(f'it has {len(found)} messages in the role {role!r}, not one')
         contents[role] = found[0]
-    if unknown := sorted(set(attachments) - {STRATEGY_FILE}):
+    if unknown := sorted(set(attachments) - {STRATEGY_FILE, MAP_CHANGES_FILE}):
         raise BadMetadata(f'an attachment {unknown[0][:60]!r} is not known')
     if STRATEGY_FILE not in attachments:
         raise BadMetadata(f'there is no attachment {STRATEGY_FILE!r}')
-    return {**contents, 'strategy': attachments[STRATEGY_FILE]}
+    files = attachments[STRATEGY_FILE], attachments.get(MAP_CHANGES_FILE, b'')
+    return {**contents, 'strategy': files[0], 'map_changes': files[1]}
 
 
 def _channels(content: Content) -> dict[int, tuple[str, str, str]]:

@@ -22,7 +22,7 @@ from ..recording import UnreadableRecording
 from ..recording.metadata import Metadata
 from ..recording.reader import departure_from, read_bytes
 from ..ros.conversions import occupancy_from_ros
-from ..ros.departures import planner_version, software_versions
+from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
 from .verify_file import file_faults

@@ -11,6 +11,7 @@ from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 
 from ..recording import RecordedDeparture
+from ..recording.map_changes import MAP_CHANGES_FILE
 from ..recording.mcap_file import (
     BROKEN,
     HEADER_SIZE,
@@ -40,9 +41,10 @@ def file_faults(recorded: RecordedDeparture) -> list[str]:
     """
     content = recorded.content
     faults = []
-    if [each.name for each in content.attachments] != [STRATEGY_FILE]:
+    expected = [STRATEGY_FILE] + [MAP_CHANGES_FILE] * bool(recorded.map_changes)
+    if [each.name for each in content.attachments] != expected:
         faults.append(
-            f'attachments: there are {len(content.attachments)}, not {STRATEGY_FILE} alone'
+            f'attachments: there are {len(content.attachments)}, not just {" and ".join(expected)}'
         )
     if [each.name for each in content.metadata] != [METADATA_RECORD]:
         faults.append(f'metadata: there are records beside {METADATA_RECORD}')

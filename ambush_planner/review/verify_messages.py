@@ -38,7 +38,10 @@ _MARKERS, _DIAGNOSTICS = type_name(MarkerArray), type_name(DiagnosticArray)
 _SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
 _EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
 # What the diagnostics say beside the strategy and the departure.
-_UNFORESEEN = ('state', 'code', 'message', 'recording', 'solve_seconds')
+_UNFORESEEN = (
+    'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
+    'stale',
+)
 
 
 def message_faults(case: Case) -> list[str]:

@@ -13,23 +13,28 @@ from typing import Any
 import numpy as np
 import scipy
 from builtin_interfaces.msg import Time
+from nav_msgs.srv import GetPlan
 from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 
-from ..core.planner import Plan, Route
+from ..core.planner import Route
 from ..recording import Attachment, RecordedMessage, type_name
+from ..recording.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recording.metadata import metadata_texts
 from ..recording.strategy_file import STRATEGY_FILE
+from .cdr import plan_event_bytes
 from .inputs import Received, Trip
-from .outbox import LATEST
 from .parameters import NodeParameters
+from .paths import DeparturePath
+from .planning import HeldPlan
+from .qos import LATEST
 
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
     """What somebody asked for: a service's type and full name, and the request."""
 
-    kind: type
+    kind: Any
     name: str
     request: Any
 
@@ -38,22 +43,37 @@ class ServiceCall:
 class Departure:
     """One convoy's departure; times in nanoseconds of the node's clock, the end last.
 
-    ``path`` and ``others`` (markers, diagnostics) are what was published.
+    Attributes
+    ----------
+    trip
+        What was asked for, on the newest map.
+    held
+        The plan that it left on, perhaps of an older map and a nearby trip.
+    path
+        From the pose asked for, along the route, to the goal.
+    published, others
+        The path, and markers and diagnostics, as they were published.
+    trouble
+        What went wrong with the recordings, if anything did.
+    response
+        What was answered, once it is; at ``end_ns``.
     """
 
     id: str
     number: int
     call: ServiceCall
-    response: Any
     trip: Trip
     parameters: NodeParameters
-    plan: Plan
+    held: HeldPlan
     entropy_source: list[int]
     route: Route
+    path: DeparturePath
+    published: RecordedMessage
+    others: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
-    path: RecordedMessage
-    others: tuple[RecordedMessage, ...]
+    trouble: str = ''
+    response: Any = None
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
@@ -63,32 +83,38 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     before, and the clock may have been set since.
     """
     trip, begin = departure.trip, departure.begin_ns
-    inputs = [_received(each, begin) for each in (trip.map.received, trip.start, trip.goal)]
+    planned_on = departure.held.trip.map.received
+    inputs = [_received(each, begin) for each in (planned_on, trip.start, trip.goal)]
     published = [
         replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
-        for each in (*departure.others, departure.path)
+        for each in (*departure.others, departure.published)
     ]
     return [*inputs, _request(departure), *published, _response(departure)]
 
 
-def recorded_metadata(departure: Departure, strategy: bytes) -> dict[str, str]:
+def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> dict[str, str]:
     """Return what is needed to plan and draw the departure again, and hashes of all of it."""
-    trip = departure.trip
+    trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
+    planned_on = planned.map.received
     roles = {
-        'map': trip.map.received, 'start': trip.start, 'goal': trip.goal, 'path': departure.path,
+        'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
     }
     return metadata_texts(
         inputs={role: each.topic for role, each in roles.items()},
-        contents={**{role: each.data for role, each in roles.items()}, 'strategy': strategy},
+        contents={
+            **{role: each.data for role, each in roles.items()},
+            'strategy': strategy, 'map_changes': changes,
+        },
         json_entries={
             'parameters': dict(departure.parameters.values),
             'versions': dict(software_versions()),
             'route_entropy_source': departure.entropy_source,
             'route': departure.route.nodes.tolist(),
             'trip': {
-                'start': list(trip.start_xy), 'goal': list(departure.plan.goal_xy),
+                'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
                 'tolerance': trip.goal_tolerance,
             },
+            'ends': [*map(list, departure.held.ends(trip))],
         },
         texts={
             'planner_version': planner_version(),
@@ -100,14 +126,20 @@ def recorded_metadata(departure: Departure, strategy: bytes) -> dict[str, str]:
     )
 
 
-def strategy_attachment(data: bytes) -> Attachment:
-    """Return a strategy's file as it stands in a recording."""
-    return Attachment(STRATEGY_FILE, 'application/zip', data)
+def map_changes(departure: Departure) -> bytes:
+    """Return the cells in which the newest map differs from the one that was planned on, if any."""
+    newest, planned = departure.trip.map, departure.held.trip.map
+    return b'' if newest is planned else map_changes_file(planned.values, newest.values)
+
+
+def attachments(strategy: bytes, changes: bytes) -> list[Attachment]:
+    """Return the files of a departure as they stand in its recording."""
+    files = {STRATEGY_FILE: strategy, **({MAP_CHANGES_FILE: changes} if changes else {})}
+    return [Attachment(name, 'application/zip', data) for name, data in files.items()]
 
 
 def _received(received: Received, stamp_ns: int) -> RecordedMessage:
-    kind = type_name(received.message)
-    return RecordedMessage(received.topic, kind, received.data, received.qos, stamp_ns)
+    return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
 
 
 def _request(departure: Departure) -> RecordedMessage:
@@ -130,7 +162,11 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> R
     )
     kind = departure.call.kind.Event
     topic = f'{departure.call.name}/_service_event'
-    data = serialize_message(kind(info=info, **content))
+    event = kind(info=info, **content)
+    if kind is GetPlan.Event and 'response' in content:
+        data = plan_event_bytes(event, departure.published.data)
+    else:
+        data = serialize_message(event)
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
 
 
