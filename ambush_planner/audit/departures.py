@@ -33,10 +33,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..core.arrays import frozen_array
+from ..core.arrays import FloatArray, IndexArray, frozen_array
 from ..core.errors import InvalidOption
-from ..core.network import IndexArray
-from ..core.risk_map import FloatArray
 from ..core.strategy import Strategy
 from .draws import ManyRoutes, NotAuditable
 from .learning import Learning, learning_from

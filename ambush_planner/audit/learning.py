@@ -9,9 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..core.arrays import frozen_array, sums
-from ..core.network import IndexArray
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, IndexArray, frozen_array, sums
 from ..core.strategy import Strategy
 from .draws import ManyRoutes, Steps
 from .places import SAME_PLACE

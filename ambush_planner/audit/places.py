@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.network import IndexArray, Network
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, IndexArray
+from ..core.network import Network
 from .draws import ManyRoutes
 
 # Nodes of two networks that are this near to each other are the same place [m].

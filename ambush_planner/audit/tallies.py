@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core.network import IndexArray
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, IndexArray
 from .draws import ManyRoutes, Steps
 from .places import Ground
 

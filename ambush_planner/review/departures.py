@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.arrays import frozen_array
-from ..core.network import IndexArray
+from ..core.arrays import IndexArray, frozen_array
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, read_departure

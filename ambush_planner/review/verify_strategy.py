@@ -7,7 +7,7 @@ from io import BytesIO
 
 import numpy as np
 
-from ..core.cycles import is_acyclic
+from ..core.acyclic import is_acyclic
 from ..core.network import Network
 from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions
 from ..recording.strategy_file import NUMBERS
@@ -24,6 +24,9 @@ _TOLERANCES = {
     'lower_bound': VALUE_TOLERANCE,
     'length_budget': VALUE_TOLERANCE,
     'shortest_length': VALUE_TOLERANCE,
+    'exposure_budget': VALUE_TOLERANCE,
+    'least_exposure': VALUE_TOLERANCE,
+    'expected_exposure': PROBABILITY_TOLERANCE,
     'expected_length': PROBABILITY_TOLERANCE,
     'edge_entropy': PROBABILITY_TOLERANCE,
     'route_entropy': PROBABILITY_TOLERANCE,

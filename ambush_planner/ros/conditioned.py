@@ -12,8 +12,8 @@ import numpy.typing as npt
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 
-from ..core.network import IndexArray, Network
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, IndexArray
+from ..core.network import Network
 from ..core.strategy import Strategy
 
 

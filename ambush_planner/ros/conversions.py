@@ -17,9 +17,9 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
+from ..core.arrays import FloatArray
 from ..core.errors import InvalidRiskMap
 from ..core.risk_map import (
-    FloatArray,
     OccupancyOptions,
     RiskMap,
     check_occupancy,

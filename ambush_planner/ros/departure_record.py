@@ -96,7 +96,7 @@ def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> 
     """Return what is needed to plan and draw the departure again, and hashes of all of it."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
     planned_on = planned.map.received
-    roles = {
+    roles: dict[str, Received | RecordedMessage] = {
         'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
     }
     return metadata_texts(

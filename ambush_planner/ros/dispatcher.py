@@ -16,7 +16,7 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 
 from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan, Route, depart
+from ..core.planner import Plan, Route
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
@@ -26,7 +26,7 @@ from .futures import settle
 from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
 from .parameters import NodeParameters, RecordingOptions
-from .paths import DeparturePath, departure_path
+from .paths import DeparturePath, path_between
 from .planning import HeldPlan, Plans, route_entropy_source, usable
 from .recordings import Recordings
 from .reporter import Reporter
@@ -35,8 +35,6 @@ from .reporter import Reporter
 _LAST_RECORDINGS = 1.0  # s
 # So many solves are waited for where map or robot have moved on each time.
 _MOST_SOLVES = 4
-# Where at least a tenth of the routes is clear, one in 10^13 departures needs more.
-_MOST_DRAWS = 300
 
 _Outcome = TypeVar('_Outcome')
 
@@ -232,31 +230,14 @@ class Dispatcher:
         self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
         stamp_ns: int,
     ) -> tuple[Route, DeparturePath] | None:
-        """Draw routes until one is clear on the newest map, which nearly all are; None: too many.
-
-        So a route is drawn with its chance on condition that it is clear.
-        """
-        rng = np.random.default_rng(source)
-        for _ in range(_MOST_DRAWS):
-            route = depart(held.plan, rng)
-            if held.ground.holds(route.nodes, trip.map):
-                path = self._path(held, trip, route, parameters, stamp_ns)
-                if not held.ground.meets_new_obstacle(path.rows[:, :2], trip.map):
-                    return route, path
-        return None
-
-    def _path(
-        self, held: HeldPlan, trip: Trip, route: Route, parameters: NodeParameters, stamp_ns: int
-    ) -> DeparturePath:
-        points = route.points.copy()
-        points[0], points[-1] = held.ends(trip)
-        return departure_path(
-            points,
-            parameters.path_spacing or held.plan.spacing,
-            trip.start_pose.pose,
-            trip.goal_pose.pose,
-            self._header(trip, stamp_ns),
-        )
+        """Draw a route that is clear on the newest map, with its path; None: there is hardly one."""
+        spacing = parameters.path_spacing or held.plan.spacing
+        drawn = held.ground.draw(np.random.default_rng(source), trip.map, spacing, held.ends(trip))
+        if drawn is None:
+            return None
+        route, rows = drawn
+        poses = trip.start_pose.pose, trip.goal_pose.pose
+        return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
     def _refuse_when_closing(self) -> None:
         if self._told_to_end is not None:

@@ -10,21 +10,25 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from ..core.errors import NoRoute
-from ..core.game import GameOptions, make_game
-from ..core.network import IndexArray
+from ..core.arrays import FloatArray, IndexArray
+from ..core.certificate import Budget, lower_bound, upper_bound
+from ..core.errors import BudgetInfeasible, NoRoute
+from ..core.game import Game, GameOptions, make_game
 from ..core.obstacles import ObstacleField
-from ..core.planner import Plan
-from ..core.risk_map import FloatArray, OccupancyOptions, RiskMap, risk_map_from_occupancy
-from ..core.strategy import Strategy
+from ..core.planner import Ends, Plan, Route, depart, departure_path
+from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
+from ..core.strategy import Strategy, StrategyOptions, make_budgets
 from .conditioned import Conditioned
 from .inputs import MapInForce
 
 _Cells = npt.NDArray[np.int64]
 # With more new obstacle cells than this it is another map, which nobody looks through.
 _MOST_CELLS = 100_000
+# Where at least a tenth of the routes is clear, one in 10^13 departures needs more.
+_MOST_DRAWS = 300
 # Where fewer routes than this are left, nobody departs before it is solved anew.
 _LEAST_SHARE = 0.1
+_TINY = np.finfo(float).tiny
 _TOUCH = 1e-6  # of a cell: touching is meeting
 _SIDE_MARGIN = 2  # cells around what a connection can meet
 
@@ -101,6 +105,22 @@ class Ground:
         """Whether a route is still clear on the newest map."""
         pairs = self._look(newest).lost_pairs
         return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
+
+    def draw(
+        self, rng: np.random.Generator, newest: MapInForce, spacing: float, ends: Ends
+    ) -> tuple[Route, FloatArray] | None:
+        """Draw routes until one is clear on the newest map, which nearly all are.
+
+        So a route is drawn with its chance on condition that it is clear. Returns it with its path
+        (L, 3) between the ``ends`` [m]; None after too many.
+        """
+        for _ in range(_MOST_DRAWS):
+            route = depart(self._plan, rng)
+            if self.holds(route.nodes, newest):
+                path = departure_path(self._plan, route, spacing, ends)
+                if not self.meets_new_obstacle(path[:, :2], newest):
+                    return route, path
+        return None
 
     def lost(self, newest: MapInForce) -> npt.NDArray[np.bool_]:
         """Which edges (M,) in use meet an obstacle that is new, or lead where nobody may drive."""
@@ -209,18 +229,31 @@ def revalue(
 ) -> tuple[float, float]:
     """Value of the strategy p (M,), and the strategy's lower bound, where losses (N,) are others.
 
-    A strategy without routes, p = 0, has an infinite value.
+    A strategy without routes, p = 0, has an infinite value. The budget of exposure is as many times
+    the least one as before.
     """
     network = replace(strategy.network, alpha=alpha)
     try:
-        game = make_game(network, options)
-    except NoRoute:
+        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
+        budgets = _budgets(game, strategy)
+    except (NoRoute, BudgetInfeasible):
         return math.inf, 0.0
-    value = game.upper_bound(p) if p.any() else math.inf
-    bound = game.lower_bound(
-        strategy.ambush_probability, strategy.length_price, strategy.length_budget
+    value = upper_bound(game, p) if p.any() else math.inf
+    prices = strategy.length_price, strategy.exposure_price
+    return value, min(lower_bound(game, strategy.ambush_probability, budgets, prices), value)
+
+
+def _budgets(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
+    network, least = game.network, strategy.shortest_length
+    length = Budget(game, network.lengths, strategy.length_budget, least, 'detour', 'm')
+    if not math.isfinite(strategy.exposure_budget):
+        return length, Budget(
+            game, network.edge_exposure, math.inf, strategy.least_exposure, 'exposure', 'loss x m'
+        )
+    options = StrategyOptions(
+        max_exposure=strategy.exposure_budget / max(strategy.least_exposure, _TINY)
     )
-    return value, min(bound, value)
+    return length, make_budgets(game, options)[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from ..core.construction import METHODS, NetworkOptions
 from ..core.errors import InvalidOption
 from ..core.game import GameOptions
-from ..core.planner import PlanningOptions
+from ..core.planner import DriveOptions, PlanningOptions
 from ..core.risk_map import OccupancyOptions
 from ..core.strategy import SOLVERS, StrategyOptions
 from ..recording.recorder import COMPRESSIONS
@@ -35,6 +35,8 @@ PRESETS = ('alpha', 'costmap')
 _COSTMAP_OBSTACLE = 99
 # In groups of the core's options, but not of these.
 _NOT_THE_CORES = ('map.preset', 'strategy.max_gap')
+# For a parameter whose option may be left to the planner.
+_CHOSEN = -1.0
 
 _Options = TypeVar('_Options')
 
@@ -109,11 +111,18 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _GAME.alpha_threshold,
         'Nodes whose loss is over this are not driven through; .inf: all may be.'),
     'game.ambushers': Declaration(
-        _GAME.ambushers, 'Number of sites that are held at once; only 1 is available.', 1, 100),
+        _GAME.ambushers, 'Number of sites that are held at once; their losses add up.', 1, 100),
+    'game.ambush_in_obstacles': Declaration(
+        _GAME.ambush_in_obstacles,
+        'Whether, with an ambush_radius, somebody can also wait in obstacle cells.'),
     'strategy.solver': Declaration(_STRATEGY.solver, 'How the game is solved.', choices=SOLVERS),
     'strategy.max_detour': Declaration(
         _STRATEGY.max_detour,
         'Expected length allowed, as a multiple of the shortest path; .inf: any.', 1.0),
+    'strategy.max_exposure': Declaration(
+        _STRATEGY.max_exposure,
+        'Expected exposure allowed, the integral of the loss along the route, as a multiple of the '
+        'least one; .inf: any. For the solver max_entropy.', 1.0),
     'strategy.risk_slack': Declaration(
         _STRATEGY.risk_slack,
         'Share of the value that may be given up for less predictable routes.'),
@@ -124,7 +133,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'strategy.max_gap': Declaration(
         0.1,
         'How much better another strategy could be where somebody departs on this one, as a share '
-        'of its value: after a change of the map, until it is solved anew.'),
+        'of its value: after a change of the map, until it is solved anew, and where '
+        'max_planning_time was up before the best one was found.'),
     'replan.tolerance': Declaration(
         0.05,
         'Share by which a change of the map may raise the value of the strategy before it is '
@@ -143,6 +153,14 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         math.inf,
         'How far start and goal may be from those of a strategy that is there for a departure on '
         'it [m]; never more than half the distance of nodes, which .inf stands for.'),
+    'route.tube': Declaration(
+        _CHOSEN,
+        'How far the path that is driven may be from the drawn route [m]; an ambush is taken to '
+        'reach as much further. -1: as far as no other node is met, or with an ambush_radius a '
+        'part of the distance of nodes.', _CHOSEN),
+    'route.turning_radius': Declaration(
+        DriveOptions().turning_radius,
+        'Turns are at least this wide [m] where there is room for it.'),
     'route.path_spacing': Declaration(
         0.0,
         "Largest distance of poses on the path [m]; 0: the map's resolution or the distance of "
@@ -229,6 +247,8 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
             _options(NetworkOptions, 'network', values),
             _options(GameOptions, 'game', values),
             _options(StrategyOptions, 'strategy', values, time_limit=limit),
+            _drive(values),
+            values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
         path_spacing=values['route.path_spacing'],
@@ -254,6 +274,16 @@ def _occupancy(values: Mapping[str, Any]) -> OccupancyOptions:
     return replace(
         options, obstacle_threshold=min(options.obstacle_threshold, _COSTMAP_OBSTACLE)
     )
+
+
+def _drive(values: Mapping[str, Any]) -> DriveOptions:
+    tube, radius = values['route.tube'], values['route.turning_radius']
+    if tube < 0.0 and tube != _CHOSEN:
+        raise InvalidOption(f'route.tube must be >= 0 [m], or -1 to be chosen, got {tube}')
+    try:
+        return DriveOptions(None if tube == _CHOSEN else tube, radius)
+    except InvalidOption as error:
+        raise InvalidOption(f'route.{error}') from error
 
 
 def declare_parameters(

@@ -11,8 +11,7 @@ from geometry_msgs.msg import Pose
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
-from ..core.arrays import frozen_array
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, frozen_array
 from .cdr import path_bytes
 from .conversions import path_to_ros
 
@@ -39,7 +38,7 @@ class DeparturePath:
         return path_bytes(ends, _numbers(self.rows[1:-1]))
 
 
-def departure_path(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:
+def path_between(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:
     """Take poses (L, 3) for the path of a departure between two poses that were given.
 
     The path ends where the last row lies, with the goal's orientation: a goal that was blocked has

@@ -11,7 +11,6 @@ from threading import RLock
 
 import numpy as np
 
-from ..core.errors import TimeLimit
 from ..core.planner import Plan, PlanRequest
 from ..worker.solve_queue import SolveQueue
 from .futures import done
@@ -235,33 +234,26 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     lasts = network.points[network.tails[left & (network.heads == network.target)]]
     a = np.concatenate((np.broadcast_to(start, firsts.shape), lasts))
     b = np.concatenate((firsts, np.broadcast_to(goal, lasts.shape)))
+    if left[(network.tails == network.source) & (network.heads == network.target)].any():
+        a, b = np.vstack((a, [start])), np.vstack((b, [goal]))
     return held.ground.clear(a, b, trip.map)
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:
     planning = parameters.planning
-    # How long a solve may take does not change the plan.
+    # How long a solve may take does not change the plan, nor does what is made of it then.
     strategy = replace(planning.strategy, time_limit=math.inf)
-    return parameters.occupancy, planning.network, planning.game, strategy
+    return parameters.occupancy, replace(planning, strategy=strategy, max_gap=0.0)
 
 
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
-    limit = parameters.planning.strategy.time_limit
+    limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
-    return *where, *_options(parameters), limit
+    return *where, *_options(parameters), *limit
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    planning, strategy = parameters.planning, plan.strategy
-    # As far as it was not asked for: with a slack, a better strategy is known and not taken.
-    gap = strategy.value / (1.0 + planning.strategy.risk_slack) - strategy.lower_bound
-    if gap > parameters.max_gap * strategy.value + 1e-9:
-        raise TimeLimit(
-            f'the strategy that was found in max_planning_time, {planning.strategy.time_limit:g} '
-            f's, may be {gap / strategy.value:.2g} of its value from the best, more than '
-            f'strategy.max_gap, {parameters.max_gap:g}; allow more time, or choose a larger '
-            'network.spacing'
-        )
+    planning = parameters.planning
     ground = Ground(
         plan, trip.map, parameters.occupancy, planning.game, planning.network.clearance
     )

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
+from ..core.arrays import FloatArray
 from ..core.errors import AmbushPlannerError
 from ..core.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
-from ..core.risk_map import FloatArray
 from ..core.strategy import Strategy
 from ..recording import recordings_in
 from ..recording.durable import write_durably

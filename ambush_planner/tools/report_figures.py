@@ -16,7 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from ..core.risk_map import FloatArray, RiskMap
+from ..core.arrays import FloatArray
+from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from .figures import (
     AMBUSHER,

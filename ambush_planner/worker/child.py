@@ -16,7 +16,7 @@ from contextlib import suppress
 from io import BufferedRWPair
 from pathlib import Path
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, TimeLimit
 from ..core.planner import Plan, PlanRequest, plan_from_request
 from .errors import WorkerFailed, unexpected
 
@@ -50,6 +50,8 @@ def serve(stream: BufferedRWPair) -> None:
 def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
     try:
         return plan_from_request(request)
+    except TimeLimit as late:
+        return TimeLimit(str(late))  # what was reached is of no use, and large
     except AmbushPlannerError as error:
         return error
     except MemoryError:
