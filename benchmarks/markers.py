@@ -1,5 +1,4 @@
-"""Markers from ambush_planner.core.arrays import FloatArray
-from whole arrays beside markers from a Python object a point.
+"""Markers from whole arrays beside markers from a Python object a point.
 
 Both ways end with the serialised message. The peer is given the positions and colours as arrays
 and is timed only for what it makes of them: objects, and their bytes. The table goes to the screen
@@ -24,6 +23,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner import solve
+from ambush_planner.core.arrays import FloatArray
 from ambush_planner.ros import markers
 
 REPEATS = 7

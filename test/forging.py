@@ -14,7 +14,7 @@ from ambush_planner.recording import Attachment, read_departure, recordings_in, 
 from ambush_planner.review.case import TYPES
 
 ROLES = ('map', 'start', 'goal', 'path')
-TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip')
+TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 
 
@@ -98,7 +98,8 @@ class Forger:
         """State the hashes of what is there now, as a clever forger does."""
         contents = {role: self.messages[self.place(role)].data for role in ROLES}
         contents |= {key: self.metadata[key].encode() for key in TEXTS}
-        contents['strategy'] = self.attachments['strategy.npz']
+        for name in ('strategy', 'map_changes'):
+            contents[name] = self.attachments.get(f'{name}.npz', b'')
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
         self.set_entry('sha256', hashes)
 

@@ -16,13 +16,14 @@ from nav_msgs.srv import GetPlan
 from ros_harness import header, pose, risk_grid, stage
 from std_srvs.srv import Trigger
 
-from ambush_planner.core.routes import densify
+from ambush_planner.core.construction import build_network
+from ambush_planner.core.planner import Route, departure_path, plan_on
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.recording.metadata import KEYS
 from ambush_planner.review.case import Case
 from ambush_planner.review.verify import Verifier
 from ambush_planner.ros.dispatcher import Dispatcher
-from ambush_planner.ros.paths import departure_path
+from ambush_planner.ros.paths import path_between
 from ambush_planner.tools import verify as tool
 
 SECRET_KEYS = ('route', 'route_entropy_source')
@@ -216,9 +217,12 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
     route = strategy.sample_route(np.random.default_rng([2**255 + 99]))
     assert not np.array_equal(route, recorded.metadata.route)
     old = case.message('path')
-    again = departure_path(
-        densify(strategy.network.points[route], 1.0), recorded.message('start').pose,
-        recorded.message('goal').pose, old.header,
+    planning, risk_map = case.parameters.planning, case.risk_map()
+    network = build_network(risk_map, *case.metadata.ends, planning.network)
+    made = plan_on(risk_map, network, planning)
+    again = path_between(
+        departure_path(made, Route(route, network.points[route]), made.spacing),
+        case.message('start').pose, case.message('goal').pose, old.header,
     )
     forger.put(forger.place('path'), again.to_message())
     forger.edit(

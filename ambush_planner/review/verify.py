@@ -26,17 +26,25 @@ from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
 from .verify_file import file_faults
+from .verify_ground import changed_route_faults
 from .verify_messages import (
     marker_faults,
     message_faults,
     path_faults,
     service_faults,
+    solve_seconds,
     status_faults,
     time_faults,
 )
 from .verify_plan import PlannedAgain
-from .verify_strategy import certificate_faults, route_faults, source_faults, strategy_faults
-from .verify_trip import PosedTrip, frame_faults, posed_trip
+from .verify_strategy import (
+    certificate_faults,
+    route_faults,
+    source_faults,
+    strategy_faults,
+    was_hurried,
+)
+from .verify_trip import PosedTrip, ends_faults, frame_faults, posed_trip
 
 # There and back again, as the node keeps plans.
 _KEPT = 4
@@ -141,8 +149,10 @@ class Verifier:
         check.nodes, check.value = len(strategy.network.points), strategy.value
         check.problems += self._marker_faults(case, strategy)
         check.problems += source_faults(case)
-        certificate = certificate_faults(strategy, case.parameters.planning.strategy)
-        check.problems += certificate or route_faults(case, strategy)
+        certificate = certificate_faults(strategy, case.parameters.planning)
+        check.problems += certificate
+        if not certificate and not case.recorded.map_changes:
+            check.problems += route_faults(case, strategy)
         trip = posed_trip(case)
         check.problems += trip.faults
         check.notes += [*trip.notes, *_version_notes(case.metadata)]
@@ -164,7 +174,7 @@ class Verifier:
                 check.problems.append(
                     'trip: its goal is not where the goal pose and the tolerance lead to'
                 )
-            check.problems += path_faults(case, strategy, again.spacing, trip)
+            check.problems += ends_faults(case, again.spacing)
             if faults := again.network_faults(strategy.network):
                 check.problems += faults
                 return
@@ -172,11 +182,17 @@ class Verifier:
         except AmbushPlannerError as error:
             check.problems.append(f'map, trip and parameters cannot be planned with: {error}')
             return
+        hurried = was_hurried(strategy, case.parameters.planning, solve_seconds(case))
         faults, notes = self._kept['comparison'].get(
-            (key, _strategy_key(case)),
-            lambda: strategy_faults(case.recorded.strategy, strategy, plan.strategy),
+            (key, _strategy_key(case), hurried),
+            lambda: strategy_faults(case.recorded.strategy, strategy, plan.strategy, hurried),
         )
-        check.problems += [*faults, *status_faults(case, plan)]
+        # On the recorded strategy, which may differ by rounding, or where time was up.
+        used = replace(plan, strategy=strategy)
+        check.problems += [*faults, *status_faults(case, used if hurried else plan, hurried)]
+        if not check.problems and case.recorded.map_changes:
+            check.problems += changed_route_faults(case, used)
+        check.problems += path_faults(case, used, trip)
         check.notes += notes
 
     def _plan(self, case: Case, trip: PosedTrip) -> PlannedAgain:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import array
 import math
 from collections import Counter
+from contextlib import suppress
 from copy import deepcopy
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,15 +21,14 @@ from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from ..core.planner import Plan
-from ..core.routes import densify
+from ..core.planner import Plan, Route, departure_path
 from ..core.strategy import Strategy
 from ..recording import type_name
 from ..recording.metadata import ROLES
 from ..ros import markers
 from ..ros.diagnostics import Status, status_to_ros
 from ..ros.errors import OK_CODE
-from ..ros.paths import departure_path
+from ..ros.paths import path_between
 from .case import Case
 from .verify_strategy import PROBABILITY_TOLERANCE
 from .verify_trip import PosedTrip
@@ -42,6 +43,8 @@ _UNFORESEEN = (
     'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
     'stale',
 )
+# The ambusher's sites, and what is worked out beside the strategy as long as there is time.
+_TIMED = ('deciding_sites', 'deciding_sites_near_ends', 'secured_value')
 
 
 def message_faults(case: Case) -> list[str]:
@@ -62,31 +65,27 @@ def message_faults(case: Case) -> list[str]:
     return [*faults, f'messages: {others} are of kinds that are not recorded'] if others else faults
 
 
-def path_faults(case: Case, strategy: Strategy, spacing: float, trip: PosedTrip) -> list[str]:
+def path_faults(case: Case, plan: Plan, trip: PosedTrip) -> list[str]:
     """Make the path of the recorded route again, and compare it pose for pose.
 
     Parameters
     ----------
     case
         The departure.
-    strategy
-        The recorded one; its network has the route's nodes.
-    spacing
-        Of poses where the parameter route.path_spacing leaves it open [m].
+    plan
+        What it was planned with; its network has the route's nodes.
     trip
         Start and goal pose; where one is not known, what the path has instead is believed.
     """
-    path, points = case.message('path'), strategy.network.points
-    if max(case.metadata.route) >= len(points):
+    path, nodes = case.message('path'), np.array(case.metadata.route)
+    edges = set(map(tuple, plan.network.edges.tolist()))
+    if not path.poses or not edges.issuperset(pairwise(case.metadata.route)):
         return ['route: it leaves the network']
-    points, spacing = points[case.metadata.route], case.parameters.path_spacing or spacing
-    # No more than there are can be asked for: a tiny spacing must not fill the memory.
-    length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-    if not 0.0 < length / spacing <= len(path.poses):
-        return [f'path: it has {len(path.poses)} poses for a route that needs others']
-    first, last = path.poses[0].pose, path.poses[-1].pose
-    start = trip.start or _at(first, trip.start_xy)
-    again = departure_path(densify(points, spacing), start, trip.goal or last, path.header)
+    (begin, end), first, last = case.metadata.ends, path.poses[0].pose, path.poses[-1].pose
+    spacing = case.parameters.path_spacing or plan.spacing
+    route = Route(nodes, plan.network.points[nodes])
+    rows = departure_path(plan, route, spacing, (begin, end))
+    again = path_between(rows, trip.start or _at(first, begin), trip.goal or last, path.header)
     return _differences(path, again.to_message())
 
 
@@ -114,8 +113,23 @@ def service_faults(case: Case) -> list[str]:
     return [*faults, *check(case, asked.request[0], answered.response[0])]
 
 
-def status_faults(case: Case, plan: Plan) -> list[str]:
-    """Compare the recorded diagnostics with the departure and with the plan."""
+def solve_seconds(case: Case) -> float:
+    """How long the diagnostics say that the solve took [s]; nan where they do not."""
+    for each in case.of_type(DiagnosticArray):
+        for status in case.decode(each).status:
+            for value in status.values:
+                if value.key == 'solve_seconds':
+                    with suppress(ValueError):
+                        return float(value.value)
+    return math.nan
+
+
+def status_faults(case: Case, plan: Plan, hurried: bool) -> list[str]:
+    """Compare the recorded diagnostics with the departure and with the plan.
+
+    ``hurried``: what could be found with more time is not looked at.
+    """
+    unforeseen = (*_UNFORESEEN, *_TIMED) if hurried else _UNFORESEEN
     messages = [case.decode(each) for each in case.of_type(DiagnosticArray)]
     if len(messages) != 1 or len(messages[0].status) != 1:
         return ['diagnostics: there is not one status']
@@ -135,7 +149,7 @@ def status_faults(case: Case, plan: Plan) -> list[str]:
     return faults + [
         f'diagnostics: {each.key} is not that of the departure'
         for each in again.values
-        if each.key not in _UNFORESEEN
+        if each.key not in unforeseen
         and not _same_text(told.get(each.key), each.value, tolerance)
     ]
 
@@ -235,13 +249,19 @@ def _get_plan_faults(case: Case, request: Any, response: Any) -> list[str]:
     faults = [
         f'request: its {role} is not the recorded {role} pose'
         for role in ('start', 'goal')
-        if not same(getattr(request, role), case.message(role))
+        if not (role == 'start' and _from_the_robot(case, request))
+        and not same(getattr(request, role), case.message(role))
     ]
     if request.tolerance != case.metadata.trip.tolerance:
         faults.append("trip: its tolerance is not the request's")
     if not same(response.plan, case.message('path')):
         faults.append('response: its plan is not the recorded path')
     return faults
+
+
+def _from_the_robot(case: Case, request: Any) -> bool:
+    """Whether the request leaves the start to where the robot is."""
+    return bool(case.parameters.robot_base_frame) and not request.start.header.frame_id
 
 
 def _differences(path: PathMessage, again: PathMessage) -> list[str]:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 from ..core.construction import build_network, expected_nodes
 from ..core.network import Network
-from ..core.planner import Plan, PlanRequest, node_spacing, read_request
+from ..core.planner import Plan, PlanRequest, node_spacing, read_request, with_cover
 from .verify_strategy import network_faults
 
 # A network is built to be compared only if it is about as large as that which was recorded: a
@@ -67,6 +67,7 @@ class PlannedAgain:
     @cached_property
     def _network(self) -> Network:
         request = self._request
-        return build_network(
+        network = build_network(
             self._risk_map, request.start_xy, self.goal_xy, request.options.network
         )
+        return with_cover(network, self._risk_map, request.options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -18,8 +19,9 @@ class PosedTrip:
     """The trip that follows from the recorded poses, as far as it does.
 
     ``start`` and ``goal`` are the poses, or None where they are not in the map's frame;
-    ``start_xy`` and ``goal_xy`` their positions [m], where there is no pose the metadata's;
-    ``faults`` where the metadata says something else; ``notes`` what could not be checked.
+    ``start_xy`` and ``goal_xy`` where the trip that was planned begins, and the goal that it was
+    planned for [m]; ``faults`` where the metadata says something else; ``notes`` what could not be
+    checked.
     """
 
     start: Pose | None
@@ -49,21 +51,28 @@ def posed_trip(case: Case) -> PosedTrip:
         if pose.header.frame_id != frame
     ]
     faults = []
-    start_xy, goal_xy = told.start_xy, told.goal_xy
-    if start.header.frame_id == frame:
-        start_xy = position_from_ros(start, 'start')
-        if start_xy != told.start_xy:
-            faults.append('trip: its start is not the position of the start pose')
-    if goal.header.frame_id == frame:
-        goal_xy = position_from_ros(goal, 'goal')
+    (begin, end), goal_xy = case.metadata.ends, told.goal_xy
+    if start.header.frame_id == frame and position_from_ros(start, 'start') != begin:
+        faults.append('ends: the first one is not the position of the start pose')
+    if goal.header.frame_id == frame and (asked := position_from_ros(goal, 'goal')) != end:
         # Whether the goal was moved as it had to be is seen when it is planned again.
-        if told.tolerance == 0.0 and goal_xy != told.goal_xy:
-            faults.append('trip: its goal is not the position of the goal pose')
+        goal_xy = asked
+        if told.tolerance == 0.0 or end != told.goal_xy:
+            faults.append('ends: the last one is not the position of the goal pose')
     return PosedTrip(
         start.pose if start.header.frame_id == frame else None,
         goal.pose if goal.header.frame_id == frame else None,
-        start_xy, goal_xy, tuple(faults), tuple(notes),
+        told.start_xy, goal_xy, tuple(faults), tuple(notes),
     )
+
+
+def ends_faults(case: Case, spacing: float) -> list[str]:
+    """Check that the path's ends are as near to the trip's as the node takes them."""
+    trip, most = case.metadata.trip, min(case.parameters.start_tolerance, 0.5 * spacing)
+    pairs = zip(case.metadata.ends, (trip.start_xy, trip.goal_xy), strict=True)
+    if max(math.dist(end, planned) for end, planned in pairs) <= most:
+        return []
+    return ['ends: they are further from the trip than route.start_tolerance allows']
 
 
 def frame_faults(case: Case, software: Iterable[str]) -> list[str]:

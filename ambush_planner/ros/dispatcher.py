@@ -230,7 +230,7 @@ class Dispatcher:
         self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
         stamp_ns: int,
     ) -> tuple[Route, DeparturePath] | None:
-        """Draw a route that is clear on the newest map, with its path; None: there is hardly one."""
+        """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
         spacing = parameters.path_spacing or held.plan.spacing
         drawn = held.ground.draw(np.random.default_rng(source), trip.map, spacing, held.ends(trip))
         if drawn is None:
