@@ -30,6 +30,8 @@ COMMANDS = {
     'recover': ('tools.recover', 'save what is whole in broken recordings'),
     'replay': ('tools.replay', 'publish recorded departures again'),
     'report': ('tools.report', 'recorded departures on one page for any browser'),
+    'table': ('tools.table', 'what it costs to drive between all depots and all customers'),
+    'terrain': ('tools.terrain', 'a risk map from an elevation model'),
     'verify': ('tools.verify', 'do recorded departures follow from their inputs?'),
 }
 EXIT_CODES = (

@@ -22,7 +22,7 @@ from ..ros.conversions import path_from_ros
 from . import cli
 from .demo_client import DemoClient, NoAnswer
 from .demo_figures import FixedRoute, routes_figure
-from .demo_ground import GOAL, RESOLUTION, START, load_ground
+from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
 from .node_process import NodeFailed, NodeProcess, free_domain
 from .report import write_report
 from .report_figures import as_png
@@ -31,7 +31,8 @@ from .report_figures import as_png
 SPACING = 360.0
 # Own troops hold the ground around the start and the goal.
 SECURED_RADIUS = 2000.0
-MAX_DETOUR = 1.3
+# Whoever waits can hit what comes within the weapon range that the map's risk is made with.
+AMBUSH_RADIUS = OPTIONS.view.weapon_range
 # The diagnostics give nine digits.
 SAME_VALUE = 1e-6
 EPILOG = """\
@@ -139,7 +140,7 @@ def _node_parameters(folder: Path) -> dict[str, object]:
     return {
         'network.spacing': SPACING,
         'game.secured_radius': SECURED_RADIUS,
-        'strategy.max_detour': MAX_DETOUR,
+        'game.ambush_radius': AMBUSH_RADIUS,
         'recording.enabled': True,
         'recording.directory': str(folder),
     }
