@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -207,6 +208,43 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
     assert verified(tmp_path / 'zero', capsys)[0] == 0
     code, lines = verified(tmp_path / 'back', capsys)
     assert (code, lines[-2]) == (0, '3 departures: all hold')
+
+
+def test_departures_beside_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
+    """Start and goal moved a little, an obstacle that is new: routes are drawn until one is clear."""
+    monkeypatch.setattr(Dispatcher, '_solve_in_background', lambda *_: None)
+    parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}
+    with stage(tmp_path, parameters) as running:
+        client = running.give()
+        assert client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)).poses
+        grid = risk_grid()
+        values = np.array(grid.data, dtype=np.int8).reshape(20, 20)
+        values[12:16, 5:7] = 100
+        values[0, 0] = 77
+        grid.data = values.ravel().tolist()
+        client.publish('alpha_map', grid)
+        client.diagnostics(stale='yes')
+        for k in range(6):
+            assert client.get_plan(pose(1.5 + 0.04 * k, 5.4), pose(8.5, 5.5 + 0.05 * k)).poses
+    recorded = [read_departure(path) for path in recordings_in(tmp_path)]
+    assert len(recorded) == 7 and all(each.map_changes for each in recorded[1:])
+    strategy = Case(recorded[1]).strategy()
+    drawn_again = [
+        np.array_equal(strategy.sample_route(np.random.default_rng(
+            each.metadata.route_entropy_source)), each.metadata.route)
+        for each in recorded
+    ]
+    assert drawn_again[0]
+    code, lines = verified(tmp_path, capsys)
+    assert (code, lines[-2]) == (0, '7 departures: all hold')
+    forger = Forger(recordings_in(tmp_path)[-1])
+    changes = np.load(BytesIO(forger.attachments['map_changes.npz']))
+    stream = BytesIO()
+    np.savez_compressed(stream, cells=changes['cells'][:1], values=changes['cells'][:1])
+    forger.attachments['map_changes.npz'] = stream.getvalue()
+    forger.correct()
+    code, lines = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
+    assert code == 1 and 'map_changes' in ' '.join(lines)
 
 
 def test_a_consistent_forgery_holds(files, tmp_path, capsys):

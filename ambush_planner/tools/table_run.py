@@ -51,8 +51,8 @@ def run_table(arguments: argparse.Namespace, console: cli.Console) -> int:
                 failed = _solve(missing, risk_map, options, executor, in_flight, table, bar)
         table.finish([pair.inputs for pair in pairs])
     seconds = time.monotonic() - begin
-    console.line(f'{cli.place(arguments.output)}: {len(pairs)} pairs, {len(missing)} of them solved '
-                 f'now, {failed} without a strategy, in {seconds:.1f} s')
+    console.line(f'{cli.place(arguments.output)}: {len(pairs)} pairs, {len(missing)} of them '
+                 f'solved now, {failed} without a strategy, in {seconds:.1f} s')
     console.result = {
         'verdict': 'finding' if failed else 'holds', 'table': cli.place(arguments.output),
         'pairs': len(pairs), 'solved': len(missing), 'failed': failed, 'seconds': round(seconds, 1),
