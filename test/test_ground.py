@@ -177,7 +177,7 @@ def test_a_threshold_that_is_passed_blocks():
 
 def test_another_map_altogether_blocks_at_once():
     values = np.zeros((400, 400), dtype=np.int8)
-    made, on, ground = planned(values)
+    made, on, ground = planned(values, spacing=5.0)
     new = np.full_like(values, 100)
     new[8:18] = 0
     assert not ground.standing(grid(new)).fit_to_depart(1e9, 0.0)

@@ -256,7 +256,7 @@ class Dispatcher:
             self._reporter.stands(standing, '')
             return
         why = (
-            f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.share < 1.0
+            f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
             else f'the value has risen to {standing.value:.4g}'
         )
         self._reporter.stands(standing, f'the map has changed: {why}; it is being solved anew')

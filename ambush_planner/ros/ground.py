@@ -26,6 +26,8 @@ _Cells = npt.NDArray[np.int64]
 _MOST_CELLS = 100_000
 # Where at least a tenth of the routes is clear, one in 10^13 departures needs more.
 _MOST_DRAWS = 300
+# Of the routes: so few are left out of the draw without solving anew, unless the value rises.
+_MOST_LOST = 0.01
 # Where fewer routes than this are left, nobody departs before it is solved anew.
 _LEAST_SHARE = 0.1
 _TINY = np.finfo(float).tiny
@@ -52,9 +54,14 @@ class Standing:
         """How much better than this one another strategy could be, at most."""
         return self.value - self.lower_bound
 
+    @property
+    def blocked(self) -> bool:
+        """Whether more routes are lost than may be: most strategies use all ground a little."""
+        return self.share < 1.0 - _MOST_LOST
+
     def stale(self, before: float, tolerance: float) -> bool:
         """Whether another strategy is wanted: ``before`` is the value on the strategy's own map."""
-        return self.share < 1.0 or self.value > before * (1.0 + tolerance) + 1e-12
+        return self.blocked or self.value > before * (1.0 + tolerance) + 1e-12
 
     def fit_to_depart(self, max_gap: float, before: float) -> bool:
         """Whether somebody can depart on it meanwhile.
