@@ -30,7 +30,8 @@ HEADER = Header(frame_id='map')
 START, GOAL = (12.5, 147.5), (387.5, 152.5)
 SPACING, SECURED = 20.0, 40.0
 NUMBERS = ('value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
-           'expected_length', 'edge_entropy', 'route_entropy')
+           'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget',
+           'exposure_price', 'edge_entropy', 'route_entropy')
 
 
 def occupancy(hill=60):
@@ -65,6 +66,7 @@ def strategy_arrays(strategy):
         'source': network.source, 'target': network.target,
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
+        'reach': strategy.game.ambush_radius,
         **{name: getattr(strategy, name) for name in NUMBERS},
     }
 
@@ -101,12 +103,13 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
     entries = metadata_texts(
         inputs={role: topic for role, (topic, _) in roles.items()},
         contents={**{role: message.data for role, message in messages.items()},
-                  'strategy': strategy},
+                  'strategy': strategy, 'map_changes': b''},
         json_entries={
             'versions': {'python': '3.12.3', 'numpy': '1.26.4'}, 'parameters': parameters(),
             'route_entropy_source': [source(number)],
             'route': [int(node) for node in route],
             'trip': {'start': list(start), 'goal': list(GOAL), 'tolerance': 0.0},
+            'ends': [list(start), list(GOAL)],
         },
         texts={
             'planner_version': '0.1.0', 'service': 'new_route', 'departure': str(number),
@@ -128,7 +131,7 @@ def corrected(metadata):
     """The hashes of the entries as they are now, unless they are said themselves."""
     try:
         hashes = json.loads(metadata['sha256'])
-        for key in ('parameters', 'route_entropy_source', 'route', 'trip'):
+        for key in ('parameters', 'route_entropy_source', 'route', 'trip', 'ends'):
             hashes[key] = hashlib.sha256(metadata[key].encode()).hexdigest()
     except (ValueError, TypeError):
         return metadata

@@ -12,6 +12,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from ambush_planner.core.certificate import upper_bound
 from ambush_planner.core.routes import always, shortest_route
 from ambush_planner.recording import recordings_in
 from ambush_planner.review.case import Case
@@ -141,8 +142,9 @@ def always_shortest(forger, rng):
     network = strategy.network
     p = always(network, shortest_route(network, np.arange(len(network.edges))))
     forger.set_arrays(
-        edge_probability=p, value=strategy.game.upper_bound(p), edge_entropy=0.0,
+        edge_probability=p, value=upper_bound(strategy.game, p), edge_entropy=0.0,
         route_entropy=0.0, expected_length=float(p @ network.lengths),
+        expected_exposure=float(p @ network.edge_exposure),
     )
 
 

@@ -130,7 +130,7 @@ def small_strategy():
     np.savez_compressed(
         stream, points=np.array([[0.0, 0.0], [3.0, 4.0]]), alpha=np.zeros(2),
         edges=np.array([[0, 1]]), source=0, target=1, edge_probability=np.ones(1),
-        ambush_probability=np.array([1.0, 0.0]), **dict.fromkeys(NUMBERS, 0.0),
+        ambush_probability=np.array([1.0, 0.0]), reach=0.0, **dict.fromkeys(NUMBERS, 0.0),
     )
     return Attachment('strategy.npz', 'application/zip', stream.getvalue())
 
@@ -145,12 +145,13 @@ def metadata_for(messages, strategy=STRATEGY, **texts):
         contents={
             **{role: next(m.data for m in messages if m.topic == topic)
                for role, topic in INPUTS.items()},
-            'strategy': strategy.data,
+            'strategy': strategy.data, 'map_changes': b'',
         },
         json_entries={
             'parameters': {'seed': -1}, 'versions': {'python': '3.12.3'}, 'route': [0, 1],
             'route_entropy_source': [2**255 + 1],
             'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'tolerance': 0.0},
+            'ends': [[1.5, 2.5], [3.0, 4.0]],
         },
         texts={
             'planner_version': '0.1.0', 'service': 'new_route', 'departure': '1',
