@@ -156,6 +156,14 @@ def edit_trip(change):
     return edit
 
 
+def move_end(which):
+    def edit(forger, rng):
+        ends = forger.entry('ends')
+        ends[which][0] += 0.2 * rng.random()
+        forger.set_entry('ends', ends)
+    return edit
+
+
 def move_trip(end):
     return edit_trip(lambda trip, rng: trip[end].__setitem__(0, trip[end][0] + rng.random()))
 
@@ -261,9 +269,9 @@ FORGERIES = [
     (NEW_ROUTE, add_obstacle, True, 'network: it does not follow from map'),
     (NEW_ROUTE, change_resolution, True, 'network: it does not follow from map'),
     (NEW_ROUTE, move('start'), False, 'sha256 of start does not hold'),
-    (NEW_ROUTE, move('start'), True, 'trip: its start is not'),
+    (NEW_ROUTE, move('start'), True, 'ends: the first one is not'),
     (GET_PLAN, move('start'), True, 'request: its start is not'),
-    (GET_PLAN, move('goal'), True, 'trip: its goal is not'),
+    (GET_PLAN, move('goal'), True, 'ends: the last one is not'),
     (AGAIN, turn_goal, True, 'path: its last pose'),
     (NEW_ROUTE, change_path(move_pose), False, 'sha256 of path does not hold'),
     (NEW_ROUTE, change_path(move_pose), True, 'path: pose'),
@@ -291,10 +299,12 @@ FORGERIES = [
     (NEW_ROUTE, scale('value', 1.01), True, 'recorded strategy: value is stated'),
     (NEW_ROUTE, scale('value', 1.0 + 1e-8), True, 'strategy: value is stated'),
     (GET_PLAN, scale('edge_entropy', 1.0 + 1e-8), True, 'strategy: edge_entropy is stated'),
-    (NEW_ROUTE, lose_flow, True, 'recorded strategy: edge_probability'),
+    (NEW_ROUTE, lose_flow, True, 'recorded strategy: p is no flow'),
     (NEW_ROUTE, change_loss, True, 'alpha are others'),
     (NEW_ROUTE, always_shortest, True, 'strategy: its certificate does not close'),
-    (NEW_ROUTE, move_trip('start'), True, 'trip: its start'),
+    (NEW_ROUTE, move_trip('start'), True, 'network: it does not follow'),
+    (NEW_ROUTE, move_end(0), True, 'ends: the first one is not'),
+    (GET_PLAN, move_end(1), True, 'ends: the last one is not'),
     (MOVED_GOAL, move_trip('goal'), True, 'trip: its goal is not where'),
     (MOVED_GOAL, edit_trip(lambda trip, rng: trip.update(tolerance=0.5)), True, 'trip:'),
     (NEW_ROUTE, drop(MarkerArray, 2), True, 'markers: mean_direction is missing'),
@@ -312,7 +322,7 @@ FORGERIES = [
     (NEW_ROUTE, metadata('service', 'get_plan'), True, 'service: the recorded call'),
     (NEW_ROUTE, metadata('frame', 'odom'), True, 'frame: the map is in the frame'),
     (NEW_ROUTE, metadata('format', '1'), True, "states the format '1'"),
-    (NEW_ROUTE, swap_roles, True, 'trip: its start is not'),
+    (NEW_ROUTE, swap_roles, True, 'ends: the first one is not'),
     (NEW_ROUTE, move_marker, True, 'does not show the recorded strategy'),
     (NEW_ROUTE, change_report('value', '0.1'), True, 'diagnostics: value is not'),
     (NEW_ROUTE, retype, True, 'map: it is not a OccupancyGrid'),
