@@ -51,6 +51,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/markers.py
 	$(BIN)/python benchmarks/many.py
 	-$(BIN)/python benchmarks/node_latency.py
+	-$(BIN)/python benchmarks/node_ground.py
 	$(BIN)/python benchmarks/node_load.py
 
 endurance: $(VENV)/.test

@@ -35,9 +35,9 @@ setup(
         'numpy>=1.26.4',
         'scipy>=1.11.4',
         'PyYAML>=6.0',
-        'mcap>=1.1.1',
+        'mcap>=1.2.2',
         'mcap-ros2-support>=0.5.3',
-        # What mcap compresses with; recover reads files that mcap's own reader gives up on.
+        # What mcap compresses with; chunks are unpacked by these, with a bound on their size.
         'lz4>=4.0',
         'zstandard>=0.19',
     ],
@@ -48,8 +48,11 @@ setup(
         # ambush_terrain reads GeoTIFF, ambush_table solves on a cluster.
         'terrain': ['rasterio>=1.3'],
         'dask': ['distributed>=2024.1'],
+        # Words of `ambush` completed in the shell, after register-python-argcomplete.
+        'completion': ['argcomplete'],
         # colcon test runs pytest only because it stands in an extra of this name.
         'test': [
+            'argcomplete',
             'pytest>=7.4',
             'pytest-timeout',
             'pytest-xdist',
@@ -67,16 +70,16 @@ setup(
     entry_points={
         'console_scripts': [
             'ambush_planner = ambush_planner.ros.planner_node:main',
-            'ambush_audit = ambush_planner.tools.audit:main',
-            'ambush_demo = ambush_planner.tools.demo:main',
-            'ambush_frontier = ambush_planner.tools.frontier:main',
-            'ambush_paper = ambush_planner.tools.paper:main',
-            'ambush_recover = ambush_planner.tools.recover:main',
-            'ambush_replay = ambush_planner.tools.replay:main',
-            'ambush_report = ambush_planner.tools.report:main',
-            'ambush_table = ambush_planner.tools.table:main',
-            'ambush_terrain = ambush_planner.tools.terrain:main',
-            'ambush_verify = ambush_planner.tools.verify:main',
+            # One program: its name, or its first argument, says which command it is.
+            *(
+                f'{name} = ambush_planner.tools.cli:main'
+                for name in (
+                    'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier', 'ambush_paper',
+                    'ambush_recover',
+                    'ambush_replay', 'ambush_report', 'ambush_table', 'ambush_terrain',
+                    'ambush_verify',
+                )
+            ),
         ],
     },
 )

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ambush_planner import RiskMap
-from ambush_planner.core.risk_map import FloatArray
+from ambush_planner.core.arrays import FloatArray
 
 HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far

@@ -92,6 +92,16 @@ def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig
         yield Rig(process, domain, folder)
 
 
+class StampingExecutor(SingleThreadedExecutor):
+    """Notes when an answer is there, before Python reads it."""
+
+    arrived = 0.0
+
+    def _take_client(self, client: Any) -> Any:
+        self.arrived = time.perf_counter()
+        return super()._take_client(client)
+
+
 class Caller:
     """A ROS node in this process that asks the planner; to be used in a ``with``.
 
@@ -109,7 +119,7 @@ class Caller:
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=self._domain)
         self.node = rclpy.create_node("caller", context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = StampingExecutor(context=self._context)
         self._executor.add_node(self.node)
         return self
 
@@ -122,6 +132,11 @@ class Caller:
         self._executor.shutdown()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
+
+    @property
+    def arrived(self) -> float:
+        """When the last answer was there, not read yet, by ``time.perf_counter``."""
+        return self._executor.arrived
 
     def watch_status(self) -> None:
         """Keep the diagnostics from now on."""

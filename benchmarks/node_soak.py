@@ -1,9 +1,10 @@
 """A departure every second for an hour, as an operator would ask: memory, failed calls, leftovers.
 
-Now and then the goal changes, the map, somebody asks for a plan between other places, or has the
-game solved anew. Every departure is recorded in a temporary folder, about 0.5 GB in an hour. Exit
-code 1 if a call failed, if the node grew (judged in runs of ten minutes or more), or if it left
-anything: a file that metadata.yaml does not list, shared memory, a process.
+An obstacle is somewhere else each time. Now and then the goal changes, the whole map, somebody asks
+for a plan between other places, or has the game solved anew. Every departure is recorded in a
+temporary folder, about 0.5 GB in an hour. Exit code 1 if a call failed, if the node grew (judged
+in runs of ten minutes or more), or if it left anything: a file that metadata.yaml does not list,
+shared memory, a process.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ import argparse
 import statistics
 import sys
 import time
+from array import array
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import node_rig
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
@@ -36,9 +39,10 @@ from node_rig import (
 )
 from report import RESULTS, conditions, table, write_block
 
-from ambush_planner.recording.bag_metadata import FILE_NAME, listed_files
+from ambush_planner.recording.bag_folder import FILE_NAME, listed_files
 
 CELLS, RESOLUTION, SPACING = 120, 0.5, 2.0
+SIDE = 3  # cells, of an obstacle that is somewhere else at each departure
 START = pose(5.0, 30.0)
 # Departures from one of these events to the next.
 NEW_GOAL, OTHER_PLAN, REPLAN, NEW_MAP = 10, 15, 30, 60
@@ -88,8 +92,7 @@ def soak(rig: Rig, caller: Caller, seconds: float, period: float) -> Journal:
 
 def events(caller: Caller, journal: Journal, k: int) -> None:
     """What else happens at the ``k``-th departure."""
-    if k % NEW_MAP == NEW_MAP - 1:
-        caller.publisher(OccupancyGrid, "/alpha_map").publish(grid(k))
+    caller.publisher(OccupancyGrid, "/alpha_map").publish(grid(k))
     if k % NEW_GOAL == NEW_GOAL - 1:
         caller.publisher(PoseStamped, "/goal_pose").publish(goal(k))
     if k % OTHER_PLAN == OTHER_PLAN - 1:
@@ -109,8 +112,14 @@ def trouble(call: Callable[[], object]) -> str:
 
 
 def grid(k: int) -> OccupancyGrid:
-    """A map of the ``k``-th departure's own."""
-    return node_rig.field(CELLS, RESOLUTION, seed=k)
+    """The map at the ``k``-th departure: another one at times, and always other obstacles."""
+    whole = node_rig.field(CELLS, RESOLUTION, seed=k // NEW_MAP)
+    # Not where trips begin and end.
+    row, column = np.random.default_rng(k).integers((0, 20), (CELLS - SIDE, 95))
+    values = np.array(whole.data, dtype=np.int8).reshape(CELLS, CELLS)
+    values[row:row + SIDE, column:column + SIDE] = 100
+    whole.data = array("b", values.tobytes())
+    return whole
 
 
 def goal(k: int) -> PoseStamped:
@@ -129,7 +138,7 @@ def leftovers(rig: Rig, memory: Sequence[Path], workers: Sequence[int]) -> Itera
             yield f"process {pid}"
     for folder in rig.recordings.iterdir():
         there = {path.name for path in folder.iterdir()} - {FILE_NAME}
-        listed = set(listed_files((folder / FILE_NAME).read_bytes()))
+        listed = set(listed_files(folder) or ())
         yield from (f"unlisted {name}" for name in sorted(there - listed))
         yield from (f"listed, but missing {name}" for name in sorted(listed - there))
 
@@ -182,7 +191,8 @@ def results(
     text = (
         f"A departure every {period:g} s for {seconds:.0f} s; a new goal every {NEW_GOAL} "
         f"departures, a plan between other places every {OTHER_PLAN}, a solve anew every {REPLAN}, "
-        f"a new map every {NEW_MAP}. {conditions('ros-jazzy-rclpy')}.\n\n{table(('', ''), rows)}\n"
+        f"a new map every {NEW_MAP}, and an obstacle of {SIDE} x {SIDE} cells that is somewhere "
+        f"else each time. {conditions('ros-jazzy-rclpy')}.\n\n{table(('', ''), rows)}\n"
         f"\nTarget: no failed call, memory growth < {GROWTH_ALLOWED:g} %, nothing left behind; "
         f"{'met' if met else '**missed**'}."
     )

@@ -161,7 +161,9 @@ def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> De
     say(f"{calls} departures of each kind, recording {recording}, every {period:g} s")
     times: Samples = {}
     with Caller(rig.domain, rig.process.check) as caller:
-        times["`new_route`: answer"] = paced(caller, calls, period, caller.new_route)
+        read, times["`new_route`: answer arrived"] = arrivals(
+            caller, calls, period, caller.new_route)
+        times["`new_route`: answer read by Python"] = read
     with Caller(rig.domain, rig.process.check) as caller:
         # Not the paths themselves: with hundreds of them Python's garbage collector takes 0.2 s.
         received: list[tuple[float, int]] = []
@@ -172,9 +174,25 @@ def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> De
     times["`new_route`: answer, where `path` is received, too"] = answers
     times["`new_route`: `path` received"] = paths
     with Caller(rig.domain, rig.process.check) as caller:
-        times["`get_plan`: answer with the path"] = paced(
+        read, times["`get_plan`: answer with the path arrived"] = arrivals(
             caller, calls, period, lambda: caller.get_plan(START, GOAL))
+        times["`get_plan`: answer with the path read by Python"] = read
     return Departures(recording, period, times, [count for _, count in received])
+
+
+def arrivals(
+    caller: Caller, calls: int, period: float, ask: Callable[[], object]
+) -> tuple[list[float], list[float]]:
+    """Times until answers were read, and until they had arrived."""
+    arrived: list[float] = []
+
+    def timed() -> None:
+        begin = time.perf_counter()
+        ask()
+        arrived.append(1e3 * (caller.arrived - begin))
+
+    read = paced(caller, calls, period, timed)
+    return read, arrived[1:]
 
 
 def routes_and_paths(

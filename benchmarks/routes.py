@@ -19,11 +19,11 @@ from matplotlib.figure import Figure
 from report import RESULTS, conditions, table, write_block
 
 from ambush_planner import NetworkOptions, Strategy, StrategyOptions, build_network, solve
+from ambush_planner.core.arrays import FloatArray
 from ambush_planner.core.construction import chosen_spacing
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.driven_path import different_paths, driven_path
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
-from ambush_planner.core.risk_map import FloatArray
 from ambush_planner.tools.figures import (
     FixedRoute,
     draw_ambush_sites,

@@ -8,7 +8,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 
-from ambush_planner.core.audit import audit
+from ambush_planner.audit.departures import Driven, audit
 
 
 def routes_with_probabilities(strategy):
@@ -32,4 +32,4 @@ def drawn(strategy, count, seed):
 
 
 def run(strategy, routes, rate=0.01):
-    return audit(strategy.game, strategy.edge_probability, routes, rate)
+    return audit([Driven(strategy, route) for route in routes], rate)

@@ -2,13 +2,14 @@
 
 import hashlib
 import io
+import json
 from dataclasses import replace
 
 import numpy as np
-import yaml
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
+from recording_samples import encoded_departure
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -17,7 +18,8 @@ from ambush_planner.core.game import GameOptions
 from ambush_planner.core.planner import PlanningOptions, plan
 from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.core.strategy import StrategyOptions
-from ambush_planner.recording import Attachment, RecordedMessage, Recorder
+from ambush_planner.recording import Attachment, RecordedMessage
+from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 from ambush_planner.ros.parameters import PARAMETERS
 
@@ -28,7 +30,8 @@ HEADER = Header(frame_id='map')
 START, GOAL = (12.5, 147.5), (387.5, 152.5)
 SPACING, SECURED = 20.0, 40.0
 NUMBERS = ('value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
-           'expected_length', 'edge_entropy', 'route_entropy')
+           'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget',
+           'exposure_price', 'edge_entropy', 'route_entropy')
 
 
 def occupancy(hill=60):
@@ -47,13 +50,13 @@ def parameters(**changes):
     return values | changes
 
 
-def sample_plan(solver='max_entropy', hill=60):
+def sample_plan(solver='max_entropy', hill=60, start=START):
     risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
         NetworkOptions(spacing=SPACING), GameOptions(secured_radius=SECURED),
         StrategyOptions(solver),
     )
-    return plan(risk_map, START, GOAL, options)
+    return plan(risk_map, start, GOAL, options)
 
 
 def strategy_arrays(strategy):
@@ -63,6 +66,7 @@ def strategy_arrays(strategy):
         'source': network.source, 'target': network.target,
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
+        'reach': strategy.game.ambush_radius,
         **{name: getattr(strategy, name) for name in NUMBERS},
     }
 
@@ -73,15 +77,16 @@ def npz(arrays):
     return stream.getvalue()
 
 
-def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_ns=None):
+def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_ns=None,
+              start=START):
     """Messages, metadata and attachments of one departure; ``texts`` replace metadata entries.
 
-    Hashes are those of what is recorded, changed entries too; those of ``texts`` come last.
+    Hashes are those of what is recorded, changed entries too.
     """
     strategy = npz(strategy_arrays(a_plan.strategy)) if strategy is None else strategy
     stamp = START_NS + number * DAY_NS if stamp_ns is None else stamp_ns
     poses = np.column_stack((a_plan.network.points[route], np.zeros(len(route))))
-    ends = [PoseStamped(header=HEADER, pose=pose_to_ros(*xy)) for xy in (START, GOAL)]
+    ends = [PoseStamped(header=HEADER, pose=pose_to_ros(*xy)) for xy in (start, GOAL)]
     roles = {
         'map': ('/alpha_map', occupancy_to_ros(occupancy(hill), 5.0, (0.0, 0.0, 0.0), HEADER)),
         'start': ('/start_pose', ends[0]),
@@ -95,30 +100,55 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
     event = Trigger.Event(request=[Trigger.Request()])
     call = RecordedMessage('/planner/new_route/_service_event', 'std_srvs/srv/Trigger_Event',
                            serialize_message(event), LATCHED, stamp)
-    metadata = {
-        'format': '2', 'planner_version': '0.1.0', 'service': 'new_route',
-        'versions': yaml.safe_dump({'python': '3.12.3', 'numpy': '1.26.4'}),
-        'departure': str(number), 'departure_id': f'00000000-0000-4000-8000-{number:012d}',
-        'frame': 'map', 'parameters': yaml.safe_dump(parameters()),
-        'route_entropy_source': f'[{number}]', 'route': str([int(node) for node in route]),
-        'inputs': yaml.safe_dump({role: roles[role][0] for role in roles}),
-        'trip': yaml.safe_dump({'start': list(START), 'goal': list(GOAL), 'tolerance': 0.0}),
-    } | dict(texts)
-    contents = {role: message.data for role, message in messages.items()} | {
-        name: metadata[name].encode()
-        for name in ('parameters', 'route_entropy_source', 'route', 'trip') if name in metadata
-    } | {'strategy': strategy}
-    hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
-    metadata = {'sha256': yaml.safe_dump(hashes)} | metadata
+    entries = metadata_texts(
+        inputs={role: topic for role, (topic, _) in roles.items()},
+        contents={**{role: message.data for role, message in messages.items()},
+                  'strategy': strategy, 'map_changes': b''},
+        json_entries={
+            'versions': {'python': '3.12.3', 'numpy': '1.26.4'}, 'parameters': parameters(),
+            'route_entropy_source': [source(number)],
+            'route': [int(node) for node in route],
+            'trip': {'start': list(start), 'goal': list(GOAL), 'tolerance': 0.0},
+            'ends': [list(start), list(GOAL)],
+        },
+        texts={
+            'planner_version': '0.1.0', 'service': 'new_route', 'departure': str(number),
+            'departure_id': f'00000000-0000-4000-8000-{number:012d}', 'frame': 'map',
+        },
+    )
+    metadata = corrected({**entries, **dict(texts)}) if texts else entries
     return [*messages.values(), call], metadata, [
         Attachment('strategy.npz', 'application/zip', strategy)
     ]
 
 
+def source(number):
+    """256 random bits."""
+    return int.from_bytes(np.random.default_rng(number).bytes(32), 'big') | 2**255
+
+
+def corrected(metadata):
+    """The hashes of the entries as they are now, unless they are said themselves."""
+    try:
+        hashes = json.loads(metadata['sha256'])
+        for key in ('parameters', 'route_entropy_source', 'route', 'trip', 'ends'):
+            hashes[key] = hashlib.sha256(metadata[key].encode()).hexdigest()
+    except (ValueError, TypeError):
+        return metadata
+    return {**metadata, 'sha256': json.dumps(hashes)}
+
+
 def record(folder, departures):
-    """Record departures in one session and return their files."""
-    recorder = Recorder(folder)
-    return [recorder.record_departure(*each) for each in departures]
+    """Write departures as one session, whatever is in them, and return their files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    link, paths = Link(), []
+    for k, (messages, metadata, files) in enumerate(departures):
+        path = folder / f'run_{k}.mcap'
+        chain = {'chain': chain_text(Link(path.name, link.file, link.sha256))}
+        path.write_bytes(encoded_departure(messages, {**chain, **metadata}, files, 'zstd'))
+        link = Link(path.name, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
+        paths.append(path)
+    return paths
 
 
 def drawn(a_plan, count, seed=1):

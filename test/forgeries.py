@@ -12,9 +12,10 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
+from ambush_planner.core.certificate import upper_bound
 from ambush_planner.core.routes import always, shortest_route
 from ambush_planner.recording import recordings_in
-from ambush_planner.review.departures import record_from, strategy_from
+from ambush_planner.review.case import Case
 
 
 def cell_at(forger, node):
@@ -80,34 +81,34 @@ def lift_first(path, rng):
 
 
 def change_route(forger, rng):
-    route = forger.yaml('route')
+    route = forger.entry('route')
     k = int(rng.integers(1, len(route) - 1))
-    forger.set_yaml('route', [*route[:k], (route[k] + 1) % 90, *route[k + 1:]])
+    forger.set_entry('route', [*route[:k], (route[k] + 1) % 90, *route[k + 1:]])
 
 
 def leave_network(forger, rng):
-    forger.set_yaml('route', [10**6, *forger.yaml('route')[1:]])
+    forger.set_entry('route', [10**6, *forger.entry('route')[1:]])
 
 
 def change_source(forger, rng):
-    forger.set_yaml('route_entropy_source', [int(rng.integers(2**62))])
+    forger.set_entry('route_entropy_source', [int(rng.integers(2**62))])
 
 
 def longer_source(forger, rng):
-    forger.set_yaml('route_entropy_source', [*forger.yaml('route_entropy_source'), 1])
+    forger.set_entry('route_entropy_source', [*forger.entry('route_entropy_source'), 1])
 
 
 def parameter(**changes):
     def set_it(forger, rng):
         named = {name.replace('__', '.'): value for name, value in changes.items()}
-        forger.edit_yaml('parameters', **named)
+        forger.edit_entry('parameters', **named)
     return set_it
 
 
 def forget_parameter(forger, rng):
-    values = forger.yaml('parameters')
+    values = forger.entry('parameters')
     del values['recording.compression']
-    forger.set_yaml('parameters', values)
+    forger.set_entry('parameters', values)
 
 
 def swap_strategy(forger, rng):
@@ -137,21 +138,29 @@ def change_loss(forger, rng):
 
 def always_shortest(forger, rng):
     """Another strategy, all of whose numbers follow from it: always the shortest route."""
-    recorded = forger.recorded
-    strategy = strategy_from(recorded, record_from(recorded))
+    strategy = Case(forger.recorded).strategy()
     network = strategy.network
     p = always(network, shortest_route(network, np.arange(len(network.edges))))
     forger.set_arrays(
-        edge_probability=p, value=strategy.game.upper_bound(p), edge_entropy=0.0,
+        edge_probability=p, value=upper_bound(strategy.game, p), edge_entropy=0.0,
         route_entropy=0.0, expected_length=float(p @ network.lengths),
+        expected_exposure=float(p @ network.edge_exposure),
     )
 
 
 def edit_trip(change):
     def edit(forger, rng):
-        trip = forger.yaml('trip')
+        trip = forger.entry('trip')
         change(trip, rng)
-        forger.set_yaml('trip', trip)
+        forger.set_entry('trip', trip)
+    return edit
+
+
+def move_end(which):
+    def edit(forger, rng):
+        ends = forger.entry('ends')
+        ends[which][0] += 0.2 * rng.random()
+        forger.set_entry('ends', ends)
     return edit
 
 
@@ -197,8 +206,8 @@ def metadata(key, value):
 
 
 def swap_roles(forger, rng):
-    topics = forger.yaml('inputs')
-    forger.edit_yaml('inputs', start=topics['goal'], goal=topics['start'])
+    topics = forger.entry('inputs')
+    forger.edit_entry('inputs', start=topics['goal'], goal=topics['start'])
 
 
 def move_marker(forger, rng):
@@ -260,9 +269,9 @@ FORGERIES = [
     (NEW_ROUTE, add_obstacle, True, 'network: it does not follow from map'),
     (NEW_ROUTE, change_resolution, True, 'network: it does not follow from map'),
     (NEW_ROUTE, move('start'), False, 'sha256 of start does not hold'),
-    (NEW_ROUTE, move('start'), True, 'trip: its start is not'),
+    (NEW_ROUTE, move('start'), True, 'ends: the first one is not'),
     (GET_PLAN, move('start'), True, 'request: its start is not'),
-    (GET_PLAN, move('goal'), True, 'trip: its goal is not'),
+    (GET_PLAN, move('goal'), True, 'ends: the last one is not'),
     (AGAIN, turn_goal, True, 'path: its last pose'),
     (NEW_ROUTE, change_path(move_pose), False, 'sha256 of path does not hold'),
     (NEW_ROUTE, change_path(move_pose), True, 'path: pose'),
@@ -290,10 +299,12 @@ FORGERIES = [
     (NEW_ROUTE, scale('value', 1.01), True, 'recorded strategy: value is stated'),
     (NEW_ROUTE, scale('value', 1.0 + 1e-8), True, 'strategy: value is stated'),
     (GET_PLAN, scale('edge_entropy', 1.0 + 1e-8), True, 'strategy: edge_entropy is stated'),
-    (NEW_ROUTE, lose_flow, True, 'recorded strategy: edge_probability'),
+    (NEW_ROUTE, lose_flow, True, 'recorded strategy: p is no flow'),
     (NEW_ROUTE, change_loss, True, 'alpha are others'),
     (NEW_ROUTE, always_shortest, True, 'strategy: its certificate does not close'),
-    (NEW_ROUTE, move_trip('start'), True, 'trip: its start'),
+    (NEW_ROUTE, move_trip('start'), True, 'network: it does not follow'),
+    (NEW_ROUTE, move_end(0), True, 'ends: the first one is not'),
+    (GET_PLAN, move_end(1), True, 'ends: the last one is not'),
     (MOVED_GOAL, move_trip('goal'), True, 'trip: its goal is not where'),
     (MOVED_GOAL, edit_trip(lambda trip, rng: trip.update(tolerance=0.5)), True, 'trip:'),
     (NEW_ROUTE, drop(MarkerArray, 2), True, 'markers: mean_direction is missing'),
@@ -311,7 +322,7 @@ FORGERIES = [
     (NEW_ROUTE, metadata('service', 'get_plan'), True, 'service: the recorded call'),
     (NEW_ROUTE, metadata('frame', 'odom'), True, 'frame: the map is in the frame'),
     (NEW_ROUTE, metadata('format', '1'), True, "states the format '1'"),
-    (NEW_ROUTE, swap_roles, True, 'trip: its start is not'),
+    (NEW_ROUTE, swap_roles, True, 'ends: the first one is not'),
     (NEW_ROUTE, move_marker, True, 'does not show the recorded strategy'),
     (NEW_ROUTE, change_report('value', '0.1'), True, 'diagnostics: value is not'),
     (NEW_ROUTE, retype, True, 'map: it is not a OccupancyGrid'),

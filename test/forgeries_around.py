@@ -63,10 +63,10 @@ def add_metadata(forger, rng):
     forger.metadata['approved'] = 'yes'
 
 
-def first_line(key, line):
-    """A line before all others, which the last one of its key overrides."""
+def first_of(key, pair):
+    """A pair before all others, which a later one of its name overrides."""
     def add(forger, rng):
-        forger.metadata[key] = f'{line}\n{forger.metadata[key]}'
+        forger.metadata[key] = f'{{{pair}, {forger.metadata[key][1:]}'
     return add
 
 
@@ -84,10 +84,10 @@ AROUND = [
      True, 'diagnostics: there are not the values'),
     (GET_PLAN, report(lambda status: setattr(status, 'hardware_id', 'x')), True, 'no hardware'),
     (NEW_ROUTE, add_metadata, True, "metadata: an entry 'approved' is not known"),
-    (NEW_ROUTE, first_line('versions', 'approved: 1'), True, "versions: an entry 'approved'"),
-    (NEW_ROUTE, first_line('parameters', 'seed: 4242'), True, 'a key that comes twice'),
-    (NEW_ROUTE, first_line('trip', 'tolerance: 9.0'), True, 'a key that comes twice'),
-    (NEW_ROUTE, disguise(hidden_chunk), False, 'a record of kind 128'),
-    (NEW_ROUTE, disguise(renamed_topics), False, 'the summary is of another content'),
-    (NEW_ROUTE, disguise(early_message_index), False, 'a message index that is not'),
+    (NEW_ROUTE, first_of('versions', '"approved": 1'), True, "versions: an entry 'approved'"),
+    (NEW_ROUTE, first_of('parameters', '"seed": 4242'), True, 'a key that comes twice'),
+    (NEW_ROUTE, first_of('trip', '"tolerance": 9.0'), True, 'a key that comes twice'),
+    (NEW_ROUTE, disguise(hidden_chunk), False, 'its index leads to another content'),
+    (NEW_ROUTE, disguise(renamed_topics), False, 'its index leads to another content'),
+    (NEW_ROUTE, disguise(early_message_index), False, 'file: it is not laid out as'),
 ]

@@ -1,20 +1,20 @@
 """Recordings of a real node, and somebody who changes what is in them and writes them anew."""
 
 import hashlib
+import json
 from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
-import yaml
-from mcap.writer import CompressionType
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
+from recording_samples import encoded_departure
 from ros_harness import pose, stage
 
 from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
-from ambush_planner.recording.encoding import encode_departure
+from ambush_planner.review.case import TYPES
 
 ROLES = ('map', 'start', 'goal', 'path')
-TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip')
+TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 
 
@@ -47,22 +47,22 @@ class Forger:
         recorded = read_departure(path)
         self.recorded = recorded
         self.messages = list(recorded.messages)
-        self.metadata = dict(recorded.metadata)
+        self.metadata = dict(recorded.metadata.texts)
         self.attachments = dict(recorded.attachments)
         self.disguise = bytes  # of the bytes of the file in the end
 
-    def yaml(self, key):
-        return yaml.safe_load(self.metadata[key])
+    def entry(self, key):
+        return json.loads(self.metadata[key])
 
-    def set_yaml(self, key, value):
-        self.metadata[key] = yaml.safe_dump(value)
+    def set_entry(self, key, value):
+        self.metadata[key] = json.dumps(value)
 
-    def edit_yaml(self, key, **changes):
-        self.set_yaml(key, {**self.yaml(key), **changes})
+    def edit_entry(self, key, **changes):
+        self.set_entry(key, {**self.entry(key), **changes})
 
     def place(self, role):
         """The index of the message in a role."""
-        topic = self.yaml('inputs')[role]
+        topic = self.entry('inputs')[role]
         (found,) = [k for k, message in enumerate(self.messages) if message.topic == topic]
         return found
 
@@ -72,7 +72,8 @@ class Forger:
         return [k for k, message in enumerate(self.messages) if message.type == name]
 
     def message(self, place):
-        return self.recorded.decode(self.messages[place])
+        message = self.messages[place]
+        return deserialize_message(message.data, TYPES[message.type])
 
     def put(self, place, message):
         self.messages[place] = replace(self.messages[place], data=serialize_message(message))
@@ -97,12 +98,14 @@ class Forger:
         """State the hashes of what is there now, as a clever forger does."""
         contents = {role: self.messages[self.place(role)].data for role in ROLES}
         contents |= {key: self.metadata[key].encode() for key in TEXTS}
-        contents['strategy'] = self.attachments['strategy.npz']
+        for name in ('strategy', 'map_changes'):
+            contents[name] = self.attachments.get(f'{name}.npz', b'')
         hashes = {name: hashlib.sha256(data).hexdigest() for name, data in contents.items()}
-        self.set_yaml('sha256', hashes)
+        self.set_entry('sha256', hashes)
 
     def save(self, path):
-        files = [Attachment(name, '', data) for name, data in self.attachments.items()]
-        data = encode_departure(self.messages, self.metadata, files, CompressionType.ZSTD)
+        kind = 'application/zip'
+        files = [Attachment(name, kind, data) for name, data in self.attachments.items()]
+        data = encoded_departure(self.messages, self.metadata, files, 'zstd')
         path.write_bytes(self.disguise(data))
         return path

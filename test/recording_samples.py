@@ -1,6 +1,7 @@
 """A departure with every kind of message, and independent readers to compare it with."""
 
 import array
+import io
 from functools import cache
 
 import numpy as np
@@ -21,8 +22,11 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recording import Attachment, RecordedMessage, type_name
-from ambush_planner.recording.qos import qos_to_yaml
+from ambush_planner.recording.mcap_file import encode
+from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
+from ambush_planner.recording.recorder import departure_content
 from ambush_planner.recording.schemas import load_definition
+from ambush_planner.recording.strategy_file import NUMBERS
 
 # Its parsers are slow, and the tests' files all hold the same definitions.
 for _parser in ('get_types_from_idl', 'get_types_from_msg'):
@@ -31,13 +35,7 @@ for _parser in ('get_types_from_idl', 'get_types_from_msg'):
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 VOLATILE = QoSProfile(depth=10)
-METADATA = {
-    'format': '2',
-    'planner_version': '0.1.0',
-    'input_sha256': 'ab' * 32,
-    'inputs': '{map: /alpha_map, start: /start_pose, goal: /goal_pose, path: /path}',
-}
-STRATEGY = Attachment('strategy.npz', 'application/zip', bytes(range(256)) * 8)
+INPUTS = {'map': '/alpha_map', 'start': '/start_pose', 'goal': '/goal_pose', 'path': '/path'}
 TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray, Trigger.Event,
          GetPlan.Event)
 
@@ -126,6 +124,64 @@ def small_departure(start_ns=START_NS):
             enumerate(rows)]
 
 
+def small_strategy():
+    """The attachment of a strategy: two places and one way."""
+    stream = io.BytesIO()
+    np.savez_compressed(
+        stream, points=np.array([[0.0, 0.0], [3.0, 4.0]]), alpha=np.zeros(2),
+        edges=np.array([[0, 1]]), source=0, target=1, edge_probability=np.ones(1),
+        ambush_probability=np.array([1.0, 0.0]), reach=0.0, **dict.fromkeys(NUMBERS, 0.0),
+    )
+    return Attachment('strategy.npz', 'application/zip', stream.getvalue())
+
+
+STRATEGY = small_strategy()
+
+
+def metadata_for(messages, strategy=STRATEGY, **texts):
+    """All entries that a recorder is given with these messages; ``texts`` replace some."""
+    entries = metadata_texts(
+        inputs=INPUTS,
+        contents={
+            **{role: next(m.data for m in messages if m.topic == topic)
+               for role, topic in INPUTS.items()},
+            'strategy': strategy.data, 'map_changes': b'',
+        },
+        json_entries={
+            'parameters': {'seed': -1}, 'versions': {'python': '3.12.3'}, 'route': [0, 1],
+            'route_entropy_source': [2**255 + 1],
+            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'tolerance': 0.0},
+            'ends': [[1.5, 2.5], [3.0, 4.0]],
+        },
+        texts={
+            'planner_version': '0.1.0', 'service': 'new_route', 'departure': '1',
+            'departure_id': 'a5c0', 'frame': 'map',
+        },
+    )
+    return {**entries, **texts}
+
+
+def encoded_departure(*content):
+    """The bytes of a recording, whatever is in it."""
+    return encode(departure_content(*content))
+
+
+def file_of(messages, compression='zstd', **texts):
+    """The bytes of a whole recording of these messages."""
+    metadata = {'chain': chain_text(Link('x.mcap')), **metadata_for(messages, **texts)}
+    return encoded_departure(messages, metadata, [STRATEGY], compression)
+
+
+def record(recorder, messages):
+    """Record messages with the metadata of a whole departure; what is lacking is added."""
+    present = {message.topic for message in messages}
+    more = [each for each in small_departure(messages[0].stamp_ns) if each.topic in
+            set(INPUTS.values()) - present] if messages else []
+    return recorder.record_departure(
+        [*messages, *more], metadata_for([*messages, *more]) if messages else {}, [STRATEGY]
+    )
+
+
 def message_of(recorded):
     """The message of rclpy that was recorded."""
     (class_,) = [type_ for type_ in TYPES if type_name(type_) == recorded.type]
@@ -134,7 +190,7 @@ def message_of(recorded):
 
 def fields(message):
     """What of a recorded message comes back from a file."""
-    return (message.topic, message.type, message.data, qos_to_yaml(message.qos), message.stamp_ns)
+    return (message.topic, message.type, message.data, message.qos_text, message.stamp_ns)
 
 
 def assert_same(sent, read):

@@ -24,8 +24,8 @@ from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
-from ambush_planner.ros.outbox import REQUESTS
 from ambush_planner.ros.planner_node import THREADS, PlannerNode
+from ambush_planner.ros.qos import REQUESTS
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'

@@ -1,11 +1,11 @@
 """Recorded departures as records: round trip, grouping, and refusals that say what is wrong."""
 
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import yaml
 from audit_samples import (
     GOAL,
     NUMBERS,
@@ -18,17 +18,19 @@ from audit_samples import (
     record,
     restamped,
     sample_plan,
+    source,
     without,
 )
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from recording_samples import encoded_departure
 
 from ambush_planner.core.game import GameOptions
 from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.recording.encoding import encode_departure
-from ambush_planner.recording.errors import UnreadableRecording
-from ambush_planner.recording.reader import read_departure, recordings_in
-from ambush_planner.review.departures import read_campaigns, record_from
+from ambush_planner.recording import UnreadableRecording, read_departure, recordings_in
+from ambush_planner.recording.metadata import Link, chain_text
+from ambush_planner.review.case import Case
+from ambush_planner.review.departures import read_departures
 
 
 @pytest.fixture(scope='module')
@@ -43,14 +45,14 @@ def other_plan():
 
 def read(folder):
     errors = []
-    return read_campaigns(recordings_in(folder), errors.append), errors
+    return read_departures(recordings_in(folder), errors.append), errors
 
 
 def only_error(folder, *departures):
     """The one error that reading these departures gives."""
     record(folder, departures)
-    campaigns, errors = read(folder)
-    assert not campaigns and len(errors) == 1
+    found, errors = read(folder)
+    assert not found and len(errors) == 1
     assert isinstance(errors[0], UnreadableRecording)
     return str(errors[0])
 
@@ -58,24 +60,26 @@ def only_error(folder, *departures):
 def test_a_departure_comes_back_as_it_was(tmp_path, a_plan):
     (route,) = drawn(a_plan, 1)
     (path,) = record(tmp_path, [departure(a_plan, route, 3)])
-    (campaign,), errors = read(tmp_path)
-    (found,) = campaign.departures
+    (found,), errors = read(tmp_path)
     assert not errors and found.path == path
     assert found.route.tolist() == route.tolist()
-    assert (found.number, found.service, found.frame) == (3, 'new_route', 'map')
-    assert found.id.endswith('003') and found.route_entropy_source == [3]
-    assert found.planner_version == '0.1.0' and found.versions['numpy'] == '1.26.4'
-    assert found.trip.start_xy == START and found.trip.goal_xy == GOAL
-    assert found.trip.tolerance == 0.0
+    assert (found.metadata.number, found.metadata.service, found.metadata.frame) == (
+        3, 'new_route', 'map')
+    assert found.metadata.id.endswith('003')
+    assert found.metadata.route_entropy_source == [source(3)]
+    assert found.metadata.planner_version == '0.1.0'
+    assert found.metadata.versions['numpy'] == '1.26.4'
+    assert found.metadata.trip.start_xy == START and found.metadata.trip.goal_xy == GOAL
+    assert found.metadata.trip.tolerance == 0.0
     assert found.parameters.planning.game == GameOptions(secured_radius=40.0)
-    assert '[3]' not in repr(found)
+    assert str(source(3)) not in repr(found)
 
 
 def test_the_strategy_comes_back_with_its_network_and_certificate(tmp_path, a_plan):
     (route,) = drawn(a_plan, 1)
     record(tmp_path, [departure(a_plan, route)])
-    (campaign,), _ = read(tmp_path)
-    ours, theirs = campaign.strategy, a_plan.strategy
+    (found,), _ = read(tmp_path)
+    ours, theirs = found.strategy, a_plan.strategy
     for name in ('points', 'alpha', 'edges', 'source', 'target'):
         assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
     for name in ('edge_probability', 'visit_probability', 'ambush_probability'):
@@ -91,56 +95,59 @@ def test_the_strategy_comes_back_with_its_network_and_certificate(tmp_path, a_pl
 def test_the_risk_map_comes_back(tmp_path, a_plan):
     (route,) = drawn(a_plan, 1)
     record(tmp_path, [departure(a_plan, route)])
-    (campaign,), _ = read(tmp_path)
+    (found,), _ = read(tmp_path)
     expected = risk_map_from_occupancy(occupancy(), 5.0)
-    assert np.array_equal(campaign.risk_map.alpha, expected.alpha)
-    assert np.array_equal(campaign.risk_map.obstacles, expected.obstacles)
+    assert np.array_equal(found.risk_map.alpha, expected.alpha)
+    assert np.array_equal(found.risk_map.obstacles, expected.obstacles)
 
 
-def test_departures_are_grouped_by_strategy_in_the_order_of_time(tmp_path, a_plan, other_plan):
+def test_departures_of_one_strategy_share_it_and_come_in_the_order_of_time(
+    tmp_path, a_plan, other_plan
+):
     routes, others = drawn(a_plan, 4), drawn(other_plan, 2)
     late = [departure(a_plan, route, k + 10) for k, route in enumerate(routes)]
     early = [departure(other_plan, route, k + 1, hill=90) for k, route in enumerate(others)]
     record(tmp_path, [late[2], early[1], late[0], late[3], early[0], late[1]])
-    campaigns, errors = read(tmp_path)
+    found, errors = read(tmp_path)
     assert not errors
-    assert [[d.number for d in campaign.departures] for campaign in campaigns] == [
-        [1, 2], [10, 11, 12, 13]
-    ]
-    assert campaigns[0].sha256 != campaigns[1].sha256
+    assert [each.metadata.number for each in found] == [1, 2, 10, 11, 12, 13]
+    for part in (found[:2], found[2:]):
+        assert len({id(each.strategy) for each in part}) == 1
+        assert len({id(each.risk_map) for each in part}) == 1
+    assert found[0].strategy is not found[2].strategy
 
 
-def test_the_same_strategy_in_another_game_is_another_group(tmp_path, a_plan):
+def test_the_same_strategy_in_another_game_is_another_one(tmp_path, a_plan):
     """A strategy may serve two games; measures and sites are those of each."""
     routes = drawn(a_plan, 2)
-    texts = {'parameters': yaml.safe_dump(parameters(**{'map.alpha_max': 20.0}))}
+    texts = {'parameters': json.dumps(parameters(**{'game.secured_radius': 30.0}))}
     record(tmp_path, [departure(a_plan, routes[0]), departure(a_plan, routes[1], 2, texts=texts)])
-    campaigns, errors = read(tmp_path)
-    assert not errors and len(campaigns) == 2
+    found, errors = read(tmp_path)
+    assert len({id(each.strategy) for each in found}) == len(found)
 
 
 def test_a_copied_file_counts_once(tmp_path, a_plan):
     (route,) = drawn(a_plan, 1)
     (path,) = record(tmp_path, [departure(a_plan, route)])
     (path.parent / 'copy.mcap').write_bytes(path.read_bytes())
-    (campaign,), errors = read(tmp_path)
-    assert not errors and len(campaign.departures) == 1
+    (found,), errors = read(tmp_path)
+    assert not errors
 
 
 def test_two_departures_of_one_id_are_refused(tmp_path, a_plan):
     one, two = drawn(a_plan, 2)
     same = {'departure_id': '00000000-0000-4000-8000-000000000001'}
     record(tmp_path, [departure(a_plan, one), departure(a_plan, two, 2, texts=same)])
-    (campaign,), (error,) = read(tmp_path)
-    assert len(campaign.departures) == 1 and 'departure_id' in str(error)
+    (found,), (error,) = read(tmp_path)
+    assert 'departure_id' in str(error)
 
 
 def test_one_bad_file_does_not_hide_the_others(tmp_path, a_plan):
     routes = drawn(a_plan, 3)
     paths = record(tmp_path, [departure(a_plan, r, k) for k, r in enumerate(routes)])
     paths[0].write_bytes(paths[0].read_bytes()[:500])
-    (campaign,), errors = read(tmp_path)
-    assert len(campaign.departures) == 2 and [error.path for error in errors] == [paths[0]]
+    found, errors = read(tmp_path)
+    assert len(found) == 2 and [error.path for error in errors] == [paths[0]]
 
 
 def test_equal_times_are_ordered_by_number(tmp_path, a_plan):
@@ -148,8 +155,8 @@ def test_equal_times_are_ordered_by_number(tmp_path, a_plan):
     record(tmp_path, [
         departure(a_plan, routes[k], k, stamp_ns=START_NS) for k in (2, 0, 1)
     ])
-    (campaign,), _ = read(tmp_path)
-    assert [d.number for d in campaign.departures] == [0, 1, 2]
+    found, _ = read(tmp_path)
+    assert [each.metadata.number for each in found] == [0, 1, 2]
 
 
 @pytest.mark.parametrize('key', [
@@ -166,16 +173,20 @@ BAD_TEXTS = [
     ('departure', '-1'), ('departure', 'one'), ('departure', '9' * 30), ('departure', ''),
     ('route', '[]'), ('route', '[1]'), ('route', 'nonsense'), ('route', '[0, 1, 2.5]'),
     ('route', '[0, -1]'), ('route', '[0, 999999]'), ('route', '[0, 99999999999999999999]'),
-    ('route', '[true, false]'), ('route', '{a: 1}'), ('route', '[['), ('route', '[0, .nan]'),
+    ('route', '[true, false]'), ('route', '{"a": 1}'), ('route', '[['), ('route', '[0, NaN]'),
+    ('route', '[' * 100_000), ('route', '[0, ' + '9' * 5000 + ']'), ('route', ' ' * 2**23),
     ('route_entropy_source', '[]'), ('route_entropy_source', '[-3]'),
-    ('route_entropy_source', '7'),
-    ('trip', '[]'), ('trip', '{}'), ('trip', '{start: [1, 2], goal: [3], tolerance: 0}'),
-    ('trip', '{start: [1, 2], goal: [3, .nan], tolerance: 0}'),
-    ('trip', '{start: [1, 2], goal: [3, x], tolerance: 0}'),
-    ('trip', '{start: [1, 2], goal: [3, 4], tolerance: .inf}'),
-    ('parameters', '{}'), ('parameters', '7'), ('parameters', '{1: 2}'), ('parameters', '{a: &x'),
-    ('versions', '[]'), ('inputs', '[]'), ('inputs', '{map: /nowhere}'), ('sha256', '{}'),
-    ('sha256', '{map: 7}'),
+    ('route_entropy_source', '7'), ('route_entropy_source', '[' + '9' * 4000 + ']'),
+    ('trip', '[]'), ('trip', '{}'),
+    ('trip', '{"start": [1, 2], "goal": [3], "tolerance": 0}'),
+    ('trip', '{"start": [1, 2], "goal": [3, NaN], "tolerance": 0}'),
+    ('trip', '{"start": [1, 2], "goal": [3, "x"], "tolerance": 0}'),
+    ('trip', '{"start": [1, 2], "goal": [3, 4], "tolerance": Infinity}'),
+    ('trip', '{"start": [1, 2], "goal": [3, 4], "tolerance": 0, "more": 1}'),
+    ('trip', '{"start": [1, 2], "goal": [3, 4], "tolerance": 0, "tolerance": 0}'),
+    ('parameters', '{}'), ('parameters', '7'), ('parameters', '{"a": {"b": 1}}'),
+    ('versions', '[]'), ('inputs', '[]'), ('inputs', '{"map": "/nowhere"}'), ('sha256', '{}'),
+    ('sha256', '{"map": 7}'), ('chain', '{}'), ('chain', '{"file": 3}'),
 ]
 
 
@@ -194,7 +205,7 @@ def test_malformed_entries_are_refused(tmp_path, a_plan, key, text):
     ('map.obstacle_threshold', [50]), ('game.alpha_threshold', 0.5),
 ])
 def test_malformed_parameters_are_refused(tmp_path, a_plan, name, value):
-    texts = {'parameters': yaml.safe_dump(parameters(**{name: value}))}
+    texts = {'parameters': json.dumps(parameters(**{name: value}))}
     assert only_error(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
 
 
@@ -202,9 +213,9 @@ def test_malformed_parameters_are_refused(tmp_path, a_plan, name, value):
                                   'strategy', 'route_entropy_source'])
 def test_a_hash_that_does_not_hold_is_named(tmp_path, a_plan, name):
     messages, metadata, files = departure(a_plan, drawn(a_plan, 1)[0])
-    hashes = yaml.safe_load(metadata['sha256'])
+    hashes = json.loads(metadata['sha256'])
     hashes[name] = '0' * 64
-    metadata['sha256'] = yaml.safe_dump(hashes)
+    metadata['sha256'] = json.dumps(hashes)
     assert f'sha256 of {name}' in only_error(tmp_path, (messages, metadata, files))
 
 
@@ -219,21 +230,21 @@ def test_a_missing_map_path_or_strategy_is_named(tmp_path, a_plan):
 
 
 def test_a_map_of_another_type_is_refused(tmp_path, a_plan):
-    texts = {'inputs': yaml.safe_dump(
+    texts = {'inputs': json.dumps(
         {'map': '/path', 'start': '/start_pose', 'goal': '/goal_pose', 'path': '/path'}
     )}
     route = drawn(a_plan, 1)[0]
     messages, metadata, files = departure(a_plan, route, texts=texts)
-    hashes = yaml.safe_load(metadata['sha256'])
-    metadata['sha256'] = yaml.safe_dump(hashes | {'map': hashes['path']})
-    assert 'not an occupancy grid' in only_error(tmp_path, (messages, metadata, files))
+    hashes = json.loads(metadata['sha256'])
+    metadata['sha256'] = json.dumps(hashes | {'map': hashes['path']})
+    assert 'not a OccupancyGrid' in only_error(tmp_path, (messages, metadata, files))
 
 
 def test_a_time_before_the_epoch_does_not_exist_and_one_far_ahead_does(tmp_path, a_plan):
     messages, metadata, files = departure(a_plan, drawn(a_plan, 1)[0])
     record(tmp_path, [(restamped(messages, 2**63 - 1), metadata, files)])
-    (campaign,), _ = read(tmp_path)
-    assert campaign.departures[0].stamp_ns == 2**63 - 1
+    (found,), _ = read(tmp_path)
+    assert found.stamp_ns == 2**63 - 1
 
 
 @settings(max_examples=150, deadline=None, derandomize=True, database=None,
@@ -241,8 +252,6 @@ def test_a_time_before_the_epoch_does_not_exist_and_one_far_ahead_does(tmp_path,
 @given(key=st.sampled_from(['parameters', 'trip', 'route', 'route_entropy_source', 'versions',
                             'inputs', 'departure', 'sha256']), data=st.data())
 def test_any_text_in_the_metadata_is_read_or_refused(tmp_path, a_plan, key, data):
-    from mcap.writer import CompressionType
-
     messages, metadata, files = departure(a_plan, drawn(a_plan, 1)[0])
     text = metadata[key]
     place = data.draw(st.integers(0, len(text)))
@@ -252,9 +261,10 @@ def test_any_text_in_the_metadata_is_read_or_refused(tmp_path, a_plan, key, data
         + text[place + data.draw(st.integers(0, 3)):]
     })[1]
     path = tmp_path / 'one.mcap'
-    path.write_bytes(encode_departure(messages, metadata, files, CompressionType.ZSTD))
+    metadata = {**metadata, 'chain': chain_text(Link())}
+    path.write_bytes(encoded_departure(messages, metadata, files, 'zstd'))
     try:
-        record_from(read_departure(path))
+        Case(read_departure(path)).strategy()
     except UnreadableRecording as error:
         assert str(path) in str(error)
 
@@ -263,9 +273,9 @@ def test_any_text_in_the_metadata_is_read_or_refused(tmp_path, a_plan, key, data
     ('versions', '{numpy: [1]}'), ('versions', '{numpy: "' + 'x' * 5000 + '"}'),
     ('versions', '{numpy: ' + '9' * 90 + '}'), ('versions', '{"\\e[2J": []}'),
     ('frame', 'm' * 300), ('departure_id', '\x1b[2J' * 99), ('planner_version', 'x\n' * 200),
-    ('parameters', yaml.safe_dump(parameters(seed=10**90))),
-    ('parameters', yaml.safe_dump(parameters(unheard_of=1))),
-    ('parameters', yaml.safe_dump(parameters(**{'recording.directory': 'x' * 5000}))),
+    ('parameters', json.dumps(parameters(seed=10**90))),
+    ('parameters', json.dumps(parameters(unheard_of=1))),
+    ('parameters', json.dumps(parameters(**{'recording.directory': 'x' * 5000}))),
 ])
 def test_what_nobody_can_show_is_refused(tmp_path, a_plan, key, text):
     error = only_error(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts={key: text}))

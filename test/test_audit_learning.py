@@ -2,25 +2,18 @@
 
 from __future__ import annotations
 
-import math
-from itertools import permutations
-
 import numpy as np
 import pytest
 from audit_oracles import drawn, routes_with_probabilities, run
-from games import examples, networks, paper_example, terrain_network
+from games import examples, networks, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, StrategyOptions, solve
-from ambush_planner.core.audit_draws import ManyRoutes, recorded_steps
-from ambush_planner.core.audit_learning import (
-    LEARNT,
-    _until_pair,
-    learning_from,
-    repeat_probability,
-)
-from ambush_planner.core.audit_order import LONGEST_LAG, order_of, shared_ground
+from ambush_planner.audit.departures import Driven, audit
+from ambush_planner.audit.draws import ManyRoutes
+from ambush_planner.audit.learning import LEARNT, _until_pair, learning_from, repeat_probability
+from ambush_planner.audit.tallies import LONGEST_LAG
 
 
 @pytest.fixture(scope="module")
@@ -31,50 +24,41 @@ def terrain():
 # Order
 
 
-def test_shared_ground_is_dices_coefficient_of_squares():
-    network = paper_example()
-    routes = [np.array([0, 1, 4, 7]), np.array([0, 1, 5, 7]), np.array([0, 3, 6, 7])]
-    share = shared_ground(network, routes, 1.0)
-    squares = [{tuple(np.floor(network.points[node])) for node in route} for route in routes]
-    for i, j in np.ndindex(3, 3):
-        common = 2 * len(squares[i] & squares[j]) / (len(squares[i]) + len(squares[j]))
-        assert share[i, j] == pytest.approx(common)
-    assert share[0, 1] == 0.75 and share[0, 2] == 0.5
+def test_shared_ground_is_dices_coefficient_of_squares(terrain):
+    """Recomputed for each pair of departures k apart, square by square."""
+    routes = drawn(terrain, 9, 4)
+    order = run(terrain, routes).order
+    low = terrain.network.points.min(axis=0)
+    squares = [
+        {tuple(np.floor((terrain.network.points[node] - low) / order.square)) for node in route}
+        for route in routes
+    ]
+    for k, share in enumerate(order.by_lag, start=1):
+        pairs = zip(squares, squares[k:], strict=False)
+        assert share == pytest.approx(np.mean(
+            [2 * len(a & b) / (len(a) + len(b)) for a, b in pairs]
+        ))
+    assert len(order.by_lag) == 4
 
 
-def test_the_order_test_is_the_permutation_test():
-    """All 720 orders of 6 departures give the p-value that 20000 shuffles estimate."""
-    rng = np.random.default_rng(5)
-    share = rng.random((6, 6))
-    share = (share + share.T) / 2.0
-    np.fill_diagonal(share, 1.0)
-    result = order_of(share, 1.0, 20_000, np.random.default_rng(1))
-
-    def statistic(order):
-        means = [np.mean([share[order[i], order[i + k]] for i in range(6 - k)]) for k in (1, 2, 3)]
-        pairs = [share[i, j] for i, j in permutations(range(6), 2)]
-        deviations = np.abs(np.array(means) - np.mean(pairs)) / np.std(pairs)
-        return float((deviations * np.sqrt(6 - np.arange(1, 4))).max())
-
-    recorded = statistic(range(6))
-    assert result.statistic == pytest.approx(recorded)
-    exact = np.mean([statistic(order) >= recorded - 1e-9 for order in permutations(range(6))])
-    estimate = np.mean(result.shuffled >= recorded - 1e-9)
-    assert abs(estimate - exact) < 5.0 * math.sqrt(exact * (1 - exact) / 20_000)
+def test_departures_that_are_all_alike_have_no_order(terrain):
+    result = run(terrain, drawn(terrain, 1, 1) * 8)
+    assert result.order.by_lag.tolist() == [1.0] * 4
+    assert result.tests['order'].p_value > 0.5 and 'repeats' in result.findings
 
 
-def test_departures_that_are_all_alike_have_no_order():
-    result = order_of(np.ones((8, 8)), 1.0, 99, np.random.default_rng(1))
-    assert result.statistic == 0.0 and not result.shuffled.any() and not result.band.any()
-    assert result.mean == 1.0 and result.by_lag.tolist() == [1.0] * 4
-
-
-def test_no_lag_is_longer_than_a_fortnight():
-    share = np.eye(60)
-    assert len(order_of(share, 1.0, 9, np.random.default_rng(1)).by_lag) == LONGEST_LAG
+def test_no_lag_is_longer_than_a_fortnight(terrain):
+    assert len(run(terrain, drawn(terrain, 40, 1)).order.by_lag) == LONGEST_LAG
 
 
 # Learning
+
+
+def learning_of(strategy, routes):
+    many = ManyRoutes(strategy.network, strategy.edge_probability)
+    steps, _ = many.recorded(routes)
+    every = np.arange(len(routes))
+    return learning_from([(many, strategy)], np.zeros(len(routes), int), [steps], [every])
 
 
 @examples(60)
@@ -83,7 +67,7 @@ def test_repeat_probability_is_the_sum_over_all_routes(network):
     strategy = solve(network)
     expected = sum(q * q for q in routes_with_probabilities(strategy).values())
     many = ManyRoutes(network, strategy.edge_probability)
-    assert repeat_probability(many, strategy.game) == pytest.approx(expected, rel=1e-9)
+    assert repeat_probability(many) == pytest.approx(expected, rel=1e-9)
 
 
 def test_an_observer_on_a_network_by_hand():
@@ -94,16 +78,13 @@ def test_an_observer_on_a_network_by_hand():
     p = strategy.edge_probability
     np.testing.assert_allclose(p, [0.6, 0.4, 0.6, 0.4], atol=1e-6)
     routes = [np.array([0, node, 3]) for node in (1, 2, 1, 1, 1, 2)]
-    steps, _ = recorded_steps(network, p, routes)
-    learning = learning_from(strategy.game, p, ManyRoutes(network, p), steps)
+    learning = learning_of(strategy, routes)
     # He waits at 1, 2 (3 > 2), 1 (4 > 3), 1, 1; the next routes pass 2, 1, 1, 1, 2.
     assert learning.ambusher_loss == pytest.approx((0 + 0 + 2 + 2 + 0) / 5)
     assert learning.ambushes == 2
-    assert learning.ambusher_error == pytest.approx(np.std([0, 0, 2, 2, 0]) / math.sqrt(5))
     assert learning.fixed_loss == pytest.approx((4 * 2 + 2 * 3) / 6)
     assert learning.value == pytest.approx(1.2) and learning.loss_after == pytest.approx([1.2] * 6)
     assert learning.departures_to_learn == 1
-    assert learning.repeat_probability == pytest.approx(0.52, abs=1e-5)
     assert learning.departures_to_repeat == 3.0  # 3 pairs x 0.52 > 1, one pair is not
     assert learning.effective_routes == pytest.approx(0.6**-0.6 * 0.4**-0.4, rel=1e-5)
 
@@ -118,11 +99,10 @@ def test_departures_until_a_pair_is_expected(repeat):
 
 def test_watching_never_brings_more_than_the_value(terrain):
     """Fictitious play over 3000 departures: at most the value, by five standard errors."""
-    p = terrain.edge_probability
-    steps, _ = recorded_steps(terrain.network, p, drawn(terrain, 3000, 6))
-    learning = learning_from(terrain.game, p, ManyRoutes(terrain.network, p), steps)
+    learning = learning_of(terrain, drawn(terrain, 3000, 6))
     assert (learning.loss_after <= learning.value * (1 + 1e-12)).all()
-    assert learning.ambusher_loss <= learning.value + 5.0 * learning.ambusher_error
+    error = float(terrain.game.loss.max()) / np.sqrt(3000)
+    assert learning.ambusher_loss <= learning.value + 5.0 * error
     assert learning.departures_to_learn <= 3000
     assert learning.loss_after[learning.departures_to_learn - 1] >= LEARNT * learning.value
     assert learning.fixed_loss > 2.0 * learning.value
@@ -130,21 +110,21 @@ def test_watching_never_brings_more_than_the_value(terrain):
 
 def test_an_ambush_with_a_reach_counts_each_passage_of_its_disc():
     strategy = solve(terrain_network(3, cells=12), GameOptions(ambush_radius=2.0))
-    result = run(strategy, drawn(strategy, 400, 1))
-    assert result.learning.value == pytest.approx(strategy.value)
-    assert result.learning.ambusher_loss <= strategy.value + 5.0 * result.learning.ambusher_error
-    assert result.learning.fixed_loss >= strategy.value
+    learning = learning_of(strategy, drawn(strategy, 400, 1))
+    assert learning.value == pytest.approx(strategy.value)
+    assert learning.ambusher_loss <= strategy.value + float(strategy.game.loss.max()) / 4.0
+    assert learning.fixed_loss >= strategy.value
 
 
-def test_the_chance_of_a_route_seen_before_is_the_sum_over_those_seen(terrain):
-    p, network = terrain.edge_probability, terrain.network
-    routes = [*drawn(terrain, 8, 3), *drawn(terrain, 8, 3), np.array([network.source])]
-    known = {tuple(route): 0.0 for route in routes[:8]}
-    many = ManyRoutes(network, p)
-    edge = {(int(a), int(b)): k for k, (a, b) in enumerate(network.edges)}
-    for route in known:
-        passed = zip(route[:-1], route[1:], strict=True)
-        known[route] = math.prod(many.choice[edge[step]] for step in passed)
-    steps, _ = recorded_steps(network, p, routes)
-    learning = learning_from(terrain.game, p, many, steps)
-    assert learning.seen_probability == pytest.approx(sum(known.values()), rel=1e-9)
+def test_places_of_several_strategies_count_as_one(terrain):
+    """Halves of the departures with a copy of the strategy: the observer learns the same."""
+    routes = drawn(terrain, 40, 2)
+    copy = solve(terrain_network(3, cells=12))
+    both = audit([
+        Driven(copy if k % 2 else terrain, route) for k, route in enumerate(routes)
+    ])
+    one = run(terrain, routes)
+    assert both.strategies == 2
+    assert both.learning.loss_after == pytest.approx(one.learning.loss_after)
+    assert both.learning.ambusher_loss == pytest.approx(one.learning.ambusher_loss)
+    assert both.tests['frequency'].observed == pytest.approx(one.tests['frequency'].observed)

@@ -8,8 +8,8 @@ from games import paper_example, terrain_network
 from scipy.stats import binom
 
 from ambush_planner import Network, solve
-from ambush_planner.core.audit import TESTS, audit
-from ambush_planner.core.audit_draws import ManyRoutes
+from ambush_planner.audit.departures import TESTS, Driven, audit
+from ambush_planner.audit.draws import ManyRoutes
 from ambush_planner.core.paths import shortest_path
 from ambush_planner.core.routes import RouteSampler
 
@@ -25,7 +25,7 @@ def terrain():
 
 
 def run(strategy, routes, rate=0.01):
-    return audit(strategy.game, strategy.edge_probability, routes, rate)
+    return audit([Driven(strategy, route) for route in routes], rate)
 
 
 def drawn(sampler, count, seed):
@@ -169,3 +169,29 @@ def test_roads_by_chance_show_no_pattern():
     strategy = solve(two_roads())
     pattern = np.random.default_rng(8).integers(0, 2, 30)
     assert run(strategy, by_side(strategy, pattern, 5)).findings == ()
+
+
+def moving_starts(count, seed):
+    """A strategy for each departure: the start moves by centimetres, as one from TF does."""
+    rng = np.random.default_rng(seed)
+    network = terrain_network(5, cells=20)
+    for _ in range(count):
+        points = network.points.copy()
+        points[network.source] += 0.01 * rng.standard_normal(2)
+        yield solve(Network(points, network.alpha, network.edges, network.source, network.target))
+
+
+def test_a_stuck_source_is_found_though_the_start_moves():
+    stuck = [
+        Driven(each, each.sample_route(np.random.default_rng(5))) for each in moving_starts(12, 1)
+    ]
+    result = audit(stuck)
+    assert result.strategies == 12
+    assert {'frequency', 'repeats'} <= set(result.findings)
+
+
+def test_fresh_draws_pass_though_the_start_moves():
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng([seed, 9])
+        fresh = [Driven(each, each.sample_route(rng)) for each in moving_starts(12, seed)]
+        assert audit(fresh).findings == ()

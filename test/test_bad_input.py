@@ -33,7 +33,8 @@ def test_nothing_has_arrived():
         client.diagnostics(code='NO_MAP', level=b'\2')
         client.publish('alpha_map', risk_grid())
         answer = client.call_until('new_route', lambda answer: 'map' not in answer.message)
-        assert answer.message == 'no start yet: publish one on start_pose or initialpose'
+        assert answer.message == (
+            'no start yet: publish one on start_pose or initialpose, or set robot_base_frame')
         client.diagnostics(code='NO_START')
         client.publish('start_pose', pose(*START))
         answer = client.call_until('new_route', lambda answer: 'start' not in answer.message)

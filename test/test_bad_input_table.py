@@ -10,6 +10,7 @@ import pytest
 from bad_maps import BAD_MAPS
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
+from nav_msgs.srv import GetPlan
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -26,9 +27,13 @@ from ros_harness import (
     stage_in,
     wait_until,
 )
+from standin_types import grid_update, message_type
 from test_conversions import turned
 from test_long_solves import NORTH, QUICK, solving, use
 
+from ambush_planner.ros import subscriptions
+
+UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
 README = Path(__file__).resolve().parent.parent / 'README.md'
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
 NAN = math.nan
@@ -101,13 +106,14 @@ def no_map(_):
 def unreadable(running):
     kinds = {'alpha_map': OccupancyGrid, 'start_pose': PoseStamped, 'goal_pose': PoseStamped,
              'initialpose': PoseWithCovarianceStamped}
+    codes = set()
     for topic, kind in kinds.items():
         running.client.publish(topic, b'\x00\x01\x00\x00 no such message', kind)
-        code = _error_code(running.client)
+        codes.add(_error_code(running.client))
         running.client.publish('alpha_map', risk_grid())
         running.client.call_until('new_route', lambda answer: answer.success)
         running.client.diagnostics(code='NONE')
-    return code
+    return ' or '.join(codes)
 
 
 def two_maps(running):
@@ -120,6 +126,31 @@ def two_maps(running):
         client.publish('alpha_map', risk_grid(second))
         client.call_until('new_route', lambda answer, words=words: words in answer.message)
     return ''
+
+
+def bad_updates(_):
+    codes = set()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(subscriptions, 'OccupancyGridUpdate', UPDATE)
+        with stage() as fresh:
+            for x, code in ((0, 'NO_MAP'), (19, 'INVALID_MAP')):
+                fresh.client.publish(
+                    'alpha_map_updates', grid_update('map', x, 0, [[1, 2]]), UPDATE)
+                codes.add(fresh.client.diagnostics(code=code, level=b'\2')['code'])
+                fresh.give()
+                fresh.client.diagnostics(code='NONE')
+    return ' or '.join(sorted(codes))
+
+
+def full_queue(_):
+    with solving() as (slow, future):
+        use(slow, {'queue.size': 1})
+        slow.client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(5.0, 50.0)))
+        wait_until(lambda: len(slow.planner._dispatcher._plans._pending) == 2, 'the request')
+        assert not slow.client.get_plan(pose(5.0, 50.0), NORTH).poses
+        code = _error_code(slow.client)
+        assert slow.client.call('cancel').success
+    return code
 
 
 def new_goal_during_a_solve(_):
@@ -193,7 +224,7 @@ ROWS = {
     'start and goal at the same position': plans((pose(*START), pose(*START))),
     'pose in another frame that TF does not know, or in none': plans(
         (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
-    'bytes that are no message': unreadable,
+    'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
         ({'map.alpha_min': 20.0}, 'map.alpha_min'),
         ({'strategy.solver': 'simplex', 'strategy.risk_slack': 0.5}, 'strategy.risk_slack')),
@@ -201,6 +232,8 @@ ROWS = {
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
     'a parameter that there is not': unknown_parameter,
     'two maps in quick succession': two_maps,
+    'a map update that does not fit the map, or comes before one': bad_updates,
+    'more solves asked for than may wait': full_queue,
     'another goal while a solve runs': new_goal_during_a_solve,
     '1000 calls at once from 4 clients': a_thousand_calls,
 }

@@ -5,13 +5,33 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, PoseStamped, TransformStamped, Vector3
+from hypothesis import given
+from hypothesis import strategies as st
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.srv import GetPlan
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_typestore
+from service_msgs.msg import ServiceEventInfo
+from standin_types import grid_update, tf_message
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.ros.cdr import marker_array, splice
+from ambush_planner.ros.cdr import (
+    grid_bytes,
+    grid_cells,
+    marker_array,
+    plan_event_bytes,
+    read_grid_update,
+    read_transforms,
+    splice,
+)
+from ambush_planner.ros.conversions import (
+    occupancy_to_ros,
+    path_to_ros,
+    pose_to_ros,
+    stamped_poses,
+)
 
 NO_COLOURS = np.empty((0, 4), dtype=np.float32)
 
@@ -101,3 +121,58 @@ def test_arrays_of_any_layout_will_do():
 def test_an_unknown_serialisation_is_refused(template, words):
     with pytest.raises(ValueError, match=words):
         splice(template, *drawn(1))
+
+
+@given(st.binary(max_size=200), st.integers(0, 10**6))
+def test_bytes_from_anywhere_are_read_or_refused(noise, seed):
+    """Nothing but ValueError, and never a reservation of what the counts claim."""
+    rng = np.random.default_rng(seed)
+    whole = [
+        tf_message(TransformStamped(child_frame_id='b'), TransformStamped(child_frame_id='cc')),
+        grid_update('map', 1, 2, [[3, 4, 5]]),
+    ]
+    for data in whole:
+        mutated = bytearray(data)
+        for place in rng.integers(0, len(data), 3):
+            mutated[place] = rng.integers(256)
+        cut = bytes(mutated[:rng.integers(300)])
+        for sent in (noise, b'\0\1\0\0' + noise, bytes(mutated), cut):
+            for read in (read_transforms, read_grid_update):
+                try:
+                    read(sent)
+                except ValueError:
+                    pass
+
+
+def test_a_plan_that_was_serialised_is_put_into_its_event_as_it_is():
+    rows = np.cumsum(np.random.default_rng(3).normal(size=(40, 3)), axis=0)
+    header = Header(frame_id='map')
+    path = path_to_ros(rows, pose_to_ros(1.0, 2.0), pose_to_ros(3.0, 4.0), header)
+    info = ServiceEventInfo(event_type=2, sequence_number=7)
+    event = GetPlan.Event(info=info, response=[GetPlan.Response(plan=path)])
+    found = plan_event_bytes(event, serialize_message(path))
+    assert deserialize_message(found, GetPlan.Event) == event
+    assert len(found) == len(serialize_message(event))
+
+
+def test_poses_that_are_made_fast_are_those_of_the_constructors():
+    rows = np.cumsum(np.random.default_rng(4).normal(size=(50, 3)), axis=0)
+    header = Header(frame_id='map')
+    slow = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in rows.tolist()]
+    fast = stamped_poses(rows, header)
+    assert fast == slow
+    assert repr(fast) == repr(slow)
+    for one, other in zip(fast, slow, strict=True):
+        assert bytes(serialize_message(one)) == bytes(serialize_message(other))
+    fast[0].pose.position.x = 9.0
+    assert fast[1].pose.position.x != 9.0
+
+
+def test_a_map_is_a_view_into_the_bytes_it_came_in():
+    values = np.arange(-1, 29, dtype=np.int8).reshape(5, 6)
+    message = occupancy_to_ros(values, 0.5, (1.0, 2.0, 0.0), Header(frame_id='größer'))
+    data = bytes(serialize_message(message))
+    assert (grid_cells(message, data) == values).all()
+    assert grid_cells(message, data[:-4]) is None
+    again = deserialize_message(grid_bytes(message, values[::-1]), OccupancyGrid)
+    assert (np.array(again.data).reshape(5, 6) == values[::-1]).all()

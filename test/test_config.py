@@ -137,13 +137,13 @@ def test_the_planner_takes_the_file(started):
 
 def test_the_planner_takes_what_is_changed_in_the_file(started, tmp_path):
     changed = tmp_path / 'changed.yaml'
-    changed.write_text(FILE.read_text().replace('max_detour: 1.5', 'max_detour: .inf'))
+    changed.write_text(FILE.read_text().replace('max_detour: 1.2', 'max_detour: .inf'))
     node = started(PlannerNode, '--params-file', str(changed))
     assert node.get_parameter('strategy.max_detour').value == math.inf
 
 
 def test_a_number_without_its_point_is_refused_by_name(started, tmp_path):
     changed = tmp_path / 'changed.yaml'
-    changed.write_text(FILE.read_text().replace('max_detour: 1.5', 'max_detour: 2'))
+    changed.write_text(FILE.read_text().replace('max_detour: 1.2', 'max_detour: 2'))
     with pytest.raises(InvalidParameterTypeException, match=r'strategy\.max_detour'):
         started(PlannerNode, '--params-file', str(changed))

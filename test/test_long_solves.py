@@ -6,11 +6,13 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
 from test_solve_queue import workers
 
+from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 
 # The paper's simplex method needs minutes for 40 000 nodes.
@@ -60,8 +62,8 @@ def submitted(monkeypatch):
     """The keys of solves that have been submitted from now on."""
     keys, submit = [], SolveQueue.submit
 
-    def tell(queue, key, request):
-        solve = submit(queue, key, request)
+    def tell(queue, key, *rest):
+        solve = submit(queue, key, *rest)
         keys.append(key)
         return solve
 
@@ -91,7 +93,7 @@ def test_cancel_ends_it_and_says_so():
         cancelled = client.call('cancel')
         assert (cancelled.success, cancelled.message) == (True, 'the solve was cancelled')
         assert answer(future).message == 'the solve was cancelled'
-        client.diagnostics(code='CANCELLED', level=b'\2', state='ready')
+        client.diagnostics(code='CANCELLED', level=b'\1', state='ready')
         again = client.call('cancel')
         assert (again.success, again.message) == (False, 'no solve is running')
         use(running, QUICK)
@@ -105,13 +107,40 @@ def test_the_time_is_up():
         running.client.diagnostics(code='TIMEOUT', state='ready')
 
 
-def test_one_solve_for_all_who_ask_for_the_same():
+@pytest.fixture
+def solves(monkeypatch):
+    """The requests that the worker has been given."""
+    given, solve = [], WorkerProcess.solve
+
+    def tell(worker, request):
+        given.append(request)
+        return solve(worker, request)
+
+    monkeypatch.setattr(WorkerProcess, 'solve', tell)
+    return given
+
+
+def test_one_solve_for_all_who_ask_for_the_same(submitted, solves):
     with solving() as (running, future):
+        before = len(submitted), len(solves)
         futures = [future, *(running.client.send('new_route') for _ in range(5))]
-        # Requests and cancel come in no order: who comes late begins another solve.
-        wait_until(lambda: running.client.call('cancel') and all(each.done() for each in futures),
-                   'the answers')
+        wait_until(lambda: len(submitted) == before[0] + 5, 'the requests')
+        assert running.client.call('cancel').message == 'the solve was cancelled'
         assert {answer(each).message for each in futures} == {'the solve was cancelled'}
+        assert len(solves) == before[1]
+
+
+def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
+    with stage(parameters=QUICK) as running:
+        client = running.give(field(), (5.0, 50.0), (95.0, 50.0))
+        starts = [pose(5.0 + jitter, 50.0) for jitter in (0.0, 0.0001, 0.3, 2.4)]
+        futures = [client.send('get_plan', GetPlan.Request(start=each, goal=GOAL))
+                   for each in starts]
+        paths = [answer(each).plan for each in futures]
+        assert [path.poses[0].pose for path in paths] == [each.pose for each in starts]
+        assert len(solves) == 1
+        assert client.get_plan(pose(5.0, 52.6), GOAL).poses, 'more than half the spacing'
+        assert len(solves) == 2
 
 
 def test_who_allows_another_time_waits_for_another_solve(submitted):
@@ -120,9 +149,37 @@ def test_who_allows_another_time_waits_for_another_solve(submitted):
         use(running, {'max_planning_time': 1.0})
         impatient = client.send('new_route')
         wait_until(lambda: len(submitted) == before + 1, 'the request')
-        assert client.call('cancel').success
-        assert answer(future).message == 'the solve was cancelled'
+        for pid in workers():
+            os.kill(pid, signal.SIGKILL)
+        assert 'ended by signal 9' in answer(future).message
         assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
+
+
+def test_cancel_ends_all_that_wait_in_one_call(submitted):
+    with solving() as (running, future):
+        client, before = running.client, len(submitted)
+        futures = [future]
+        for k in range(3):
+            goal = pose(95.0, 50.0 + 10.0 * k)
+            futures.append(client.send('get_plan', GetPlan.Request(start=NORTH, goal=goal)))
+        wait_until(lambda: len(submitted) == before + 3, 'the requests')
+        assert client.call('cancel').message == '4 solves were cancelled'
+        wait_until(lambda: all(each.done() for each in futures), 'the answers')
+        report = client.diagnostics(code='CANCELLED', state='ready')
+        assert report['level'] == b'\1', 'nothing has failed'
+
+
+def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
+    with solving() as (running, future):
+        client, before = running.client, len(submitted)
+        use(running, {'queue.size': 2})
+        for k in range(2):
+            client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(95.0, 40.0 + 10 * k)))
+        wait_until(lambda: len(submitted) == before + 2, 'the requests')
+        assert not client.get_plan(NORTH, START).poses
+        report = client.diagnostics(code='BUSY', level=b'\2', state='solving')
+        assert '2 others wait, the most that may (queue.size)' in report['message']
+        assert client.call('cancel').success
 
 
 def test_many_wait_and_all_are_answered():
@@ -145,7 +202,8 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
         wait_until(lambda: len(submitted) == before + 1, 'the request')
         client.publish('goal_pose', NORTH)
         client.publish('alpha_map', field(2))
-        wait_until(lambda: client.call('cancel').success, 'a solve to cancel')
+        for pid in workers():
+            os.kill(pid, signal.SIGKILL)
         assert not answer(future).success
         assert answer(queued).success
         assert client.last('path', 2).poses[-1].pose.position.y == GOAL.pose.position.y

@@ -13,8 +13,10 @@ FILES = {path.stem: path for path in EXAMPLES.iterdir()}
 COMMANDS = {name: command_of(path) for name, path in FILES.items()}
 MESSAGES = [name for name, command in COMMANDS.items() if command.verb == 'topic pub']
 REQUESTS = [name for name, command in COMMANDS.items() if command.verb == 'service call']
-# What other packages give to each node: parameters, clock, transforms.
-FOREIGN = ('rcl_interfaces/', 'rosgraph_msgs/', 'tf2_msgs/', 'type_description_interfaces/')
+# What other packages give to each node: parameters, clock, transforms, changes of maps.
+FOREIGN = (
+    'map_msgs/', 'rcl_interfaces/', 'rosgraph_msgs/', 'tf2_msgs/', 'type_description_interfaces/',
+)
 
 
 class Sender:

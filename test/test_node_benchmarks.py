@@ -11,7 +11,7 @@ from test_benchmarks import BENCHMARKS, rows
 
 import ambush_planner
 
-SCRIPTS = ("node_fuzz.py", "node_latency.py", "node_load.py", "node_soak.py")
+SCRIPTS = ("node_fuzz.py", "node_ground.py", "node_latency.py", "node_load.py", "node_soak.py")
 # Whole solves, each killed at the end of its time, are among what is sent.
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -101,11 +101,18 @@ def test_growth_is_that_between_both_ends_of_a_run(soak):
     assert change == pytest.approx(20.0)
 
 
+def test_departures_while_the_map_changes(tmp_path):
+    text = run("node_ground.py", "--seconds", 3, "--results", tmp_path / "results.md", codes=(0, 1))
+    assert "an obstacle of 3 x 3 cells jumps, once a second" in rows(text)
+
+
 def test_every_kind_of_latency_is_told(tmp_path):
     results = tmp_path / "results.md"
     text = run("node_latency.py", "--samples", 5, "--calls", 5, "--results", results, codes=(0, 1))
     titles = re.findall("^### (.*)$", text, re.MULTILINE)
     assert [title.split()[0] for title in titles] == ["Beside", "A", "A"]
-    assert {"service `get_parameters`", "bad map to its diagnostics", "`new_route`: answer"} <= set(
-        rows(text))
+    assert {
+        "service `get_parameters`", "bad map to its diagnostics", "`new_route`: answer arrived",
+        "`get_plan`: answer with the path arrived",
+    } <= set(rows(text))
     assert text.strip() in results.read_text()

@@ -11,19 +11,21 @@ from pathlib import Path
 import pytest
 import setuptools
 
+from ambush_planner.tools.cli import COMMANDS
+
 ROOT = Path(__file__).resolve().parent.parent
 NAME = 'ambush_planner'
 
 # Import name -> rosdep key, where the two differ.
 ROSDEP_KEYS = {
     'PIL': 'python3-matplotlib',
+    'argcomplete': 'python3-argcomplete',
     'matplotlib': 'python3-matplotlib',
     'lz4': 'mcap-ros2-support',
     'mcap': 'mcap-ros2-support',
     'mcap_ros2': 'mcap-ros2-support',
     'numpy': 'python3-numpy',
     'scipy': 'python3-scipy',
-    'tf2_ros': 'tf2_ros_py',
     'yaml': 'python3-yaml',
     'zstandard': 'mcap-ros2-support',
 }
@@ -115,7 +117,7 @@ def test_every_library_import_is_declared_for_pip():
     arguments = setup_arguments()
     required = arguments['install_requires'] + arguments['extras_require']['figures']
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
-    libraries = imported_packages() & set(ROSDEP_KEYS) - {'tf2_ros'}  # from ROS only
+    libraries = imported_packages() & set(ROSDEP_KEYS) - {'argcomplete'}  # optional
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
 
 
@@ -137,10 +139,9 @@ def test_executables():
     scripts = setup_arguments()['entry_points']['console_scripts']
     modules = dict(re.split(r'\s*=\s*', script) for script in scripts)
     assert modules['ambush_planner'] == 'ambush_planner.ros.planner_node:main'
-    assert modules['ambush_demo'] == 'ambush_planner.tools.demo:main'
-    assert modules['ambush_paper'] == 'ambush_planner.tools.paper:main'
+    assert {f'ambush_{name}' for name in COMMANDS} | {'ambush'} <= set(modules)
     for name, target in modules.items():
-        assert name.startswith('ambush_')
+        assert name.startswith('ambush')
         module, function = target.split(':')
         source = (ROOT / Path(*module.split('.'))).with_suffix('.py').read_text()
         functions = [node.name for node in ast.parse(source).body

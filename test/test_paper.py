@@ -12,10 +12,10 @@ import pytest
 from games import paper_example
 
 from ambush_planner import solve
-from ambush_planner.tools import paper
-from ambush_planner.tools import paper_environment as environment
-from ambush_planner.tools.paper_report import NAMES, Comparison
-from ambush_planner.tools.paper_results import PAPER_ENTROPY, SOLVERS, distinct_routes
+from ambush_planner.paper import command as paper
+from ambush_planner.paper import environment
+from ambush_planner.paper.report import NAMES, Comparison
+from ambush_planner.paper.results import PAPER_ENTROPY, SOLVERS, distinct_routes
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / "docs" / "paper.md"
@@ -53,7 +53,7 @@ def results(done):
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "ambush_planner.tools.paper", *arguments]
+    command = [sys.executable, "-m", "ambush_planner.paper.command", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=115, check=False)
 
 
@@ -109,7 +109,7 @@ def test_help_needs_no_matplotlib():
     for argument, code, words in (("--help", 0, "--output"), ("-oout", 1, "try: pip install")):
         program = (
             "import sys; sys.modules['matplotlib'] = None\n"
-            f"from ambush_planner.tools.paper import main; sys.exit(main(['{argument}']))"
+            f"from ambush_planner.paper.command import main; sys.exit(main(['{argument}']))"
         )
         process = subprocess.run(
             [sys.executable, "-c", program],
@@ -135,7 +135,7 @@ def test_a_document_that_cannot_be_renewed_is_told_before_anything_is_computed(t
 
 def test_a_comparison_that_fails_fails_the_run(tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
-    from ambush_planner.tools import paper_figures
+    from ambush_planner.paper import figures as paper_figures
 
     wrong = Comparison("one is more than two", "-", "1 > 2", holds=False)
     monkeypatch.setattr(paper, "_compute", lambda *_: (None, [replace(wrong, holds=True), wrong]))

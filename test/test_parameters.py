@@ -10,6 +10,7 @@ from ros_harness import free_domain, ros_context
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.errors import InvalidOption
 from ambush_planner.core.game import GameOptions
+from ambush_planner.core.planner import DriveOptions, PlanningOptions
 from ambush_planner.core.risk_map import OccupancyOptions
 from ambush_planner.core.strategy import StrategyOptions
 from ambush_planner.recording import Recorder
@@ -19,12 +20,14 @@ from ambush_planner.ros.planner_node import PlannerNode
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
 # DESIGN section 6.
 NAMES = """
-    map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha
+    map.alpha_min map.alpha_max map.obstacle_threshold map.unknown_alpha map.preset
     network.method network.spacing network.target_nodes network.clearance
     network.clear_of_edge
     game.ambush_radius game.secured_radius game.alpha_threshold game.ambushers
+    game.ambush_in_obstacles strategy.max_exposure route.tube route.turning_radius
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
-    max_planning_time route.path_spacing
+    strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
+    max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
     recording.enabled recording.directory recording.compression seed
 """.split()
 
@@ -67,6 +70,8 @@ def test_defaults_are_the_cores_own():
     assert parameters.occupancy == OccupancyOptions()
     assert parameters.planning.network == NetworkOptions()
     assert parameters.planning.game == GameOptions()
+    assert parameters.planning.drive == DriveOptions()
+    assert parameters.planning.max_gap == PlanningOptions().max_gap
     assert parameters.planning.strategy == StrategyOptions(
         time_limit=DEFAULTS['max_planning_time'])
     assert parameters.seed == -1
@@ -104,7 +109,10 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
     ({'network__spacing': 1}, 'Wrong parameter type'),
     ({'network__spacing': math.inf}, 'network.spacing must be finite'),
     ({'network__clearance': math.nan}, 'out of range'),
-    ({'game__ambushers': 2}, 'game.ambushers must be 1, got 2'),
+    ({'game__ambushers': 0}, 'out of range'),
+    ({'strategy__max_exposure': 0.9}, 'out of range'),
+    ({'route__tube': -0.5}, 'route.tube must be >= 0 [m], or -1 to be chosen, got -0.5'),
+    ({'route__turning_radius': math.inf}, 'route.turning_radius must be finite'),
     ({'strategy__max_detour': 0.5}, 'out of range'),
     ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
     ({'strategy__length_weight': 0.01}, 'strategy.length_weight 0.01 goes with the solvers'),
@@ -114,6 +122,8 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
     ({'recording__enabled': 'yes'}, 'Wrong parameter type'),
     ({'recording__directory': ' '}, 'recording.directory must not be empty'),
     ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
+    ({'map__preset': 'mixed'}, 'map.preset must be one of alpha, costmap'),
+    ({'queue__size': 0}, 'out of range'),
     ({'seed': 7}, 'read-only'),
 ])
 def test_bad_values_are_refused_with_the_reason(node, values, words):

@@ -9,8 +9,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import Header
 
-from ambush_planner.core.routes import densify
-from ambush_planner.ros.paths import departure_path
+from ambush_planner.ros.paths import path_between
 
 START = Pose(position=Point(x=0.1, y=0.2, z=0.3), orientation=Quaternion(z=0.6, w=0.8))
 GOAL = Pose(position=Point(x=7.0, y=8.0, z=-1.5), orientation=Quaternion(x=0.6, w=-0.8))
@@ -21,7 +20,8 @@ def path_along(count, frame='map'):
     points = np.cumsum(np.random.default_rng(count).normal(size=(count, 2)), axis=0)
     points[0], points[-1] = (0.1, 0.2), (7.0, 8.0)
     header = Header(frame_id=frame, stamp=Time(sec=7, nanosec=11))
-    return departure_path(densify(points, 0.5), START, GOAL, header)
+    rows = np.column_stack((points, np.linspace(-3.0, 3.0, count)))
+    return path_between(rows, START, GOAL, header)
 
 
 @pytest.mark.parametrize('frame', ['', 'm', 'map', 'odom', 'base_link', 'größer als'])
@@ -34,8 +34,8 @@ def test_bytes_are_the_message(count, frame):
 
 
 def test_a_step_that_is_one_segment_has_two_poses():
-    rows = densify(np.array([[0.1, 0.2], [7.0, 8.0]]), 100.0)
-    path = departure_path(rows, START, GOAL, Header(frame_id='map'))
+    rows = np.array([[0.1, 0.2, 0.5], [7.0, 8.0, 0.5]])
+    path = path_between(rows, START, GOAL, Header(frame_id='map'))
     assert len(path.rows) == 2
     assert deserialize_message(path.to_bytes(), Path) == path.to_message()
 
@@ -52,8 +52,8 @@ def test_an_independent_reader_agrees():
 
 
 def test_a_goal_that_was_moved_keeps_its_orientation():
-    rows = densify(np.array([[0.1, 0.2], [5.0, 6.0]]), 1.0)
-    last = departure_path(rows, START, GOAL, Header(frame_id='map')).to_message().poses[-1]
+    rows = np.array([[0.1, 0.2, 0.5], [5.0, 6.0, 0.5]])
+    last = path_between(rows, START, GOAL, Header(frame_id='map')).to_message().poses[-1]
     assert (last.pose.position.x, last.pose.position.y) == (5.0, 6.0)
     assert last.pose.position.z == GOAL.position.z
     assert last.pose.orientation == GOAL.orientation

@@ -14,7 +14,7 @@ from ros_harness import (
     stage,
 )
 
-from ambush_planner.ros import session
+from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import path_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
@@ -22,7 +22,7 @@ KEYS = {
     'state', 'code', 'message', 'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'solve_seconds', 'departures', 'departure_id',
-    'recording',
+    'recording', 'current_value', 'current_gap', 'stale',
 }
 
 
@@ -249,7 +249,7 @@ def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monk
         raise RuntimeError(f'went through ({math.pi}, {math.e})')
 
     with monkeypatch.context() as patch:
-        patch.setattr(session, 'depart', broken)
+        patch.setattr(dispatcher, 'depart', broken)
         answer = client.call('new_route')
     assert not answer.success
     assert answer.message == 'internal error (RuntimeError); the log says where'

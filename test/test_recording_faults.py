@@ -16,22 +16,21 @@ from pathlib import Path
 import pytest
 import yaml
 from recording_samples import (
-    METADATA,
     START_NS,
-    STRATEGY,
     assert_departure,
     departure,
     read_with_mcap_ros2,
     read_with_rosbags,
+    record,
     recorded,
     small_departure,
 )
-from std_msgs.msg import Header
+from std_msgs.msg import Header, String
 from waiting import TIMEOUT
 
-from ambush_planner.recording import Attachment, Recorder, RecordingFailed, read_departure
+from ambush_planner.recording import Recorder, RecordingFailed, read_departure
 from ambush_planner.recording import recorder as recorder_module
-from ambush_planner.recording.mcap_content import read_content
+from ambush_planner.recording.mcap_file import decode
 from ambush_planner.recording.repair import repair
 from ambush_planner.recording.schemas import load_definition
 
@@ -82,10 +81,10 @@ def open_folder():
 def test_a_full_disk(tmp_path):
     with small_disk(tmp_path, '64k'):
         recorder = Recorder(tmp_path, 'none')
-        kept = [recorder.record_departure(small_departure(), METADATA)]
+        kept = [record(recorder, small_departure())]
         with pytest.raises(RecordingFailed, match='No space left.*check that recording.directory'):
             while True:
-                kept.append(recorder.record_departure(small_departure(), METADATA))
+                kept.append(record(recorder, small_departure()))
         session = kept[0].parent
         assert not list(session.glob('*.tmp'))
         assert set(listed(session)) <= {path.name for path in session.glob('*.mcap')}
@@ -93,8 +92,8 @@ def test_a_full_disk(tmp_path):
             assert_departure(small_departure(), read_with_rosbags(path))
         kept.pop(0).unlink()
         recorder.close()
-        again = Recorder(tmp_path, 'zstd').record_departure(small_departure()[1:], METADATA)
-        assert len(read_departure(again).messages) == 3
+        again = record(Recorder(tmp_path, 'zstd'), small_departure())
+        assert len(read_departure(again).messages) == 4
 
 
 def test_a_file_size_limit_in_a_process_of_its_own(tmp_path):
@@ -107,25 +106,25 @@ def test_a_file_size_limit_in_a_process_of_its_own(tmp_path):
 def test_a_folder_that_may_not_be_written(open_folder):
     with as_nobody():
         recorder = Recorder(open_folder)
-        session = recorder.record_departure(small_departure(), METADATA).parent
+        session = record(recorder, small_departure()).parent
         session.chmod(0o500)
         with pytest.raises(RecordingFailed, match='Permission denied') as caught:
-            recorder.record_departure(small_departure(), METADATA)
+            record(recorder, small_departure())
         assert caught.value.path.parent == session
         session.chmod(0o700)
-        later = recorder.record_departure(small_departure(), METADATA)
+        later = record(recorder, small_departure())
         assert listed(session) == [f'{session.name}_0.mcap', later.name]
         open_folder.chmod(0o500)
         with pytest.raises(RecordingFailed, match='Permission denied'):
-            Recorder(open_folder).record_departure(small_departure(), METADATA)
+            record(Recorder(open_folder), small_departure())
         with pytest.raises(RecordingFailed):
-            Recorder(Path('/proc/runs')).record_departure(small_departure(), METADATA)
+            record(Recorder(Path('/proc/runs')), small_departure())
 
 
 def test_a_repair_that_may_not_write_reports_it(open_folder):
     with as_nobody():
         with Recorder(open_folder) as recorder:
-            session = recorder.record_departure(small_departure(), METADATA).parent
+            session = record(recorder, small_departure()).parent
         (session / 'metadata.yaml').unlink()
         session.chmod(0o500)
         (failed,) = repair(open_folder)
@@ -139,10 +138,10 @@ def test_a_repair_that_may_not_write_reports_it(open_folder):
 
 def test_a_file_in_place_of_the_session_folder(tmp_path):
     recorder = Recorder(tmp_path)
-    session = recorder.record_departure(small_departure(), METADATA).parent
+    session = record(recorder, small_departure()).parent
     shutil.rmtree(session)
     session.write_text('mine')
-    path = recorder.record_departure(small_departure(), METADATA)
+    path = record(recorder, small_departure())
     assert session.read_text() == 'mine'
     assert path.parent != session
     assert_departure(small_departure(), read_with_rosbags(path.parent))
@@ -150,10 +149,10 @@ def test_a_file_in_place_of_the_session_folder(tmp_path):
 
 def test_another_folder_in_place_of_the_session_folder(tmp_path):
     recorder = Recorder(tmp_path)
-    session = recorder.record_departure(small_departure(), METADATA).parent
+    session = record(recorder, small_departure()).parent
     session.rename(tmp_path / 'kept')
     session.mkdir()
-    path = recorder.record_departure(small_departure(), METADATA)
+    path = record(recorder, small_departure())
     assert path.parent not in (session, tmp_path / 'kept')
     assert list(session.iterdir()) == []
     assert listed(tmp_path / 'kept') == [f'{session.name}_0.mcap']
@@ -161,12 +160,12 @@ def test_another_folder_in_place_of_the_session_folder(tmp_path):
 
 def test_a_folder_in_place_of_the_next_file(tmp_path):
     recorder = Recorder(tmp_path)
-    session = recorder.record_departure(small_departure(), METADATA).parent
+    session = record(recorder, small_departure()).parent
     (session / f'{session.name}_1.mcap' / 'x').mkdir(parents=True)
     with pytest.raises(RecordingFailed, match='directory'):
-        recorder.record_departure(small_departure(), METADATA)
+        record(recorder, small_departure())
     assert not list(session.glob('*.tmp'))
-    path = recorder.record_departure(small_departure(), METADATA)
+    path = record(recorder, small_departure())
     assert listed(session) == [f'{session.name}_0.mcap', path.name]
 
 
@@ -180,7 +179,7 @@ class StoppedClock:
 
 def test_sessions_that_begin_at_the_same_time(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_module, 'datetime', StoppedClock)
-    paths = [Recorder(tmp_path).record_departure(small_departure(), METADATA) for _ in range(3)]
+    paths = [record(Recorder(tmp_path), small_departure()) for _ in range(3)]
     name = 'ambush_planner_1970_01_01-00_00_00'
     assert [path.parent.name for path in paths] == [name, f'{name}-2', f'{name}-3']
     assert [path.name for path in paths] == [f'{path.parent.name}_0.mcap' for path in paths]
@@ -193,7 +192,7 @@ def test_stamps_out_of_order_equal_or_zero(tmp_path, stamps):
         for message, stamp in zip(small_departure(), stamps, strict=True)
     ]
     recorder = Recorder(tmp_path)
-    paths = [recorder.record_departure(sent, METADATA) for _ in range(2)]
+    paths = [record(recorder, sent) for _ in range(2)]
     in_order = sorted(sent, key=lambda message: message.stamp_ns)
     expected = [(message.topic, message.stamp_ns) for message in in_order]
     for path in paths:
@@ -207,7 +206,7 @@ def test_stamps_out_of_order_equal_or_zero(tmp_path, stamps):
 def test_a_clock_that_goes_backwards_between_departures(tmp_path):
     recorder = Recorder(tmp_path)
     for start_ns in (START_NS, START_NS - 10**12, 0):
-        path = recorder.record_departure(departure(start_ns), METADATA)
+        path = record(recorder, departure(start_ns))
     information = yaml.safe_load((path.parent / 'metadata.yaml').read_text())
     information = information['rosbag2_bagfile_information']
     assert information['starting_time'] == {'nanoseconds_since_epoch': 0}
@@ -218,10 +217,10 @@ def test_a_clock_that_goes_backwards_between_departures(tmp_path):
 def record_until_killed(directory):
     """Never returns; a departure is large enough to be met half written."""
     try:
-        noise = Attachment('noise', 'application/octet-stream', random.Random(1).randbytes(300_000))
+        noise = recorded('/noise', String(data=random.Random(1).randbytes(150_000).hex()))
         recorder = Recorder(directory, 'none')
         while True:
-            recorder.record_departure(small_departure(), METADATA, [STRATEGY, noise])
+            record(recorder, [*small_departure(), noise])
     finally:
         os._exit(1)
 
@@ -263,20 +262,22 @@ def test_whatever_a_kill_interrupts_named_files_are_whole_and_the_rest_is_repair
     assert len(sessions) == kills
     finished = {path for session in sessions for path in session.glob('*.mcap')}
     for path in finished:
-        assert_departure(small_departure(), read_with_mcap_ros2(path))
-        assert len(read_with_rosbags(path)) == 4
+        assert_departure(small_departure(), [
+            row for row in read_with_mcap_ros2(path) if row[0] != '/noise'
+        ])
+        assert len(read_with_rosbags(path)) == 5
     for session in sessions:
         if (session / 'metadata.yaml').exists():
             assert {session / name for name in listed(session)} <= finished
             read_with_rosbags(session)
     done = repair(tmp_path)
-    assert not [each for each in done if each.action in ('failed', 'set aside')]
+    assert not [each for each in done if each.action == 'failed']
     assert not list(tmp_path.rglob('*.tmp'))
     assert finished <= set(tmp_path.rglob('*.mcap'))
     for session in sessions:
         recordings = {path.name for path in session.glob('*.mcap')}
         for path in session.glob('*.mcap'):
-            read_content(path.read_bytes())
+            decode(path.read_bytes())
         if recordings:
             assert set(listed(session)) == recordings
             assert len(read_with_rosbags(session)) >= len(recordings)
@@ -287,7 +288,7 @@ def record_with_a_limit(directory):
     """Print the error of recording where no file may be longer than 1000 bytes."""
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
     try:
-        Recorder(directory).record_departure(small_departure(), METADATA, [STRATEGY])
+        record(Recorder(directory), small_departure())
     except RecordingFailed as error:
         print(error)
 

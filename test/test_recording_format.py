@@ -10,16 +10,17 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from recording_samples import (
-    METADATA,
     START_NS,
     STRATEGY,
     VOLATILE,
     assert_departure,
     departure,
+    diagnostics,
     get_plan_events,
     pose,
     read_with_mcap_ros2,
     read_with_rosbags,
+    record,
     recorded,
     trigger_events,
 )
@@ -28,6 +29,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
 from ambush_planner.recording import Recorder, RecordingFailed, schemas
+from ambush_planner.recording.metadata import KEYS
 from ambush_planner.recording.schemas import load_definition
 
 
@@ -49,7 +51,7 @@ def summary_of(path):
 @pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
 def test_a_file_reads_back_equal_in_independent_readers(tmp_path, compression):
     sent = departure()
-    path = Recorder(tmp_path / 'runs', compression).record_departure(sent, METADATA)
+    path = record(Recorder(tmp_path / 'runs', compression), sent)
     assert_departure(sent, read_with_mcap_ros2(path))
     assert_departure(sent, read_with_rosbags(path))
     chunks = summary_of(path).chunk_indexes
@@ -59,7 +61,7 @@ def test_a_file_reads_back_equal_in_independent_readers(tmp_path, compression):
 @pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
 def test_service_events_read_back_equal_in_independent_readers(tmp_path, compression):
     sent = departure() + service_calls()
-    path = Recorder(tmp_path, compression).record_departure(sent, METADATA, [STRATEGY])
+    path = record(Recorder(tmp_path, compression), sent)
     in_order = sorted(sent, key=lambda message: message.stamp_ns)
     for read in (read_with_mcap_ros2(path), read_with_rosbags(path)):
         def order(row):
@@ -69,14 +71,14 @@ def test_service_events_read_back_equal_in_independent_readers(tmp_path, compres
 
 
 def test_service_events_have_type_and_hash_of_the_installed_interface(tmp_path):
-    path = Recorder(tmp_path).record_departure(service_calls(), METADATA)
+    path = record(Recorder(tmp_path), service_calls())
     summary = summary_of(path)
     stored = {
         summary.schemas[channel.schema_id].name: (
             channel.topic, summary.schemas[channel.schema_id].encoding,
             channel.metadata['topic_type_hash'],
         )
-        for channel in summary.channels.values()
+        for channel in summary.channels.values() if channel.topic.endswith('/_service_event')
     }
     installed = {
         type_: next(
@@ -100,7 +102,7 @@ def test_service_events_have_type_and_hash_of_the_installed_interface(tmp_path):
 
 def test_attachments_are_read_by_mcap_and_do_no_harm_to_others(tmp_path):
     sent = departure()
-    path = Recorder(tmp_path).record_departure(sent, METADATA, [STRATEGY])
+    path = record(Recorder(tmp_path), sent)
     with path.open('rb') as file:
         (found,) = make_reader(file).iter_attachments()
     assert (found.name, found.media_type, found.data) == (
@@ -112,10 +114,10 @@ def test_attachments_are_read_by_mcap_and_do_no_harm_to_others(tmp_path):
 
 
 def test_every_checksum_holds_and_covers_the_metadata_record(tmp_path):
-    path = Recorder(tmp_path).record_departure(departure(), METADATA)
+    path = record(Recorder(tmp_path), departure())
     data = path.read_bytes()
     list(StreamReader(BytesIO(data), validate_crcs=True).records)
-    changed = data.replace(METADATA['input_sha256'].encode(), b'cd' * 32)
+    changed = data.replace(b'planner_version', b'Planner_version')
     assert changed != data
     with pytest.raises(CRCValidationError):
         list(StreamReader(BytesIO(changed), validate_crcs=True).records)
@@ -123,7 +125,7 @@ def test_every_checksum_holds_and_covers_the_metadata_record(tmp_path):
 
 def test_messages_are_stored_in_the_order_of_time(tmp_path):
     sent = departure()
-    path = Recorder(tmp_path).record_departure(sent[::-1], METADATA)
+    path = record(Recorder(tmp_path), sent[::-1])
     with path.open('rb') as file:
         reader = make_reader(file)
         times = [m.log_time for *_, m in reader.iter_messages(log_time_order=False)]
@@ -131,18 +133,19 @@ def test_messages_are_stored_in_the_order_of_time(tmp_path):
 
 
 def test_header_and_metadata_record(tmp_path):
-    path = Recorder(tmp_path).record_departure(departure(), METADATA)
+    path = record(Recorder(tmp_path), departure())
     with path.open('rb') as file:
         reader = make_reader(file)
         assert reader.get_header().profile == 'ros2'
         records = [(record.name, record.metadata) for record in reader.iter_metadata()]
-    assert records == [('ambush_planner', METADATA)]
+    ((name, entries),) = records
+    assert name == 'ambush_planner' and entries.keys() == KEYS
 
 
 def test_schemas_and_channels_are_written_once(tmp_path):
     sent = departure()
-    again = recorded('/start_pose', pose(0.0, 0.0), VOLATILE, START_NS)
-    summary = summary_of(Recorder(tmp_path).record_departure([*sent, again], METADATA))
+    again = recorded('/diagnostics', diagnostics(), VOLATILE, START_NS + 9_000_000)
+    summary = summary_of(record(Recorder(tmp_path), [*sent, again]))
     assert sorted(schema.name for schema in summary.schemas.values()) == [
         'diagnostic_msgs/msg/DiagnosticArray',
         'geometry_msgs/msg/PoseStamped',
@@ -156,7 +159,7 @@ def test_schemas_and_channels_are_written_once(tmp_path):
 
 
 def test_type_hashes_are_those_that_rosbags_computes_from_the_recorded_schemas(tmp_path):
-    path = Recorder(tmp_path).record_departure(departure(), METADATA)
+    path = record(Recorder(tmp_path), departure())
     summary = summary_of(path)
     stored = {
         summary.schemas[channel.schema_id].name: channel.metadata['topic_type_hash']
@@ -199,8 +202,10 @@ def test_qos_profiles_are_complete(tmp_path):
         deadline=Duration(seconds=1, nanoseconds=5),
     )
     message = recorded('/start_pose', pose(0.0, 0.0), qos, START_NS)
-    path = Recorder(tmp_path).record_departure([message], METADATA)
-    (channel,) = summary_of(path).channels.values()
+    path = record(Recorder(tmp_path), [message])
+    (channel,) = [
+        each for each in summary_of(path).channels.values() if each.topic == '/start_pose'
+    ]
     (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
     infinite = {'sec': 9223372036, 'nsec': 854775807}
     assert profile == {
@@ -217,7 +222,7 @@ def test_qos_profiles_are_complete(tmp_path):
 
 
 def test_rosbags_reads_the_profiles(tmp_path):
-    path = Recorder(tmp_path).record_departure(departure(), METADATA)
+    path = record(Recorder(tmp_path), departure())
     for bag in (path, path.parent):
         with Reader(bag) as reader:
             profiles = {c.topic: c.ext.offered_qos_profiles[0] for c in reader.connections}
@@ -228,6 +233,6 @@ def test_rosbags_reads_the_profiles(tmp_path):
 
 def test_time_zero_is_recorded(tmp_path):
     sent = departure(start_ns=0)
-    path = Recorder(tmp_path).record_departure(sent, METADATA)
+    path = record(Recorder(tmp_path), sent)
     assert_departure(sent, read_with_rosbags(path))
     assert_departure(sent, read_with_rosbags(path.parent))

@@ -8,9 +8,10 @@ import shutil
 import pytest
 import yaml
 from recording_samples import (
-    METADATA,
+    file_of,
     read_with_mcap_ros2,
     read_with_rosbags,
+    record,
     small_departure,
 )
 from rosbags.highlevel import AnyReader
@@ -25,7 +26,7 @@ from ambush_planner.recording.repair import repair
 def session(tmp_path):
     """The folder of a session with three departures that has ended."""
     with Recorder(tmp_path / 'runs') as recorder:
-        paths = [recorder.record_departure(small_departure(), METADATA) for _ in range(3)]
+        paths = [record(recorder, small_departure()) for _ in range(3)]
     return paths[0].parent
 
 
@@ -65,9 +66,10 @@ def test_a_whole_temporary_file_gets_its_name(session):
 def test_of_a_partial_temporary_file_the_whole_messages_are_kept(session):
     data = (session / f'{session.name}_2.mcap').read_bytes()
     left = session / f'{session.name}_3.mcap.tmp'
-    left.write_bytes(data[: len(data) // 2])
+    left.write_bytes(data[:-200])
     done = repair(session.parent)
-    assert actions(done) == [('listed', 'metadata.yaml'), ('salvaged', f'{session.name}_3.mcap')]
+    assert actions(done) == [('finished', f'{session.name}_3.mcap'), ('listed', 'metadata.yaml')]
+    assert '4 messages' in str(done[0])
     assert len(read_with_mcap_ros2(left.with_suffix(''))) == 4
     assert_in_order(session, 4)
 
@@ -118,36 +120,34 @@ def test_metadata_that_lists_other_files_than_there_are_is_rebuilt(session):
     assert_in_order(session, 2)
 
 
-def test_a_broken_file_is_set_aside(session):
+def test_a_broken_file_keeps_its_name_and_is_not_listed(session):
     broken = session / f'{session.name}_9.mcap'
     data = (session / f'{session.name}_2.mcap').read_bytes()
     broken.write_bytes(data[:-30])
-    (session / f'{session.name}_8.mcap').touch()
-    done = repair(session.parent)
-    assert actions(done) == [
-        ('listed', 'metadata.yaml'),
-        ('set aside', f'{session.name}_8.mcap.broken'),
-        ('set aside', f'{session.name}_9.mcap.broken'),
-    ]
-    assert (session / f'{broken.name}.broken').read_bytes() == data[:-30]
-    assert all('ambush_recover' in str(each) for each in done if each.action == 'set aside')
-    assert_in_order(session, 3)
+    (session / 'metadata.yaml').unlink()
+    (done,) = repair(session.parent)
+    assert done.action == 'listed' and 'ambush_recover' in str(done) and broken.name in str(done)
+    assert broken.read_bytes() == data[:-30]
+    assert len(read_with_rosbags(session)) == 4 * 3
+    assert repair(session.parent) == []
 
 
-def test_a_listed_file_that_lost_its_end_is_set_aside_when_the_list_is_rebuilt(session):
-    path = session / f'{session.name}_1.mcap'
-    path.write_bytes(path.read_bytes()[:-30])
-    (session / f'{session.name}_2.mcap').unlink()
-    assert ('set aside', f'{path.name}.broken') in actions(repair(session.parent))
-    assert_in_order(session, 1)
+def test_nothing_that_has_its_name_is_ever_renamed_or_changed(session):
+    """Whole recordings, also such as the readers refuse for their content, and all others."""
+    (session / f'{session.name}_4.mcap').write_bytes(file_of(small_departure(), format='99'))
+    (session / f'{session.name}_5.mcap').write_bytes(b'of another program')
+    (session / f'{session.name}_6.mcap').touch()
+    (session / 'metadata.yaml').unlink()
+    before = {path.name: path.read_bytes() for path in session.iterdir()}
+    repair(session.parent)
+    after = {path.name: path.read_bytes() for path in session.iterdir()}
+    after.pop('metadata.yaml')
+    assert after == before
 
 
-def test_when_the_list_cannot_be_written_it_still_lists_files_that_are_there(session, monkeypatch):
-    path = session / f'{session.name}_1.mcap'
-    path.write_bytes(path.read_bytes()[:-30])
-    (session / f'{session.name}_9.mcap').touch()
+def test_when_the_list_cannot_be_written_the_old_one_stays(session, monkeypatch):
+    (session / f'{session.name}_1.mcap').unlink()
     before = (session / 'metadata.yaml').read_bytes()
-    names = set(os.listdir(session))
 
     def full(path, data):
         raise OSError(errno.ENOSPC, 'No space left on device')
@@ -156,35 +156,8 @@ def test_when_the_list_cannot_be_written_it_still_lists_files_that_are_there(ses
         patch.setattr(repairing, 'write_durably', full)
         assert [each.action for each in repair(session.parent)] == ['failed']
     assert (session / 'metadata.yaml').read_bytes() == before
-    assert set(os.listdir(session)) == names
-    assert actions(repair(session.parent)) == [
-        ('listed', 'metadata.yaml'),
-        ('set aside', f'{path.name}.broken'),
-        ('set aside', f'{session.name}_9.mcap.broken'),
-    ]
+    assert actions(repair(session.parent)) == [('listed', 'metadata.yaml')]
     assert_in_order(session, 2)
-
-
-def test_broken_files_that_could_not_be_set_aside_are_the_next_time(session, monkeypatch):
-    path = session / f'{session.name}_1.mcap'
-    path.write_bytes(path.read_bytes()[:-30])
-    (session / f'{session.name}_2.mcap').unlink()
-
-    def killed(*_):
-        raise OSError(errno.EIO, 'Input/output error')
-
-    with monkeypatch.context() as patch:
-        patch.setattr(repairing, '_set_aside', killed)
-        assert actions(repair(session.parent)) == [
-            ('failed', session.name), ('listed', 'metadata.yaml')
-        ]
-    assert path.exists()
-    listed = yaml.safe_load((session / 'metadata.yaml').read_text())
-    assert listed['rosbag2_bagfile_information']['relative_file_paths'] == [
-        f'{session.name}_0.mcap'
-    ]
-    assert ('set aside', f'{path.name}.broken') in actions(repair(session.parent))
-    assert_in_order(session, 1)
 
 
 def test_a_name_that_yaml_cannot_hold_is_no_hindrance(session):
@@ -220,14 +193,14 @@ def test_whatever_bits_have_changed_the_folder_is_a_bag_afterwards(session):
 def test_when_no_recording_is_left_no_metadata_is(session):
     for path in session.glob('*.mcap'):
         path.unlink()
-    assert actions(repair(session.parent)) == [('removed', 'metadata.yaml')]
+    assert actions(repair(session.parent)) == [('listed', 'metadata.yaml')]
     assert list(session.iterdir()) == []
     assert repair(session.parent) == []
 
 
 def test_the_folder_of_a_living_recorder_is_left_alone(tmp_path):
     with Recorder(tmp_path) as recorder:
-        path = recorder.record_departure(small_departure(), METADATA)
+        path = record(recorder, small_departure())
         left = path.with_name(f'{path.parent.name}_1.mcap.tmp')
         left.write_bytes(b'being written')
         assert repair(tmp_path) == []
@@ -237,13 +210,13 @@ def test_the_folder_of_a_living_recorder_is_left_alone(tmp_path):
 
 def test_the_lock_ends_with_close_with_the_recorder_and_with_the_session(tmp_path):
     recorder = Recorder(tmp_path)
-    first = recorder.record_departure(small_departure(), METADATA).parent
+    first = record(recorder, small_departure()).parent
     with pytest.raises(BlockingIOError):
         FolderLock(first, wait=False)
     recorder.close()
     recorder.close()
     FolderLock(first, wait=False).release()
-    second = recorder.record_departure(small_departure(), METADATA).parent
+    second = record(recorder, small_departure()).parent
     assert second != first
     with pytest.raises(BlockingIOError):
         FolderLock(second, wait=False)

@@ -1,6 +1,7 @@
 """The report: one whole page, safe against what files may hold, with the right numbers."""
 
 import dataclasses
+import json
 import re
 from base64 import b64decode
 from html.parser import HTMLParser
@@ -11,14 +12,16 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-import yaml
-from audit_samples import departure, drawn, parameters, record, sample_plan
+from audit_samples import START, departure, drawn, parameters, record, sample_plan
+from forging import Forger
 from matplotlib.image import imread
+from ros_harness import stage
 
 from ambush_planner.core.evaluation import evaluate
-from ambush_planner.recording.reader import recordings_in
-from ambush_planner.review.departures import read_campaigns
+from ambush_planner.recording import recordings_in
+from ambush_planner.review.departures import read_departures
 from ambush_planner.tools import report, report_figures, report_words
+from ambush_planner.tools.report_sections import sections_of
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 VOID = {'meta', 'img'}
@@ -59,14 +62,14 @@ def a_plan():
 
 @pytest.fixture(scope='module')
 def made(tmp_path_factory, a_plan):
-    """The page of twelve departures, its text, and the campaign that it was made from."""
+    """The page of twelve departures, its text, and the section that it was made from."""
     folder = tmp_path_factory.mktemp('report')
     record(folder / 'in', [departure(a_plan, route, k + 1)
                            for k, route in enumerate(drawn(a_plan, 12))])
     assert report.main([str(folder / 'in'), '-o', str(folder / 'out')]) == 0
-    (campaign,) = read_campaigns(recordings_in(folder / 'in'), pytest.fail)
+    (section,) = sections_of(read_departures(recordings_in(folder / 'in'), pytest.fail))
     html = (folder / 'out' / 'report.html').read_text()
-    return html, Page(html), campaign
+    return html, Page(html), section
 
 
 def page_of(tmp_path, *departures):
@@ -99,12 +102,12 @@ def test_every_picture_is_a_picture_and_described(made):
 
 
 def test_the_numbers_are_those_of_the_strategy(made, a_plan):
-    _, page, campaign = made
+    _, page, section = made
     strategy = a_plan.strategy
     assert f'more than {strategy.value:.4f} a departure' in page.text
     assert f'less than {strategy.lower_bound:.4f} on this network' in page.text
     rows = evaluate(strategy)
-    for row, cells in zip(rows.values(), report_words.measures(campaign.strategy)[1:],
+    for row, cells in zip(rows.values(), report_words.measures(section.strategy)[1:],
                           strict=True):
         assert cells[1:] == (report_words.distance(row.expected_length),
                              report_words.percent(row.p_first),
@@ -121,24 +124,25 @@ def test_the_promise_names_the_ground_that_has_to_be_held(made):
 
 
 def test_departures_settings_and_the_warning_are_there(made):
-    _, page, campaign = made
-    for record_ in campaign.departures:
-        assert record_.id in page.text
-    assert 'Secret.' in page.text and campaign.sha256 in page.text
+    _, page, section = made
+    for record_ in section.departures:
+        assert record_.metadata.id in page.text
+    assert 'Secret.' in page.text
+    assert section.departures[-1].metadata.sha256['strategy'] in page.text
     assert 'game.secured_radius' in page.text and 'uniform_delaunay' in page.text
     assert '2023-11-15 22:13 UTC' in page.text and '1.26.4' in page.text
 
 
 def test_routes_and_seeds_are_not_spelled_out(made):
-    html, page, campaign = made
+    html, page, section = made
     assert 'route_entropy_source' not in html
-    assert not [value for name, value in report_words.settings(campaign) if name == 'seed']
-    for record_ in campaign.departures:
+    assert not [value for name, value in report_words.settings(section) if name == 'seed']
+    for record_ in section.departures:
         assert ', '.join(map(str, record_.route[:4].tolist())) not in page.text
 
 
 def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
-    texts = {'parameters': yaml.safe_dump(parameters(seed=77123))}
+    texts = {'parameters': json.dumps(parameters(seed=77123))}
     html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
     assert 'fixed seed' in page.text and '77123' not in html
     assert 'fixed seed' not in made[1].text
@@ -155,8 +159,8 @@ def test_what_comes_from_files_is_escaped(tmp_path, a_plan, key):
 
 
 def test_hostile_parameters_and_versions_are_escaped(tmp_path, a_plan):
-    texts = {'parameters': yaml.safe_dump(parameters(**{'recording.directory': HOSTILE})),
-             'versions': yaml.safe_dump({HOSTILE: HOSTILE, 'numpy': '<b>'})}
+    texts = {'parameters': json.dumps(parameters(**{'recording.directory': HOSTILE})),
+             'versions': json.dumps({HOSTILE: HOSTILE, 'numpy': '<b>'})}
     html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
     assert '<script' not in html and 'b' not in page.tags[page.tags.index('h2') + 10:]
     assert 'alert(1)' in page.text
@@ -169,15 +173,15 @@ def test_one_departure_makes_a_page(tmp_path, a_plan):
     assert '1 departure,' in page.text and '1 departures' not in page.text
 
 
-def test_several_strategies_share_a_page(tmp_path, a_plan):
+def test_several_maps_share_a_page(tmp_path, a_plan):
     other = sample_plan(hill=90)
     html, page = page_of(
         tmp_path,
         *(departure(a_plan, r, k) for k, r in enumerate(drawn(a_plan, 2))),
         *(departure(other, r, k + 9, hill=90) for k, r in enumerate(drawn(other, 3))),
     )
-    assert 'Strategy 1 of 2: 2 departures' in page.text
-    assert 'Strategy 2 of 2: 3 departures' in page.text
+    assert 'Trip 1 of 2: 2 departures' in page.text
+    assert 'Trip 2 of 2: 3 departures' in page.text
     assert page.tags.count('img') == 6 and page.tags.count('section') == 2
 
 
@@ -185,7 +189,7 @@ def test_what_could_not_be_read_is_said_on_the_page(tmp_path, a_plan, capsys):
     paths = record(tmp_path / 'in', [departure(a_plan, r, k)
                                      for k, r in enumerate(drawn(a_plan, 2))])
     paths[0].write_bytes(b'nothing')
-    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 1
+    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 3
     page = Page((tmp_path / 'out' / 'report.html').read_text())
     assert 'could not be read and are missing here: 1.' in page.text
     assert paths[0].name in capsys.readouterr().err
@@ -193,7 +197,7 @@ def test_what_could_not_be_read_is_said_on_the_page(tmp_path, a_plan, capsys):
 
 def test_settings_that_differ_are_said_to(tmp_path, a_plan):
     routes = drawn(a_plan, 2)
-    texts = {'parameters': yaml.safe_dump(parameters(**{'recording.compression': 'none'}))}
+    texts = {'parameters': json.dumps(parameters(**{'recording.compression': 'none'}))}
     _, page = page_of(tmp_path, departure(a_plan, routes[0]),
                       departure(a_plan, routes[1], 2, texts=texts))
     assert 'recording.compression differs between departures' in page.text
@@ -206,22 +210,62 @@ def test_distances_and_shares_are_readable():
 
 
 def test_where_no_ambush_costs_anything_nobody_waits(made):
-    _, _, campaign = made
-    free = dataclasses.replace(campaign.strategy, value=0.0)
-    figure = report_figures.strategy_figure(campaign.risk_map, free, 0.0)
+    _, _, section = made
+    free = dataclasses.replace(section.strategy, value=0.0)
+    figure = report_figures.strategy_figure(section.risk_map, free, 0.0)
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
     assert legend == ['impassable']
     words = dict(report_words.quantities(free))
     assert words['places where the best ambusher waits'] == 'none: no ambush costs anything'
 
 
-def test_more_routes_than_colours_are_drawn(made):
-    _, _, campaign = made
-    routes = [campaign.strategy.network.points[d.route] for d in campaign.departures]
-    figure = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes, 0.0)
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert legend == ['latest departures, each in its colour', 'earlier ones', 'impassable']
-    few = report_figures.routes_figure(campaign.risk_map, campaign.strategy, routes[:2], 40.0)
-    legend = [text.get_text() for text in few.legends[0].get_texts()]
-    assert legend == ['latest departures, each in its colour', 'impassable',
-                      'held ground: nobody can wait here']
+def test_routes_in_the_picture_have_the_numbers_of_the_table(made):
+    html, page, section = made
+    colours = section.colours()
+    routes = [each.strategy.network.points[each.route] for each in section.departures]
+    figure = report_figures.routes_figure(
+        section.risk_map, section.strategy, routes, colours, 0.0
+    )
+    legend = figure.legends[0]
+    named = {
+        int(text.get_text()): line.get_color()
+        for text, line in zip(legend.get_texts(), legend.get_lines(), strict=False)
+        if text.get_text().isdigit()
+    }
+    assert named == {k + 1: colour for k, colour in colours.items()}
+    assert sorted(named) == list(range(5, 13)) and len(set(named.values())) == 8
+    assert [text.get_text() for text in legend.get_texts()][-2:] == ['earlier ones', 'impassable']
+    for number, colour in named.items():
+        assert f'{number}&nbsp;<span style="color:{colour}">' in html
+
+
+def test_a_start_that_moves_makes_one_section(tmp_path):
+    """One section for a map and a pair of places, however many strategies."""
+    rows = []
+    for k in range(4):
+        start = START[0] + 0.02 * k, START[1]
+        each = sample_plan(start=start)
+        rows.append(departure(each, drawn(each, 1, k)[0], k + 1, start=start))
+    html, page = page_of(tmp_path, *rows)
+    assert page.tags.count('section') == 1 and page.tags.count('img') == 3
+    assert '4 strategies were worked out for this trip' in page.text
+
+
+def test_it_says_verified_only_where_it_verified(tmp_path, made):
+    _, page, _ = made
+    assert 'Not verified' in page.text and 'Verified:' not in page.text
+    with stage(tmp_path / 'in') as running:
+        assert running.give().call('new_route').success
+    for arguments, code, said in (
+        ([], 0, 'Not verified'), (['--verify'], 0, 'Verified: all 1 recordings'),
+    ):
+        out = tmp_path / said[:4]
+        assert report.main([str(tmp_path / 'in'), '-o', str(out), *arguments]) == code
+        assert said in Page((tmp_path / said[:4] / 'report.html').read_text()).text
+    (path,) = recordings_in(tmp_path / 'in')
+    forger = Forger(path)
+    forger.metadata['departure_id'] = '0' * 36
+    forger.save(path)
+    assert report.main([str(path), '-o', str(tmp_path / 'forged'), '--verify']) == 1
+    text = Page((tmp_path / 'forged' / 'report.html').read_text()).text
+    assert 'VERIFICATION FAILED for 1 of 1' in text and 'departure_id' in text

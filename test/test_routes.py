@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from ambush_planner import Network, StrategyOptions, solve
-from ambush_planner.core.routes import RouteSampler, densify, route_edges
+from ambush_planner.core.routes import RouteSampler, route_edges
 
 # Chance that a correct sampler fails one of these suites: one in a million per test, seeds fixed.
 FALSE_ALARM = 1e-6
@@ -152,31 +152,3 @@ def test_a_walk_that_circles_ten_thousand_times_is_still_simple():
     network = Network(points, [0, 1, 1, 0], [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)
     sampler = RouteSampler(network, np.array([1.0, 9_999.0, 9_999.0, 1.0]))
     assert sampler.draw(np.random.default_rng(0)).tolist() == [0, 1, 3]
-
-
-corners = st.lists(
-    st.tuples(*[st.integers(-50, 50)] * 2), min_size=2, max_size=6
-).filter(lambda route: all(a != b for a, b in zip(route[:-1], route[1:], strict=True)))
-
-
-@examples(80)
-@given(corners, st.floats(0.2, 200.0))
-def test_densify_laws(route, spacing):
-    points = np.array(route, float)
-    poses = densify(points, spacing)
-    assert np.array_equal(poses[0, :2], points[0]) and np.array_equal(poses[-1, :2], points[-1])
-    steps = np.diff(poses[:, :2], axis=0)
-    lengths = np.hypot(*steps.T)
-    assert lengths.max() <= spacing * (1 + 1e-6) and lengths.min() > 0.0
-    assert lengths.sum() == pytest.approx(np.hypot(*np.diff(points, axis=0).T).sum(), rel=1e-9)
-    assert np.cos(poses[:-1, 2] - np.arctan2(*steps.T[::-1])) == pytest.approx(1.0, abs=1e-9)
-    assert poses[-1, 2] == poses[-2, 2]
-    for corner in points:
-        assert (poses[:, :2] == corner).all(axis=1).any()
-
-
-def test_densify_by_hand():
-    poses = densify(np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0]]), 2.0)
-    up = np.pi / 2
-    expected = [[0, 0, 0], [1.5, 0, 0], [3, 0, up], [3, 1, up]]
-    assert poses == pytest.approx(np.array(expected))

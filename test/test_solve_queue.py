@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from ambush_planner.core.errors import GoalBlocked, TimeLimit
 from ambush_planner.core.planner import PlanningOptions, PlanRequest, plan_from_request
 from ambush_planner.core.risk_map import OccupancyOptions
 from ambush_planner.core.strategy import StrategyOptions
-from ambush_planner.worker.errors import SolveCancelled, Unexpected, WorkerFailed
+from ambush_planner.worker.errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 
@@ -39,6 +40,11 @@ def slow_request(time_limit=600.0):
         request((198.5, 100.5), values, solver='simplex', time_limit=time_limit),
         start_xy=(1.5, 100.5),
     )
+
+
+def submit(queue, key, asked, size=8, background=False):
+    """Queue a solve whose outcome is the plan as it is."""
+    return queue.submit(key, asked, lambda plan: plan, size, background)
 
 
 @pytest.fixture
@@ -81,7 +87,7 @@ def cpu_seconds(pid):
 
 def test_the_worker_finds_what_this_process_would(queue):
     asked = request()
-    ours, theirs = plan_from_request(asked), queue.submit('key', asked).result(TIMEOUT)
+    ours, theirs = plan_from_request(asked), submit(queue, 'key', asked).result(TIMEOUT)
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
         np.testing.assert_array_equal(
             getattr(theirs.strategy, name), getattr(ours.strategy, name))
@@ -98,14 +104,14 @@ def test_errors_of_the_planner_come_through(queue):
     values = np.zeros((20, 20), dtype=np.int8)
     values[10, 18] = 100
     with pytest.raises(GoalBlocked, match=r'goal \(18.500, 10.500\) lies in an obstacle'):
-        queue.submit('key', request(values=values)).result(TIMEOUT)
-    assert queue.submit('key', request()).result(TIMEOUT), 'the same worker goes on'
+        submit(queue, 'key', request(values=values)).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT), 'the same worker goes on'
 
 
 def test_an_error_that_the_planner_does_not_know_tells_where_but_no_values(queue):
     odd = replace(request(), start_xy='nowhere near')
     with pytest.raises(Unexpected) as caught:
-        queue.submit('key', odd).result(TIMEOUT)
+        submit(queue, 'key', odd).result(TIMEOUT)
     assert str(caught.value).startswith('internal error (')
     assert 'plan_from_request' in caught.value.frames
     assert 'nowhere' not in str(caught.value) + caught.value.frames
@@ -115,72 +121,126 @@ def test_a_goal_is_moved_within_its_tolerance(queue):
     values = np.zeros((20, 20), dtype=np.int8)
     values[10, 18] = 100
     moved = replace(request(values=values), goal_tolerance=1.5)
-    assert queue.submit('key', moved).result(TIMEOUT).goal_xy in {
+    assert submit(queue, 'key', moved).result(TIMEOUT).goal_xy in {
         (17.5, 10.5), (18.5, 9.5), (18.5, 11.5), (19.5, 10.5)}
 
 
 def test_equal_solves_are_shared_and_others_wait_their_turn(queue):
-    first = queue.submit('slow', slow_request())
-    assert queue.submit('slow', slow_request()) is first
-    other = queue.submit('other', request())
-    assert queue.submit('other', request()) is other
+    first = submit(queue, 'slow', slow_request())
+    assert submit(queue, 'slow', slow_request()) is first
+    other = submit(queue, 'other', request())
+    assert submit(queue, 'other', request()) is other
     begun(queue)
-    assert queue.submit('slow', slow_request()) is first, 'also when it runs'
+    assert submit(queue, 'slow', slow_request()) is first, 'also when it runs'
     assert not other.done()
-    assert queue.cancel()
-    assert other.result(TIMEOUT)
+    assert queue.cancel() == 2
+    for each in (first, other):
+        with pytest.raises(SolveCancelled):
+            each.result(TIMEOUT)
+
+
+def test_a_full_queue_refuses_at_once_and_says_what_is_busy(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    waiting = [submit(queue, k, request(), size=2) for k in range(2)]
+    with pytest.raises(QueueFull, match=r'a solve runs \(for [\d.]+ s\) and 2 others wait'):
+        submit(queue, 'third', request(), size=2)
+    assert submit(queue, 1, request(), size=2) is waiting[1], 'sharing needs no room'
+    later = submit(queue, 'third', request(), size=3)
+    assert queue.cancel() == 4
+    assert later.exception(TIMEOUT)
+
+
+def test_a_solve_in_the_background_gives_way(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    outcomes = []
+    first, last = (submit(queue, k, request(), background=True) for k in ('first', 'last'))
+    with pytest.raises(SolveCancelled, match='a later map'):
+        first.result(0.0)
+    asked = submit(queue, 'asked', request(), size=1)
+    for name, each in (('last', last), ('asked', asked)):
+        each.add_done_callback(lambda done, name=name: outcomes.append(name))
+    (pid,) = workers()
+    os.kill(pid, signal.SIGKILL)
+    assert asked.result(TIMEOUT) and last.result(TIMEOUT)
+    assert outcomes == ['asked', 'last']
+
+
+def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    first = submit(queue, 'first', request(), background=True)
+    assert submit(queue, 'first', request()) is first
+    last = submit(queue, 'last', request(), background=True)
+    queue.withdraw_background()
     with pytest.raises(SolveCancelled):
-        first.result(TIMEOUT)
+        last.result(0.0)
+    assert not first.done()
+
+
+def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):
+    """Who asks between the end of a solve and its outcome does not begin another one."""
+    solves, solve = [], WorkerProcess.solve
+    monkeypatch.setattr(
+        WorkerProcess, 'solve', lambda *given: (solves.append(1), solve(*given))[1])
+    again = []
+    first = submit(queue, 'key', request())
+    first.add_done_callback(lambda _: again.append(submit(queue, 'key', request())))
+    first.result(TIMEOUT)
+    wait_until(lambda: again, 'the callback')
+    assert again[0].result(TIMEOUT) is first.result()
+    assert len(solves) == 1
 
 
 def test_cancel_ends_a_solve_of_minutes_and_the_next_one_works(queue):
-    future = queue.submit('slow', slow_request())
+    future = submit(queue, 'slow', slow_request())
     begun(queue)
     assert queue.cancel()
     with pytest.raises(SolveCancelled, match='the solve was cancelled'):
         future.result(TIMEOUT)
     wait_until(lambda: not queue.cancel(), 'no solve to cancel')
-    assert queue.submit('key', request()).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
 def test_cancel_before_the_worker_has_started():
     queue = SolveQueue()
     try:
-        future = queue.submit('slow', slow_request())
+        future = submit(queue, 'slow', slow_request())
         assert queue.cancel()
         with pytest.raises(SolveCancelled):
             future.result(TIMEOUT)
-        assert queue.submit('key', request()).result(TIMEOUT)
+        assert submit(queue, 'key', request()).result(TIMEOUT)
     finally:
         queue.close()
 
 
 def test_what_was_submitted_can_be_cancelled_at_once(queue):
     for attempt in range(8):
-        first, second = queue.submit('first', slow_request()), queue.submit('second', request())
-        assert queue.cancel(), attempt
-        with pytest.raises(SolveCancelled):
-            first.result(TIMEOUT)
-        assert second.result(TIMEOUT), 'who waits behind it goes on'
+        both = submit(queue, 'first', slow_request()), submit(queue, 'second', slow_request())
+        assert queue.cancel() == 2, attempt
+        for each in both:
+            with pytest.raises(SolveCancelled):
+                each.result(TIMEOUT)
 
 
 def test_the_time_limit_is_hard(queue):
-    queue.submit('key', request()).result(TIMEOUT)  # the worker has started
+    submit(queue, 'key', request()).result(TIMEOUT)  # the worker has started
     begin = time.monotonic()
     with pytest.raises(TimeLimit, match='no plan after max_planning_time, 0.7 s'):
-        queue.submit('slow', slow_request(0.7)).result(TIMEOUT)
+        submit(queue, 'slow', slow_request(0.7)).result(TIMEOUT)
     assert time.monotonic() - begin >= 0.7
-    assert queue.submit('key', request()).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
 def test_the_time_limit_holds_for_a_worker_that_reads_nothing(queue):
-    queue.submit('key', request()).result(TIMEOUT)
+    submit(queue, 'key', request()).result(TIMEOUT)
     (pid,) = workers()
     os.kill(pid, signal.SIGSTOP)
     large = np.zeros((2000, 2000), dtype=np.int8)  # more than the pipe holds
     with pytest.raises(TimeLimit):
-        queue.submit('large', request(values=large, time_limit=0.7)).result(TIMEOUT)
-    assert queue.submit('key', request()).result(TIMEOUT)
+        submit(queue, 'large', request(values=large, time_limit=0.7)).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
 def test_an_error_on_this_side_is_answered_too(queue, monkeypatch):
@@ -190,32 +250,32 @@ def test_an_error_on_this_side_is_answered_too(queue, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(WorkerProcess, 'solve', broken)
         with pytest.raises(Unexpected, match='MemoryError'):
-            queue.submit('key', request()).result(TIMEOUT)
-    assert queue.submit('key', request()).result(TIMEOUT)
+            submit(queue, 'key', request()).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
 def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue):
-    future = queue.submit('slow', slow_request())
+    future = submit(queue, 'slow', slow_request())
     begun(queue)
     (pid,) = workers()
     os.kill(pid, signal.SIGKILL)
     with pytest.raises(WorkerFailed, match='the worker process ended by signal 9'):
         future.result(TIMEOUT)
-    assert queue.submit('key', request()).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
     assert pid not in workers()
 
 
 def test_a_worker_that_died_while_idle_is_not_missed(queue):
-    queue.submit('key', request()).result(TIMEOUT)
+    submit(queue, 'key', request()).result(TIMEOUT)
     (pid,) = workers()
     os.kill(pid, signal.SIGKILL)
     wait_until(lambda: _is_zombie(pid), 'the end of the worker')
-    assert queue.submit('key', request()).result(TIMEOUT)
+    assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
 def test_close_ends_everything_at_once():
     queue = SolveQueue()
-    running, waiting = queue.submit('slow', slow_request()), queue.submit('key', request())
+    running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
     begun(queue)
     queue.close()
     for future in (running, waiting):
@@ -223,16 +283,16 @@ def test_close_ends_everything_at_once():
             future.result(0)
     assert workers() == []
     with pytest.raises(SolveCancelled, match='shutting down'):
-        queue.submit('key', request())
+        submit(queue, 'key', request())
 
 
 ORPHAN = """
 import sys
-from test_solve_queue import begun, slow_request, workers
+from test_solve_queue import begun, slow_request, submit, workers
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 queue = SolveQueue()
-queue.submit('slow', slow_request())
+submit(queue, 'slow', slow_request())
 begun(queue)
 print(*workers(), flush=True)
 sys.stdin.read()
@@ -256,3 +316,15 @@ def _is_zombie(pid):
         return Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] == 'Z'
     except OSError:
         return True
+
+
+def test_a_worker_whose_owner_is_gone_before_it_is_ready_ends_quietly():
+    ours, theirs = socket.socketpair()
+    ours.close()
+    with theirs:
+        done = subprocess.run(
+            [sys.executable, '-c', f'import sys; sys.path[:] = {sys.path!r}; '
+             'from ambush_planner.worker.child import main; main()', str(theirs.fileno())],
+            pass_fds=[theirs.fileno()], capture_output=True, text=True, timeout=TIMEOUT,
+            check=False)
+    assert (done.returncode, done.stderr) == (0, '')

@@ -101,7 +101,7 @@ def test_an_interrupted_table_goes_on_where_it_stopped(folder, how):
     process.send_signal(how)
     _, errors = process.communicate(timeout=60.0)
     assert 'Traceback' not in errors
-    assert process.returncode == (1 if how == signal.SIGINT else -how)
+    assert process.returncode == (130 if how == signal.SIGINT else -how)
     assert not (folder / 'table.csv').exists()
     kept = part.read_text().count('\n') - 1
     assert 4 <= kept < 30
@@ -131,13 +131,13 @@ def test_a_cluster_makes_the_same_table(folder):
 def test_what_is_wrong_is_said(folder):
     (folder / 'table.csv').write_text('something,else\n1,2\n')
     done = run(folder)
-    assert done.returncode == 1 and 'no column depot' in done.stderr
+    assert done.returncode == 3 and 'no column depot' in done.stderr
     assert (folder / 'table.csv').read_text() == 'something,else\n1,2\n'
     done = run(folder, '--set', 'network.spaccing=3')
-    assert done.returncode == 1 and "no option 'network.spaccing'" in done.stderr
+    assert done.returncode == 3 and "no option 'network.spaccing'" in done.stderr
     (folder / 'map.yaml').unlink()
     done = run(folder)
-    assert done.returncode == 1 and 'map.yaml' in done.stderr and 'Traceback' not in done.stderr
+    assert done.returncode == 3 and 'map.yaml' in done.stderr and 'Traceback' not in done.stderr
 
 
 @pytest.mark.parametrize(

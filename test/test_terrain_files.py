@@ -203,5 +203,5 @@ def test_the_command_says_what_is_wrong(tmp_path):
         ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), '.yaml'),
     ):
         done = run(*arguments)
-        assert done.returncode == 1 and reason in done.stderr and 'Traceback' not in done.stderr
+        assert done.returncode == 3 and reason in done.stderr and 'Traceback' not in done.stderr
     assert not (tmp_path / 'm.yaml').exists()

@@ -1,4 +1,4 @@
-"""Poses in other frames: with real TF where it is installed, clear errors where it is not."""
+"""Poses in other frames: transforms that travel over DDS, and clear errors where there are none."""
 
 import math
 import threading
@@ -9,6 +9,7 @@ import pytest
 import rclpy
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
+from nav_msgs.srv import GetPlan
 from rclpy.context import Context
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -16,15 +17,25 @@ from rclpy.parameter import Parameter
 from ros_harness import free_domain, header, pose, risk_grid, ros_context, spinning, stage
 from rosgraph_msgs.msg import Clock
 from scipy.spatial.transform import Rotation
+from standin_types import message_type, tf_message
 from waiting import wait_until
 
 from ambush_planner.ros import transforms
 from ambush_planner.ros.conversions import path_from_ros, pose_from_ros
 from ambush_planner.ros.errors import FrameMismatch, InvalidPose
+from ambush_planner.ros.qos import TF, TF_STATIC
+from ambush_planner.ros.tf_buffer import TransformBuffer
 from ambush_planner.ros.transforms import FrameTransforms
+from ambush_planner.worker.process import WorkerProcess
 
-NOT_HERE = 'tf2_ros is not installed; it comes with ROS, not from PyPI'
+TF_MESSAGE = message_type('tf2_msgs', 'TFMessage')
 HALF_TURN = (0.0, 0.0, math.pi)
+
+
+@pytest.fixture(autouse=True)
+def installed(monkeypatch):
+    """TF's message, as a stand-in where it is not installed."""
+    monkeypatch.setattr(transforms, 'TFMessage', TF_MESSAGE)
 
 
 @contextmanager
@@ -45,26 +56,24 @@ class Tf:
     """A node that listens to TF, and another one that tells it transforms."""
 
     def __init__(self, listener, sender):
-        import tf2_ros
-
         self.listener, self.sender = listener, sender
         self.frames = FrameTransforms(listener)
         self.close = self.frames.close
-        self._moving = tf2_ros.TransformBroadcaster(sender)
-        self._static = tf2_ros.StaticTransformBroadcaster(sender)
+        self.moving = sender.create_publisher(TF_MESSAGE, '/tf', TF)
+        self._static = sender.create_publisher(TF_MESSAGE, '/tf_static', TF_STATIC)
 
     def send(self, *sent):
         """Tell moving transforms, once, and only when somebody listens."""
-        wait_until(self._moving.pub_tf.get_subscription_count, 'a listener to /tf')
-        self._moving.sendTransform(list(sent))
+        wait_until(self.moving.get_subscription_count, 'a listener to /tf')
+        self.moving.publish(tf_message(*sent))
 
     def fix(self, *sent):
-        self._static.sendTransform(list(sent))
+        self._static.publish(tf_message(*sent))
 
     def position(self, given, frame='map'):
         """The transformed (x, y), or None as long as it is not known how the frames lie."""
         try:
-            return pose_from_ros(self.frames.to_frame(given, 'goal', frame).pose)[:2]
+            return pose_from_ros(self.frames.to_frame(given, 'goal', frame, math.inf).pose)[:2]
         except FrameMismatch:
             return None
 
@@ -89,7 +98,6 @@ def running_tf(**arguments):
 
 @pytest.fixture
 def tf():
-    pytest.importorskip('tf2_ros', reason=NOT_HERE)
     with running_tf() as tf:
         yield tf
 
@@ -115,16 +123,16 @@ def place(given):
 def test_a_pose_in_the_frame_is_returned_as_it_is(node):
     given = pose(1.0, 2.0)
     with closing(FrameTransforms(node)) as frames:
-        assert frames.to_frame(given, 'start', 'map') is given
+        assert frames.to_frame(given, 'start', 'map', math.inf) is given
 
 
 def test_without_tf_another_frame_is_an_error_that_says_what_to_do(node, monkeypatch):
-    monkeypatch.setattr(transforms, 'tf2_ros', None)
+    monkeypatch.setattr(transforms, 'TFMessage', None)
     with pytest.raises(FrameMismatch) as error:
-        FrameTransforms(node).to_frame(pose(1.0, 2.0, frame='odom'), 'start', 'map')
+        FrameTransforms(node).to_frame(pose(1.0, 2.0, frame='odom'), 'start', 'map', math.inf)
     assert str(error.value) == (
         "start is given in the frame 'odom', the map in 'map'; give it in the map's frame, or "
-        'install tf2_ros to have it transformed'
+        'install tf2_msgs to have it transformed'
     )
 
 
@@ -132,14 +140,14 @@ def test_without_tf_another_frame_is_an_error_that_says_what_to_do(node, monkeyp
 def test_no_frame_is_an_error_even_where_the_other_has_none(node, frame):
     with closing(FrameTransforms(node)) as frames:
         with pytest.raises(FrameMismatch, match='goal .*header.frame_id is empty'):
-            frames.to_frame(pose(1.0, 2.0, frame=''), 'goal', frame)
+            frames.to_frame(pose(1.0, 2.0, frame=''), 'goal', frame, math.inf)
 
 
 def test_a_pose_is_turned_and_moved(tf):
     tf.fix(transform('map', 'odom', 1.0, 2.0, turn=(0.0, 0.0, math.pi / 2)))
     given = pose(3.0, 4.0, 0.3, frame='odom')
     tf.wait_for(given, (-3.0, 5.0))
-    result = tf.frames.to_frame(given, 'goal', 'map')
+    result = tf.frames.to_frame(given, 'goal', 'map', math.inf)
     assert result.header.frame_id == 'map'
     assert pose_from_ros(result.pose) == pytest.approx((-3.0, 5.0, 0.3 + math.pi / 2))
     assert given == pose(3.0, 4.0, 0.3, frame='odom')
@@ -153,7 +161,7 @@ def test_what_lies_ahead_of_a_pose_in_space_stays_ahead_of_it(tf):
     beyond.pose.position = Point(**dict(zip('xyz', place(there) + turn.apply(ahead), strict=True)))
     tf.fix(transform('map', 'arm', 1.0, -2.0, 3.0, turn=(0.4, -0.7, 2.1)))
     wait_until(lambda: tf.position(there), 'the transform')
-    there, beyond = (tf.frames.to_frame(each, 'goal', 'map') for each in (there, beyond))
+    there, beyond = (tf.frames.to_frame(each, 'goal', 'map', math.inf) for each in (there, beyond))
     q = there.pose.orientation
     seen = Rotation.from_quat((q.x, q.y, q.z, q.w)).inv().apply(place(beyond) - place(there))
     assert seen == pytest.approx(ahead)
@@ -173,7 +181,7 @@ def test_the_latest_transform_counts_whatever_the_stamps(tf):
     for sec in (0, 1, 3, 4, 2_000_000_000):
         given = pose(0.5, 0.0, frame='base_link')
         given.header.stamp = Time(sec=sec)
-        result = tf.frames.to_frame(given, 'start', 'map')
+        result = tf.frames.to_frame(given, 'start', 'map', math.inf)
         assert pose_from_ros(result.pose)[0] == pytest.approx(5.5)
         assert result.header.stamp == Time(sec=5)
 
@@ -182,7 +190,7 @@ def test_an_unknown_frame_is_an_error_with_the_reason(tf):
     tf.fix(transform('map', 'odom'))
     tf.wait_for(pose(1.0, 2.0, frame='odom'), (1.0, 2.0))
     with pytest.raises(FrameMismatch) as error:
-        tf.frames.to_frame(pose(1.0, 2.0, frame='base_link'), 'start', 'map')
+        tf.frames.to_frame(pose(1.0, 2.0, frame='base_link'), 'start', 'map', math.inf)
     assert str(error.value).startswith(
         "start is given in the frame 'base_link', the map in 'map'; give it in the map's frame, "
         'or publish the transform between the two on /tf: '
@@ -197,7 +205,7 @@ def test_an_orientation_that_is_none_stays_an_error(tf, number):
     wait_until(lambda: tf.position(given), 'the transform')
     given.pose.orientation.w = number
     with pytest.raises(InvalidPose, match='goal: orientation'):
-        tf.frames.to_frame(given, 'goal', 'map')
+        tf.frames.to_frame(given, 'goal', 'map', math.inf)
 
 
 def test_transforms_arrive_while_a_callback_runs(tf):
@@ -228,7 +236,6 @@ def test_nothing_is_left_after_the_end(tf):
 
 
 def test_listening_ends_with_the_context():
-    pytest.importorskip('tf2_ros', reason=NOT_HERE)
     with free_domain() as domain, node_in(domain, 'planner') as node:
         frames = FrameTransforms(node)
     with closing(frames):
@@ -236,7 +243,6 @@ def test_listening_ends_with_the_context():
 
 
 def test_the_listener_is_remapped_like_the_node_but_keeps_its_name():
-    pytest.importorskip('tf2_ros', reason=NOT_HERE)
     arguments = ['--ros-args', '-r', '__node:=convoy', '-r', '__ns:=/lead', '-r', '/tf:=tf']
     context = Context()
     with free_domain() as domain:
@@ -264,7 +270,6 @@ def test_broken_transforms_end_nothing(tf):
 
 
 def test_a_simulation_that_starts_anew_forgets_the_old_one():
-    pytest.importorskip('tf2_ros', reason=NOT_HERE)
     with running_tf(parameter_overrides=[Parameter('use_sim_time', value=True)]) as tf:
         clock = tf.sender.create_publisher(Clock, '/clock', 1)
         for sec, x in ((1000, 7.0), (1, 3.0)):
@@ -277,16 +282,85 @@ def test_a_simulation_that_starts_anew_forgets_the_old_one():
             tf.wait_for(pose(0.0, 0.0, frame='base_link'), (x, 0.0))
 
 
-def test_a_departure_starts_where_the_robot_is_now():
-    tf2_ros = pytest.importorskip('tf2_ros', reason=NOT_HERE)
-    with stage() as running:
+def test_a_transform_that_is_too_old_is_an_error_with_its_age(tf):
+    now = tf.listener.get_clock().now().nanoseconds // 10**9
+    tf.send(transform('map', 'base_link', 3.0, sec=now - 100))
+    given = pose(0.0, 0.0, frame='base_link')
+    tf.wait_for(given, (3.0, 0.0))
+    with pytest.raises(FrameMismatch, match=r'is 10\d s old, more than transform.max_age, 2 s'):
+        tf.frames.to_frame(given, 'start', 'map', 2.0)
+    tf.fix(transform('map', 'depot', 1.0, sec=1))
+    tf.wait_for(pose(0.0, 0.0, frame='depot'), (1.0, 0.0))
+    tf.frames.to_frame(pose(0.0, 0.0, frame='depot'), 'start', 'map', 2.0)
+
+
+@pytest.mark.parametrize('data', [
+    b'', b'\0\1\0\0', b'\0\1\0\0\5\0\0\0', b'\0\7\0\0' + bytes(40),
+    tf_message(transform('map', 'odom', 1.0))[:-9],
+    tf_message(transform('map', 'odom', 1.0)).replace(b'odom', b'\xff\xfe\xfd\xfc'),
+])
+def test_bytes_that_are_no_transforms_end_nothing(tf, data):
+    wait_until(tf.moving.get_subscription_count, 'a listener to /tf')
+    tf.moving.publish(data)
+    tf.send(transform('map', 'odom', 3.0))
+    tf.wait_for(pose(1.0, 0.0, frame='odom'), (4.0, 0.0))
+
+
+def test_an_error_in_the_listener_is_told_and_survived(tf, monkeypatch, capfd):
+    def broken(*_):
+        raise RuntimeError(f'went through {math.pi}')
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TransformBuffer, 'add', broken)
+        tf.send(transform('map', 'odom', 1.0))
+        said = []
+        wait_until(lambda: said.append(capfd.readouterr().err) or 'in broken' in ''.join(said),
+                   'the log')
+        assert '3.14' not in ''.join(said)
+    tf.send(transform('map', 'odom', 3.0, sec=2))
+    tf.wait_for(pose(1.0, 0.0, frame='odom'), (4.0, 0.0))
+
+
+def test_remaps_that_are_the_nodes_own_are_honoured():
+    arguments = ['--ros-args', '-r', '/tf:=robot_tf', '-r', '/tf_static:=robot_tf_static']
+    with free_domain() as domain, node_in(domain, 'planner', cli_args=arguments) as node:
+        with closing(FrameTransforms(node)):
+            for topic in ('/robot_tf', '/robot_tf_static'):
+                wait_until(lambda topic=topic: node.count_subscribers(topic), topic)
+            assert not node.count_subscribers('/tf')
+
+
+class Robot:
+    """Tells where base_link is on the map, with the time of now."""
+
+    def __init__(self, node):
+        self._node = node
+        self._moving = node.create_publisher(TF_MESSAGE, '/tf', TF)
+        wait_until(self._moving.get_subscription_count, 'a listener to /tf')
+
+    def is_at(self, x, y):
+        there = transform('map', 'base_link', x, y)
+        there.header.stamp = self._node.get_clock().now().to_msg()
+        self._moving.publish(tf_message(there))
+
+
+ROBOT = {'robot_base_frame': 'base_link', 'transform.max_age': 1000.0}
+
+
+def first_pose(client, count):
+    return path_from_ros(client.last('path', count))[0, :2]
+
+
+@pytest.mark.parametrize('start', [None, 'base_link', ''], ids=['none', 'in its frame', 'empty'])
+def test_a_departure_starts_where_the_robot_is_now(start):
+    with stage(parameters=ROBOT) as running:
         client = running.client
-        robot = tf2_ros.TransformBroadcaster(client.node)
-        wait_until(robot.pub_tf.get_subscription_count, 'a listener to /tf')
+        robot = Robot(client.node)
         client.publish('alpha_map', risk_grid())
-        client.publish('start_pose', pose(0.0, 0.0, frame='base_link'))
+        if start is not None:
+            client.publish('start_pose', pose(0.0, 0.0, frame=start))
         client.publish('goal_pose', pose(8.5, 5.5))
-        client.diagnostics(state='ready')
+        client.diagnostics(state='ready', level=b'\0')
         assert 'base_link' in client.call('new_route').message
 
         def departs_at(x):
@@ -295,5 +369,54 @@ def test_a_departure_starts_where_the_robot_is_now():
             return paths and path_from_ros(paths[-1])[0, :2] == pytest.approx((x, 5.5))
 
         for x in (1.5, 2.5):
-            robot.sendTransform(transform('map', 'base_link', x, 5.5, sec=int(x)))
+            robot.is_at(x, 5.5)
             wait_until(lambda x=x: departs_at(x), f'a departure at {x}')
+        request = GetPlan.Request(start=pose(0.0, 0.0, frame=''), goal=pose(8.5, 5.5))
+        path = client.call('get_plan', request).plan
+        assert path_from_ros(path)[0, :2] == pytest.approx((2.5, 5.5))
+
+
+def test_a_robot_that_drives_while_it_is_solved_departs_where_it_is_then(monkeypatch):
+    """Within the tolerance the path begins there; beyond it, it is solved once more."""
+    solves, solve = [], WorkerProcess.solve
+    with stage(parameters=ROBOT) as running:
+        client = running.client
+        robot = Robot(client.node)
+
+        def drive(worker, request):
+            plan = solve(worker, request)
+            solves.append(request.start_xy)
+            robot.is_at(*places[len(solves) - 1])
+            there = pose(0.0, 0.0, frame='base_link')
+            wait_until(lambda: place(running.planner._transforms.to_frame(
+                there, 'start', 'map', math.inf))[0] == places[len(solves) - 1][0], 'its move')
+            return plan
+
+        monkeypatch.setattr(WorkerProcess, 'solve', drive)
+        client.publish('alpha_map', risk_grid(np.zeros((20, 20))))
+        client.publish('goal_pose', pose(8.5, 5.5))
+        robot.is_at(1.5, 5.5)
+        places = [(1.6, 5.5)]
+        client.call_until('new_route', lambda answer: answer.success)
+        assert first_pose(client, 1) == pytest.approx((1.6, 5.5))
+        assert len(solves) == 1
+        solves.clear()
+        places = [(5.0, 2.5), (5.0, 2.6)]
+        robot.is_at(1.5, 2.5)
+        client.call_until('new_route', lambda _: solves and client.last('path', 2))
+        assert first_pose(client, 2) == pytest.approx((5.0, 2.6))
+        assert [start[0] for start in solves] == [1.5, 5.0]
+
+
+def test_a_robot_whose_transform_is_old_does_not_depart():
+    with stage(parameters={**ROBOT, 'transform.max_age': 2.0}) as running:
+        client = running.client
+        robot = client.node.create_publisher(TF_MESSAGE, '/tf', TF)
+        wait_until(robot.get_subscription_count, 'a listener to /tf')
+        client.publish('alpha_map', risk_grid())
+        client.publish('goal_pose', pose(8.5, 5.5))
+        client.diagnostics(state='ready')
+        robot.publish(tf_message(transform('map', 'base_link', 1.5, 5.5)))
+        answer = client.call_until('new_route', lambda answer: 's old' in answer.message)
+        assert not answer.success
+        client.diagnostics(code='TF_ERROR')

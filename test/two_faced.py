@@ -8,22 +8,29 @@ from io import BytesIO
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ambush_planner.recording.encoding import encode_content
-from ambush_planner.recording.mcap_content import read_content
-from ambush_planner.recording.mcap_records import MAGIC, parse, walk
+from ambush_planner.recording.mcap_file import MAGIC, decode, encode
 
 PRIVATE = 0x80
 
 
 def records_of(data):
     """The records in a file: (kind, bytes with the header, parsed)."""
-    return [
-        (raw.opcode, bytes(data[raw.offset : raw.end]), parse(raw))
-        for raw in walk(memoryview(data)[: -len(MAGIC)], len(MAGIC))
-    ]
+    found, place = [], len(MAGIC)
+    while place < len(data) - len(MAGIC):
+        end = place + 9 + int.from_bytes(data[place + 1 : place + 9], 'little')
+        raw = bytes(data[place:end])
+        reader = StreamReader(BytesIO(raw), skip_magic=True, emit_chunks=True)
+        found.append((raw[0], raw, reader._read_record(*_header(reader))))
+        place = end
+    return found
+
+
+def _header(reader):
+    return reader._stream.read1(), reader._stream.read8()
 
 
 def encoded(record):
@@ -72,14 +79,14 @@ def of_section(data, change):
 
 def another_path(data):
     """The same departure with all poses of the path a kilometre away."""
-    content = read_content(data)
+    content = decode(data)
     for message in content.messages:
         if content.channels[message.channel_id].topic == '/path':
             path = deserialize_message(message.data, PathMessage)
             for each in path.poses:
                 each.pose.position.y += 1000.0
             message.data = serialize_message(path)
-    return encode_content(content)
+    return encode(content)
 
 
 def hidden_chunk(data):
@@ -110,7 +117,7 @@ def renamed_topics(data):
 def early_message_index(data):
     """The index behind the chunk says that a message is of 1970."""
     section, summary = split(data)
-    channels = read_content(data).channels
+    channels = decode(data).channels
     return assembled(
         [
             encoded(replace(record, records=[(1, offset) for _, offset in record.records]))

@@ -17,7 +17,7 @@ import numpy as np
 from .arrays import FloatArray, IndexArray
 from .corridors import Corridors
 from .errors import InvalidOption
-from .risk_map import to_world
+from .risk_map import to_map_axes, to_world
 from .routes import MOST_POSES
 
 # Of the portals, for the taut string; the more is left, the wider the turns can be.
@@ -58,7 +58,8 @@ class _Corners:
 
 
 def driven_path(
-    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float = 0.0
+    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float = 0.0,
+    ends: tuple[tuple[float, float], tuple[float, float]] | None = None,
 ) -> FloatArray:
     """Poses (L, 3) = (x, y, yaw) of the path that is driven for a drawn route, in the world.
 
@@ -71,14 +72,16 @@ def driven_path(
     ----------
     route : (K,) int
         Node indices, source first, target last.
+    ends
+        Start and goal [m] where they are beside the route's ends: from and to there the path is
+        the straight line to the route's next node, which the caller has found to be clear.
 
     Raises
     ------
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
-    route = corridors.shortened(route)
-    portals = _portals(corridors, route)
+    route, portals = _way(corridors, route, ends)
     best = None
     for share in TAUT:
         line = _rounded(portals, _taut(portals, share), share)
@@ -91,7 +94,7 @@ def driven_path(
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
     # Turning to the world and back may have cost a digit.
-    poses[[0, -1], :2] = corridors.network.points[route[[0, -1]]]
+    poses[[0, -1], :2] = corridors.network.points[route[[0, -1]]] if ends is None else ends
     return poses
 
 
@@ -117,6 +120,28 @@ def different_paths(paths: list[FloatArray], distance: float) -> int:
         apart = np.abs(kinds[:count] - kinds[count]).max(axis=(1, 2))
         count += not (apart <= distance).any()
     return count
+
+
+def _way(
+    corridors: Corridors, route: IndexArray,
+    ends: tuple[tuple[float, float], tuple[float, float]] | None,
+) -> tuple[IndexArray, _Portals]:
+    """The route that is followed, and its portals."""
+    if ends is None:
+        route = corridors.shortened(route)
+        return route, _portals(corridors, route)
+    at = corridors.network.points[route[[0, -1]]]
+    moved = [not np.array_equal(*pair) for pair in zip(at, np.array(ends), strict=True)]
+    first, last = int(moved[0]), len(route) - int(moved[1])
+    if last - first > 1:
+        inner = corridors.shortened(route[first:last])
+        route = np.concatenate((route[:first], inner, route[last:]))
+    portals = _portals(corridors, route)
+    for end, next_to_it in ((0, 1), (-1, -2)):
+        if moved[end]:
+            portals.nodes[end] = to_map_axes(corridors.origin, ends[end])
+            portals.left[next_to_it] = portals.right[next_to_it] = 0.0
+    return route, portals
 
 
 def _portals(corridors: Corridors, route: IndexArray) -> _Portals:

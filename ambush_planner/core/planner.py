@@ -14,6 +14,7 @@ from .construction import NetworkOptions, build_network, chosen_spacing
 from .corridors import Corridors, make_corridors
 from .cover import with_hiding_places
 from .driven_path import driven_path, driven_paths
+from .errors import TimeLimit
 from .game import GameOptions
 from .network import Network
 from .obstacles import nearest_free_cell
@@ -21,8 +22,11 @@ from .options import check_at_least
 from .risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from .strategy import Strategy, StrategyOptions, solve
 
+Ends = tuple[tuple[float, float], tuple[float, float]]
 # Tube with a reach, in distances of nodes.
 DEFAULT_TUBE = 0.35
+# Beside so much of the value a gap is rounding.
+ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
@@ -56,12 +60,20 @@ class DriveOptions:
 
 @dataclass(frozen=True)
 class PlanningOptions:
-    """All options of a plan: how the network is laid, what the game is, which optimum is taken."""
+    """All options of a plan: how the network is laid, what the game is, which optimum is taken.
+
+    Where the time limit passes, the strategy that was reached is taken if no other one can be
+    better by more than ``max_gap`` of its value, beyond the risk slack.
+    """
 
     network: NetworkOptions = field(default_factory=NetworkOptions)
     game: GameOptions = field(default_factory=GameOptions)
     strategy: StrategyOptions = field(default_factory=StrategyOptions)
     drive: DriveOptions = field(default_factory=DriveOptions)
+    max_gap: float = 0.1
+
+    def __post_init__(self) -> None:
+        check_at_least("max_gap", self.max_gap, 0.0, finite=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,10 +154,8 @@ def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Pl
     begin = time.monotonic()
     spacing = node_spacing(risk_map, options.network)
     tube = _tube(options, spacing)
-    reach = options.game.ambush_radius + (tube or 0.0)
-    if options.game.ambush_in_obstacles and reach > 0.0:
-        network = with_hiding_places(network, risk_map, reach, spacing)
-    strategy = solve(network, replace(options.game, ambush_radius=reach), options.strategy)
+    network = with_cover(network, risk_map, options)
+    strategy = _solved(network, options, reach(risk_map, options))
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
     corridors = make_corridors(
         strategy.network, risk_map, options.network.clearance, tube, options.network.clear_of_edge
@@ -154,6 +164,42 @@ def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Pl
     return Plan(
         strategy.network, strategy, bottleneck, corridors, options.drive, spacing, seconds
     )
+
+
+def _solved(network: Network, options: PlanningOptions, radius: float) -> Strategy:
+    """The strategy for the reach ``radius`` [m], or what was reached if that is good enough."""
+    try:
+        return solve(network, replace(options.game, ambush_radius=radius), options.strategy)
+    except TimeLimit as late:
+        strategy = late.strategy
+        if strategy is None:
+            raise
+        # As far as it was not asked for: with a slack, a better strategy is known and not taken.
+        slack = options.strategy.risk_slack if options.strategy.solver == "max_entropy" else 0.0
+        gap = strategy.value / (1.0 + slack) - strategy.lower_bound
+        if gap <= (options.max_gap + ROUNDING) * strategy.value:
+            return strategy
+        raise TimeLimit(
+            f"the strategy that was found in {options.strategy.time_limit:g} s may be "
+            f"{gap / strategy.value:.2g} of its value from the best, more than max_gap, "
+            f"{options.max_gap:g}; allow more time, or choose a larger spacing",
+            strategy,
+        ) from late
+
+
+def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
+    """How far an ambush reaches from its site in the game that is solved [m]: with the tube."""
+    tube = _tube(options, node_spacing(risk_map, options.network))
+    return options.game.ambush_radius + (tube or 0.0)
+
+
+def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
+    """The network with the obstacle cells in which an ambusher can hide, if the game has them."""
+    radius = reach(risk_map, options)
+    if not options.game.ambush_in_obstacles or radius == 0.0:
+        return network
+    spacing = node_spacing(risk_map, options.network)
+    return with_hiding_places(network, risk_map, radius, spacing).with_cover()
 
 
 def _tube(options: PlanningOptions, spacing: float) -> float | None:
@@ -203,15 +249,19 @@ def depart(a_plan: Plan, rng: np.random.Generator) -> Route:
     return Route(frozen_array(nodes, np.int64), frozen_array(a_plan.network.points[nodes], float))
 
 
-def departure_path(a_plan: Plan, route: Route, spacing: float) -> FloatArray:
+def departure_path(
+    a_plan: Plan, route: Route, spacing: float, ends: Ends | None = None
+) -> FloatArray:
     """Poses (L, 3) = (x, y, yaw) of the path that is driven, at most ``spacing`` [m] apart.
+
+    ``ends`` are start and goal [m] where these are somewhat beside the route's.
 
     Raises
     ------
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
-    return driven_path(a_plan.corridors, route.nodes, spacing, a_plan.drive.turning_radius)
+    return driven_path(a_plan.corridors, route.nodes, spacing, a_plan.drive.turning_radius, ends)
 
 
 def departure_paths(

@@ -79,9 +79,7 @@ class RiskMap:
 
     def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:
         """Turn world positions (..., 2) into map axes (..., 2) [m]."""
-        x0, y0, yaw = self.origin
-        shifted = np.asarray(xy, dtype=np.float64) - (x0, y0)
-        return shifted if yaw == 0.0 else shifted @ _rotation(yaw)
+        return to_map_axes(self.origin, xy)
 
     def to_world(self, uv: npt.ArrayLike) -> FloatArray:
         """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
@@ -101,6 +99,13 @@ class RiskMap:
         rows, columns = self.alpha.shape
         index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
         return (np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1))
+
+
+def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:
+    """Turn world positions (..., 2) into the axes of a map at ``origin`` (..., 2) [m]."""
+    x0, y0, yaw = origin
+    shifted = np.asarray(xy, dtype=np.float64) - (x0, y0)
+    return shifted if yaw == 0.0 else shifted @ _rotation(yaw)
 
 
 def to_world(origin: tuple[float, float, float], uv: npt.ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Drawing routes from a strategy and turning them into dense paths."""
+"""Drawing routes from a strategy; routes as edges and as strategies."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 
 from .acyclic import is_acyclic
 from .arrays import FloatArray, IndexArray
-from .errors import InvalidOption
 from .network import Network
 from .paths import shortest_path
 
@@ -108,30 +107,3 @@ def always(network: Network, route: IndexArray) -> FloatArray:
     p = np.zeros(len(network.edges))
     p[route_edges(network, route)] = 1.0
     return p
-
-
-def densify(points: FloatArray, spacing: float) -> FloatArray:
-    """Put poses (L, 3) = (x, y, yaw) along a polyline (K, 2), at most ``spacing`` [m] apart.
-
-    Every corner is a pose, the first and the last point are met exactly, and yaw is the direction
-    of the segment that starts at the pose (at the end: of the last segment) [rad].
-
-    Raises
-    ------
-    InvalidOption
-        That would be more than ``MOST_POSES``.
-    """
-    steps = np.diff(points, axis=0)
-    count = float(np.ceil(np.hypot(*steps.T) / spacing).sum())
-    if not count < MOST_POSES:
-        raise InvalidOption(
-            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {count:.3g} poses, "
-            f"and {MOST_POSES} are the most; choose a larger distance"
-        )
-    yaw = np.arctan2(steps[:, 1], steps[:, 0])
-    parts = np.maximum(np.ceil(np.hypot(*steps.T) / spacing - 1e-9).astype(np.int64), 1)
-    segment = np.repeat(np.arange(len(steps)), parts)
-    place = np.arange(len(segment)) - np.repeat(np.cumsum(parts) - parts, parts)
-    inner = points[segment] + steps[segment] * (place / parts[segment])[:, None]
-    poses = np.column_stack((inner, yaw[segment]))
-    return np.vstack((poses, (*points[-1], yaw[-1])))

@@ -1,9 +1,8 @@
 """Recordings of departures: MCAP files as rosbag2 writes them, and back from them."""
 
-from .departure import RecordedDeparture
 from .errors import RecordingFailed, UnreadableRecording
 from .messages import Attachment, RecordedMessage, type_name
-from .reader import read_departure, recordings_in
+from .reader import RecordedDeparture, read_departure, recordings_in
 from .recorder import Recorder
 
 __all__ = [

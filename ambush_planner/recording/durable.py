@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from contextlib import suppress
 from pathlib import Path
@@ -14,10 +13,11 @@ def write_durably(path: Path, data: bytes) -> None:
     The data goes to a temporary file beside it, is flushed to the disk and only then renamed:
     a reader sees the old content or the new one, never a part.
 
-    Raises:
-        OSError: Nothing was changed at ``path`` and no temporary file is left, unless the
-            final flush of the folder failed: then the file is in place, but may not survive
-            a power cut.
+    Raises
+    ------
+    OSError
+        Nothing was changed at ``path`` and no temporary file is left, unless the final flush of
+        the folder failed: then the file is in place, but may not survive a power cut.
     """
     temporary = path.with_name(f'{path.name}.tmp')
     try:
@@ -32,37 +32,17 @@ def write_durably(path: Path, data: bytes) -> None:
     flush_folder(path.parent)
 
 
-def create_durably(path: Path, data: bytes) -> None:
-    """Put ``data`` in a new file ``path`` (mode 0600); what is there already is left alone.
-
-    The name appears when all is on the disk. What a kill leaves behind is ``*.part``, which
-    nobody takes for a recording; the next file of this name replaces it.
-
-    Raises:
-        FileExistsError: Something of this name is already there.
-        OSError: Nothing is left at ``path``, unless the final flush of the folder failed.
-    """
-    if os.path.lexists(path):
-        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-    part = path.with_name(f'{path.name}.part')
-    try:
-        part.unlink(missing_ok=True)
-        _write_new_file(part, data)
-        _give_new_name(part, path)
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
-    flush_folder(path.parent)
-
-
 def make_private_folders(path: Path) -> None:
     """Make the folder ``path`` and those above it that are missing; those there stay as they are.
 
     Each new one has mode 0700, and its parent is flushed to the disk.
 
-    Raises:
-        FileExistsError: ``path`` or one above it is there, and is not a folder.
-        OSError: One of them cannot be made.
+    Raises
+    ------
+    FileExistsError
+        ``path`` or one above it is there, and is not a folder.
+    OSError
+        One of them cannot be made.
     """
     for folder in reversed([path, *path.parents]):
         if not folder.is_dir():
@@ -76,9 +56,12 @@ def make_private_folders(path: Path) -> None:
 def make_private_folder(path: Path) -> None:
     """Make the folder ``path`` with mode 0700 and flush its parent to the disk.
 
-    Raises:
-        FileExistsError: Something of this name is already there.
-        OSError: The parent does not exist or is not writable.
+    Raises
+    ------
+    FileExistsError
+        Something of this name is already there.
+    OSError
+        The parent does not exist or is not writable.
     """
     path.mkdir(mode=0o700)
     flush_folder(path.parent)
@@ -91,21 +74,6 @@ def flush_folder(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-def _give_new_name(old: Path, new: Path) -> None:
-    """Rename a file to a name that nothing has."""
-    try:
-        os.link(old, new)
-    except FileExistsError:
-        raise
-    except OSError:
-        # Sticks and other file systems without hard links. What another program puts there between
-        # the next two calls is lost; the other way, to reserve the name first, would leave an
-        # empty file when killed.
-        if os.path.lexists(new):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(new)) from None
-        os.rename(old, new)
 
 
 def _write_new_file(path: Path, data: bytes) -> None:

@@ -12,13 +12,16 @@ from ..core.errors import AmbushPlannerError
 class RecordingFailed(AmbushPlannerError):
     """A departure could not be recorded; planning is not affected, the next one tries again.
 
-    Attributes:
-        path: The file or folder that could not be read or written.
-        reason: Why, in the operating system's words where it was the one to refuse.
+    Attributes
+    ----------
+    path
+        The file or folder that could not be read or written.
+    reason
+        Why, in the operating system's words where it was the one to refuse.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f'recording failed at {path}: {reason}')
+        super().__init__(f'recording failed at {shown(path)}: {reason}')
         self.path = path
         self.reason = reason
 
@@ -26,15 +29,25 @@ class RecordingFailed(AmbushPlannerError):
 class UnreadableRecording(AmbushPlannerError):
     """A file or folder is not a whole recording of a departure.
 
-    Attributes:
-        path: The file or folder.
-        reason: What is wrong with it, and what to do.
+    Attributes
+    ----------
+    path
+        The file or folder.
+    reason
+        What is wrong with it, and what to do.
     """
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f'{path} is not readable as a recording: {reason}')
+        super().__init__(f'{shown(path)} is not readable as a recording: {reason}')
         self.path = path
         self.reason = reason
+
+
+def shown(name: Path | str) -> str:
+    """Return a name of a file fit for a terminal: control characters and wrong bytes escaped."""
+    return ''.join(
+        each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
+    )
 
 
 @contextmanager

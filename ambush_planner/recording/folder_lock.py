@@ -12,15 +12,16 @@ from pathlib import Path
 class FolderLock:
     """Holds the exclusive ``flock`` of a folder until ``release``.
 
-    Args:
-        folder: The folder; it stays locked when it is renamed.
-        wait: Whether to wait for another holder.
+    It stays locked when it is renamed; ``wait`` says whether to wait for another holder.
 
-    Raises:
-        BlockingIOError: Another one holds it, and ``wait`` is False.
-        OSError: There is no such folder, or (only with ``wait`` False) its file system has no
-            locks; a recorder that waits goes on without one there, as ``repair`` then fails to
-            get one, too, and leaves the folder alone.
+    Raises
+    ------
+    BlockingIOError
+        Another one holds it, and ``wait`` is False.
+    OSError
+        There is no such folder, or (only with ``wait`` False) its file system has no locks; a
+        recorder that waits goes on without one there, as ``repair`` then fails to get one, too,
+        and leaves the folder alone.
     """
 
     def __init__(self, folder: Path, *, wait: bool = True) -> None:

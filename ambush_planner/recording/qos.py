@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import re
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
-from rclpy.duration import Duration, Infinite
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    LivelinessPolicy,
-    QoSProfile,
-    ReliabilityPolicy,
-)
 
-from .yaml_text import BadYaml, load_yaml
+if TYPE_CHECKING:
+    from rclpy.qos import QoSProfile
+
+# All of them: rosbag2 refuses a bag where one is missing.
+FIELDS = (
+    'history', 'depth', 'reliability', 'durability', 'deadline', 'lifespan', 'liveliness',
+    'liveliness_lease_duration', 'avoid_ros_namespace_conventions',
+)
+_DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
+_INFINITE_NS = 2**63 - 1
+_MOST_CHARACTERS = 4096
+# Anchors, aliases, tags and merges: a few bytes of these may stand for gigabytes.
+_COSTLY = re.compile(r'[&*!<]|\d:\d')
 
 
 def qos_to_yaml(profile: QoSProfile) -> str:
@@ -24,84 +29,53 @@ def qos_to_yaml(profile: QoSProfile) -> str:
     Policies that the profile leaves to the middleware and that have one default in DDS
     (durations, liveliness) are written as that default: what the publisher really offered.
     """
-    return _yaml_of(
-        profile.history,
-        profile.depth,
-        profile.reliability,
-        profile.durability,
-        profile.deadline.nanoseconds,
-        profile.lifespan.nanoseconds,
-        profile.liveliness,
-        profile.liveliness_lease_duration.nanoseconds,
-        bool(profile.avoid_ros_namespace_conventions),
-    )
-
-
-def qos_from_yaml(text: str) -> QoSProfile:
-    """Return the first profile of a channel's ``offered_qos_profiles``.
-
-    Raises:
-        BadYaml: The text does not list complete profiles, or the first is none that a publisher
-            can have.
-    """
-    profiles = load_yaml(text)
-    try:
-        fields = profiles[0]
-        profile = QoSProfile(
-            history=HistoryPolicy.get_from_short_key(fields['history']),
-            depth=fields['depth'],
-            reliability=ReliabilityPolicy.get_from_short_key(fields['reliability']),
-            durability=DurabilityPolicy.get_from_short_key(fields['durability']),
-            deadline=_duration(fields['deadline']),
-            lifespan=_duration(fields['lifespan']),
-            liveliness=LivelinessPolicy.get_from_short_key(fields['liveliness']),
-            liveliness_lease_duration=_duration(fields['liveliness_lease_duration']),
-            avoid_ros_namespace_conventions=fields['avoid_ros_namespace_conventions'],
-        )
-    except (
-        LookupError, TypeError, ValueError, ArithmeticError, AttributeError, AssertionError,
-    ) as error:
-        raise BadYaml('no complete quality-of-service profile') from error
-    policies = profile.history, profile.reliability, profile.durability, profile.liveliness
-    if any(policy.name == 'UNKNOWN' for policy in policies) or not 0 <= profile.depth < 2**31:
-        raise BadYaml('a quality-of-service profile that no publisher can have')
-    return profile
+    values = (getattr(profile, name) for name in FIELDS)
+    return _yaml_of(*(getattr(each, 'nanoseconds', each) for each in values))
 
 
 @lru_cache(maxsize=256)
-def _yaml_of(
-    history: HistoryPolicy,
-    depth: int,
-    reliability: ReliabilityPolicy,
-    durability: DurabilityPolicy,
-    deadline_ns: int,
-    lifespan_ns: int,
-    liveliness: LivelinessPolicy,
-    lease_ns: int,
-    avoid_ros_namespace_conventions: bool,
-) -> str:
-    """All nine fields: rosbag2 refuses a bag where one is missing."""
-    if liveliness == LivelinessPolicy.SYSTEM_DEFAULT:
-        liveliness = LivelinessPolicy.AUTOMATIC
-    fields = {
-        'history': history.short_key,
-        'depth': depth,
-        'reliability': reliability.short_key,
-        'durability': durability.short_key,
-        'deadline': _duration_fields(deadline_ns),
-        'lifespan': _duration_fields(lifespan_ns),
-        'liveliness': liveliness.short_key,
-        'liveliness_lease_duration': _duration_fields(lease_ns),
-        'avoid_ros_namespace_conventions': avoid_ros_namespace_conventions,
-    }
+def fields_from_yaml(text: str) -> dict[str, Any]:
+    """Return the fields of the first profile of a channel's ``offered_qos_profiles``.
+
+    Durations are mappings of ``sec`` and ``nsec``.
+
+    Raises
+    ------
+    ValueError
+        The text does not list complete profiles.
+    """
+    if len(text) > _MOST_CHARACTERS or _COSTLY.search(text):
+        raise ValueError('a quality of service that is over-long or has anchors or tags')
+    try:
+        fields = yaml.safe_load(text)[0]
+        whole = set(fields) == set(FIELDS) and isinstance(fields, dict)
+        durations = [set(fields[name]) for name in _DURATIONS]
+    except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise ValueError('no quality-of-service profile') from error
+    if not whole or any(each != {'sec', 'nsec'} for each in durations):
+        raise ValueError('no complete quality-of-service profile')
+    return fields
+
+
+@lru_cache(maxsize=256)
+def is_written_so(text: str) -> bool:
+    """Whether a text is what ``qos_to_yaml`` writes of what it says."""
+    try:
+        return yaml.safe_dump([fields_from_yaml(text)], sort_keys=False) == text
+    except (ValueError, yaml.YAMLError):
+        return False
+
+
+@lru_cache(maxsize=256)
+def _yaml_of(*values: Any) -> str:
+    fields = dict(zip(FIELDS, values, strict=True))
+    for name in _DURATIONS:
+        # rmw reads a duration of 0 as "unspecified", for which DDS has infinity.
+        seconds, rest = divmod(fields[name] or _INFINITE_NS, 1_000_000_000)
+        fields[name] = {'sec': seconds, 'nsec': rest}
+    for name in ('history', 'reliability', 'durability', 'liveliness'):
+        fields[name] = fields[name].short_key
+    if fields['liveliness'] == 'system_default':
+        fields['liveliness'] = 'automatic'
+    fields['avoid_ros_namespace_conventions'] = bool(fields['avoid_ros_namespace_conventions'])
     return yaml.safe_dump([fields], sort_keys=False)
-
-
-def _duration_fields(nanoseconds: int) -> dict[str, int]:
-    # rmw reads a duration of 0 as "unspecified", for which DDS has infinity.
-    seconds, rest = divmod(nanoseconds or Infinite.nanoseconds, 1_000_000_000)
-    return {'sec': seconds, 'nsec': rest}
-
-
-def _duration(fields: Any) -> Duration:
-    return Duration(seconds=fields['sec'], nanoseconds=fields['nsec'])

@@ -1,38 +1,39 @@
 """Each departure as one finished MCAP file, in a folder that ``ros2 bag`` takes as a bag.
 
 The folder of a session and its files are named as rosbag2 names its own, so that
-``ros2 bag info``, ``play`` and ``reindex`` work on the folder and on each file alone. Routes
+``ros2 bag info``, ``play`` and ``reindex`` work on the folder and on each file alone. Each file
+states the SHA-256 of the one before it, the first of a session that of the session before. Routes
 are secrets: folders have mode 0700, files 0600.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from itertools import count
 from pathlib import Path
 from threading import Lock
 
-from mcap.writer import CompressionType
+from mcap import records
 
 from ..core.errors import InvalidOption
-from .bag_metadata import FILE_NAME, BagMetadata, describe_file
+from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable import make_private_folder, make_private_folders, write_durably
-from .encoding import encode_departure
-from .errors import recording_to
+from .errors import RecordingFailed, UnreadableRecording, recording_to
 from .folder_lock import FolderLock
+from .mcap_file import COMPRESSIONS, METADATA_RECORD, Content, encode
 from .messages import Attachment, RecordedMessage
+from .metadata import Link, chain_text
+from .reader import check_readable, natural_order, read_bytes
+from .schemas import load_definition
+
+__all__ = ['COMPRESSIONS', 'MOST_FILES', 'SESSION_PREFIX', 'Recorder']
 
 SESSION_PREFIX = 'ambush_planner_'
 # Of a session: metadata.yaml, which lists all of them, is written anew with each.
 MOST_FILES = 500
-
-COMPRESSIONS = {
-    'zstd': CompressionType.ZSTD,
-    'lz4': CompressionType.LZ4,
-    'none': CompressionType.NONE,
-}
 
 
 class Recorder:
@@ -42,12 +43,17 @@ class Recorder:
     ``MOST_FILES``. It is locked (``flock``) until ``close`` or the end of the process, so that
     ``repair`` leaves it alone. Safe to be used from several threads; also a context manager.
 
-    Args:
-        directory: Where session folders are made; made itself, with mode 0700, if missing.
-        compression: ``zstd``, ``lz4`` or ``none``.
+    Parameters
+    ----------
+    directory
+        Where session folders are made; made itself, with mode 0700, if missing.
+    compression
+        ``zstd``, ``lz4`` or ``none``.
 
-    Raises:
-        InvalidOption: The compression is none of these.
+    Raises
+    ------
+    InvalidOption
+        The compression is none of these.
     """
 
     def __init__(self, directory: Path, compression: str = 'zstd') -> None:
@@ -55,7 +61,7 @@ class Recorder:
             names = ', '.join(COMPRESSIONS)
             raise InvalidOption(f'compression {compression!r} is none of {names}')
         self._directory = Path(directory).expanduser()
-        self._compression = COMPRESSIONS[compression]
+        self._compression = compression
         self._session: _Session | None = None
         self._lock = Lock()
 
@@ -67,28 +73,37 @@ class Recorder:
     ) -> Path:
         """Write one departure to a file of its own and list it in the folder's metadata.yaml.
 
-        Args:
-            messages: At least one, in any order; the file has them in the order of time.
-            metadata: Kept in the file as the metadata record ``ambush_planner``.
-            attachments: Files that are kept in the recording.
+        Parameters
+        ----------
+        messages
+            At least one, in any order; the file has them in the order of time.
+        metadata
+            The entries of the metadata record but ``chain``, see ``metadata_texts``.
+        attachments
+            Files that are kept in the recording.
 
-        Returns:
+        Returns
+        -------
+        Path
             The finished file, safe on the disk.
 
-        Raises:
-            RecordingFailed: A file or folder could not be written, or a message's definition
-                is not installed. No part of a file is left; the next departure tries again.
-            ValueError: There are no messages.
+        Raises
+        ------
+        RecordingFailed
+            A file or folder could not be written, a message's definition is not installed, or
+            the readers would refuse the file. No part of a file is left; the next departure
+            tries again.
+        ValueError
+            There are no messages.
         """
         if not messages:
             raise ValueError('a departure without messages cannot be recorded')
-        data = encode_departure(messages, metadata, attachments, self._compression)
         with self._lock:
             if self._session is not None and not self._session.takes_more():
                 self._end_session()
             if self._session is None:
-                self._session = _Session.begin(self._directory)
-            return self._session.add(data)
+                self._session = _Session(self._directory)
+            return self._session.add(messages, metadata, attachments, self._compression)
 
     def close(self) -> None:
         """End the session: its folder is free for others. A later departure begins a new one."""
@@ -107,45 +122,122 @@ class Recorder:
             self._session = None
 
 
+def departure_content(
+    messages: Iterable[RecordedMessage],
+    metadata: dict[str, str],
+    attachments: Iterable[Attachment],
+    compression: str,
+) -> Content:
+    """Return what a file of a departure holds; the messages are put in the order of time.
+
+    Raises
+    ------
+    RecordingFailed
+        A message's definition is not installed.
+    """
+    ordered = sorted(messages, key=lambda each: each.stamp_ns)
+    content = Content('ros2', compression=compression.removeprefix('none'))
+    content.metadata = [records.Metadata(METADATA_RECORD, metadata)]
+    content.attachments = [
+        records.Attachment(0, ordered[0].stamp_ns, each.name, each.media_type, each.data)
+        for each in attachments
+    ]
+    channels: dict[tuple[str, str, str], int] = {}
+    for each in ordered:
+        key = each.topic, each.type, each.qos_text
+        if key not in channels:
+            channels[key] = _add_channel(content, *key)
+        time = each.stamp_ns
+        content.messages.append(records.Message(channels[key], time, each.data, time, 0))
+    return content
+
+
+def _add_channel(content: Content, topic: str, type_: str, qos: str) -> int:
+    definition = load_definition(type_)
+    schemas = {each.name: each.id for each in content.schemas.values()}
+    if type_ not in schemas:
+        schemas[type_] = len(schemas) + 1
+        content.add(records.Schema(
+            schemas[type_], definition.text.encode(), definition.encoding, type_
+        ))
+    number = len(content.channels) + 1
+    metadata = {'offered_qos_profiles': qos, 'topic_type_hash': definition.type_hash}
+    content.add(records.Channel(number, topic, 'cdr', metadata, schemas[type_]))
+    return number
+
+
 class _Session:
-    """A bag folder that grows by a file a departure, locked as long as it does."""
+    """A new bag folder that grows by a file a departure, locked as long as it does."""
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._lock = FolderLock(folder)
-        self._metadata = BagMetadata()
-        self._next = 0
-
-    @classmethod
-    def begin(cls, directory: Path) -> _Session:
-        """Make a folder for a new session, with a name that no other one has."""
+    def __init__(self, directory: Path) -> None:
         stamp = datetime.now().strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
         with recording_to(directory):
             make_private_folders(directory)
-            return cls(_make_session_folder(directory / stamp))
+            self._last = _last_recorded(directory)
+            self._folder = _make_session_folder(directory / stamp)
+            self._lock = FolderLock(self._folder)
+        self._files: dict[str, BagFile] = {}
+        self._next = 0
 
     def takes_more(self) -> bool:
         """Whether the folder still stands under its name, and is not full."""
-        return self._next < MOST_FILES and self._lock.is_of(self.folder)
+        return self._next < MOST_FILES and self._lock.is_of(self._folder)
 
-    def add(self, data: bytes) -> Path:
-        """Write the finished MCAP file ``data`` and the metadata that now holds."""
+    def add(
+        self,
+        messages: Sequence[RecordedMessage],
+        metadata: Mapping[str, str],
+        attachments: Sequence[Attachment],
+        compression: str,
+    ) -> Path:
+        """Write a departure and the metadata.yaml that now holds."""
         # A number is never used twice: a gap is a departure whose recording failed.
-        path = self.folder / f'{self.folder.name}_{self._next}.mcap'
+        path = self._folder / f'{self._folder.name}_{self._next}.mcap'
         self._next += 1
-        file = describe_file(path.name, data)
+        link = Link(path.name, self._last.file, self._last.sha256)
+        content = departure_content(
+            messages, {**metadata, 'chain': chain_text(link)}, attachments, compression
+        )
+        data = encode(content)
+        try:
+            check_readable(path, content, len(data))
+        except UnreadableRecording as error:
+            raise RecordingFailed(
+                path, f'readers would refuse it: {error.reason}; the departure is not recorded'
+            ) from error
         with recording_to(path):
             write_durably(path, data)
-        self._metadata.add(file)
-        with recording_to(self.folder / FILE_NAME):
-            # Readers refuse a folder whose metadata lists a file that was taken away.
-            self._metadata.keep(os.listdir(self.folder))
-            write_durably(self.folder / FILE_NAME, self._metadata.text())
+        self._last = Link(path.name, sha256=hashlib.sha256(data).hexdigest())
+        self._list(describe_file(path.name, data))
         return path
 
     def end(self) -> None:
         """Let others work on the folder."""
         self._lock.release()
+
+    def _list(self, file: BagFile) -> None:
+        self._files[file.name] = file
+        with recording_to(self._folder / FILE_NAME):
+            # Readers refuse a folder whose metadata lists a file that was taken away.
+            present = set(os.listdir(self._folder))
+            listed = [each for name, each in self._files.items() if name in present]
+            write_durably(self._folder / FILE_NAME, bag_text(listed))
+
+
+def _last_recorded(directory: Path) -> Link:
+    """Name and hash of the newest recording in the session folders that are there."""
+    folders = sorted(
+        (each for each in directory.glob(f'{SESSION_PREFIX}*') if each.is_dir()),
+        key=natural_order, reverse=True,
+    )
+    for folder in folders:
+        for path in sorted(folder.glob('*.mcap'), key=natural_order, reverse=True):
+            try:
+                data = read_bytes(path)
+            except UnreadableRecording:
+                continue
+            return Link(path.name, sha256=hashlib.sha256(data).hexdigest())
+    return Link()
 
 
 def _make_session_folder(wanted: Path) -> Path:

@@ -7,46 +7,35 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 
 from ..core.errors import AmbushPlannerError
-from .bag_metadata import (
-    FILE_NAME,
-    MOST_METADATA_BYTES,
-    BagFile,
-    BagMetadata,
-    can_be_listed,
-    describe_file,
-    listed_files,
-)
+from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file, listed_files
 from .durable import flush_folder, write_durably
-from .encoding import encode_content
 from .errors import UnreadableRecording
 from .folder_lock import FolderLock
-from .mcap_content import read_content
-from .mcap_records import DamagedRecord
+from .mcap_file import decode, encode, whole_part
 from .reader import natural_order, read_bytes
 from .recorder import SESSION_PREFIX
-from .salvage import salvage
-from .yaml_text import BadYaml
 
 _RECORDING = '.mcap'
 _TEMPORARY = '.tmp'
-_BROKEN = '.broken'
 
 
 @dataclass(frozen=True)
 class Repair:
     """One thing that was done, or could not be done.
 
-    Attributes:
-        path: The file or folder, under the name that it has now (or had, if it is removed).
-        action: ``finished`` (a whole temporary file got its name), ``salvaged`` (what was whole of
-            one did), ``removed`` (a temporary file with no whole message), ``set aside`` (a
-            broken recording, renamed to ``*.broken``), ``listed`` (metadata.yaml was written
-            anew) or ``failed``.
-        detail: More on it, without anything that was recorded.
+    Attributes
+    ----------
+    path
+        The file or folder, under the name that it has now (or had, if it is removed).
+    action
+        ``finished`` (a temporary file got its name, as far as it was whole), ``removed`` (one
+        without a whole message), ``listed`` (metadata.yaml was written anew) or ``failed``.
+        Recordings that have their name are never renamed or removed.
+    detail
+        More on it, without anything that was recorded.
     """
 
     path: Path
@@ -60,11 +49,14 @@ class Repair:
 def repair(directory: Path | str) -> list[Repair]:
     """Put right every session folder below a recording.directory that no recorder holds.
 
-    Temporary files that a dying recorder left are finished, salvaged or removed, broken
-    recordings are set aside, and metadata.yaml lists again exactly the files that are there, so
-    that ``ros2 bag`` takes the folder. Folders of living recorders are left alone.
+    Temporary files that a dying recorder left are finished or removed, and metadata.yaml lists
+    again the files that are there, so that ``ros2 bag`` takes the folder. Broken recordings are
+    not listed, as ``ros2 bag`` would refuse the folder for them; they keep their names. Folders of
+    living recorders are left alone.
 
-    Returns:
+    Returns
+    -------
+    list of Repair
         What was done, and what could not be done (``failed``); nothing is raised for it.
     """
     directory = Path(directory).expanduser()
@@ -87,28 +79,33 @@ def repair(directory: Path | str) -> list[Repair]:
     return done
 
 
-def list_files(folder: Path, done: list[Repair]) -> None:
-    """Write metadata.yaml for the recordings in ``folder``, and set broken ones aside.
+def list_files(folder: Path) -> tuple[int, list[str]]:
+    """Write metadata.yaml for the recordings in ``folder``.
 
-    In this order: metadata.yaml never names a file that is not there, wherever this ends early,
-    and the next repair, which finds files that are not listed, sets them aside.
+    Returns
+    -------
+    (int, list of str)
+        How many are listed, and the names of those that are broken and are not.
 
-    Raises:
-        OSError: The folder cannot be read or written.
+    Raises
+    ------
+    OSError
+        The folder cannot be read or written.
     """
-    known = set(_listed(folder) or ())
-    files: list[BagFile] = []
-    broken: dict[Path, str] = {}
-    for path in sorted(folder.glob(f'*{_RECORDING}'), key=natural_order):
-        if not path.is_file() or not can_be_listed(path.name):
-            continue
-        try:
-            files.append(_described(path, path.name in known))
-        except (DamagedRecord, ValueError) as error:  # ValueError: an empty file cannot be mapped
-            broken[path] = str(error)
-    _list(folder / FILE_NAME, files, done)
-    for path, reason in broken.items():
-        _set_aside(path, reason, done)
+    known = listed_files(folder) or ()
+    files, broken = [], []
+    for name in _recordings(folder):
+        described = _described(folder / name, name in known)
+        if described is None:
+            broken.append(name)
+        else:
+            files.append(described)
+    if files:
+        write_durably(folder / FILE_NAME, bag_text(files))
+    elif (folder / FILE_NAME).exists():
+        (folder / FILE_NAME).unlink()
+        flush_folder(folder)
+    return len(files), broken
 
 
 @contextmanager
@@ -133,11 +130,42 @@ def _is_in_order(folder: Path) -> bool:
     names = os.listdir(folder)
     if any(name.endswith(_TEMPORARY) for name in names):
         return False
-    recordings = {name for name in names if name.endswith(_RECORDING) and can_be_listed(name)}
-    if FILE_NAME not in names:
-        return not recordings
-    listed = _listed(folder)
-    return listed is not None and len(listed) == len(recordings) and set(listed) == recordings
+    recordings, listed = _recordings(folder), listed_files(folder)
+    if listed is None:
+        return FILE_NAME not in names and not recordings
+    unlisted = set(recordings) - set(listed)
+    return len(listed) + len(unlisted) == len(recordings) and not any(
+        _described(folder / name, False) for name in unlisted
+    )
+
+
+def _recordings(folder: Path) -> list[str]:
+    """Names that end like those of recordings; YAML has no bytes that are not UTF-8."""
+    return sorted(
+        (name for name in os.listdir(folder) if name.endswith(_RECORDING) and _is_utf8(name)),
+        key=lambda name: natural_order(Path(name)),
+    )
+
+
+def _is_utf8(name: str) -> bool:
+    return all(not '\ud800' <= each <= '\udfff' for each in name)
+
+
+def _described(path: Path, known: bool) -> BagFile | None:
+    """Describe a recording; None if it is broken.
+
+    One that metadata.yaml listed was finished before it, so its index is believed; one that it
+    did not list may be broken anywhere.
+    """
+    if not path.is_file():
+        return None
+    try:
+        if not known:
+            decode(read_bytes(path))
+        with path.open('rb') as file:
+            return describe_file(path.name, file)
+    except (ValueError, UnreadableRecording):
+        return None
 
 
 def _repair_locked(folder: Path, done: list[Repair]) -> None:
@@ -147,7 +175,9 @@ def _repair_locked(folder: Path, done: list[Repair]) -> None:
             with _reported(temporary, done):
                 _settle(temporary, done)
         if not _is_in_order(folder):
-            list_files(folder, done)
+            count, broken = list_files(folder)
+            without = f'; broken, see ambush_recover: {", ".join(broken)}' if broken else ''
+            done.append(Repair(folder / FILE_NAME, 'listed', f'{count} recordings{without}'))
     finally:
         lock.release()
 
@@ -160,67 +190,18 @@ def _settle(temporary: Path, done: list[Repair]) -> None:
         done.append(Repair(temporary, 'removed'))
         return
     data = read_bytes(temporary)
-    found = salvage(data)
-    if not found.content.messages:
+    content, fault = whole_part(data)
+    if not content.messages:
         temporary.unlink()
         done.append(Repair(temporary, 'removed', f'{len(data)} bytes without a whole message'))
         return
-    if not found.is_whole:
+    if fault:
         # In two steps that each are whole or not there: another crash in between loses nothing.
-        write_durably(temporary, encode_content(found.content))
-    target = _free_name(target)
+        write_durably(temporary, encode(content))
+    number = 2
+    while os.path.lexists(target):  # no file is overwritten
+        target = temporary.with_name(f'{temporary.stem.removesuffix(_RECORDING)}-{number}.mcap')
+        number += 1
     temporary.rename(target)
     flush_folder(target.parent)
-    detail = '' if found.is_whole else f'{len(found.content.messages)} messages'
-    done.append(Repair(target, 'finished' if found.is_whole else 'salvaged', detail))
-
-
-def _free_name(wanted: Path) -> Path:
-    """``wanted``, or it with a number behind it: no file is overwritten."""
-    path, number = wanted, 2
-    while path.exists() or path.is_symlink():
-        path = wanted.with_name(f'{wanted.stem}-{number}{wanted.suffix}')
-        number += 1
-    return path
-
-
-def _described(path: Path, known: bool) -> BagFile:
-    """Describe a recording.
-
-    One that metadata.yaml listed was finished before it, so its summary is believed; one that it
-    did not list may be broken anywhere.
-
-    Raises:
-        DamagedRecord, ValueError: It is broken.
-    """
-    if not known:
-        read_content(read_bytes(path))
-    with path.open('rb') as file:
-        # Only the end of the file is read. The map is closed when nothing refers to it.
-        return describe_file(path.name, mmap(file.fileno(), 0, access=ACCESS_READ))
-
-
-def _list(metadata: Path, files: list[BagFile], done: list[Repair]) -> None:
-    """Let metadata.yaml list these files; without any there is none."""
-    if files:
-        write_durably(metadata, BagMetadata(files).text())
-        done.append(Repair(metadata, 'listed', f'{len(files)} recordings'))
-    elif metadata.exists():
-        metadata.unlink()
-        flush_folder(metadata.parent)
-        done.append(Repair(metadata, 'removed', 'there are no recordings'))
-
-
-def _set_aside(path: Path, reason: str, done: list[Repair]) -> None:
-    aside = _free_name(path.with_name(path.name + _BROKEN))
-    path.rename(aside)
-    flush_folder(aside.parent)
-    done.append(Repair(aside, 'set aside', f'{reason}; ambush_recover may save a part'))
-
-
-def _listed(folder: Path) -> list[str] | None:
-    """The files that the folder's metadata.yaml lists; None if it does not say."""
-    try:
-        return listed_files(read_bytes(folder / FILE_NAME, MOST_METADATA_BYTES))
-    except (UnreadableRecording, BadYaml):
-        return None
+    done.append(Repair(target, 'finished', f'{len(content.messages)} messages' if fault else ''))

@@ -28,11 +28,9 @@ _EVENT = '_Event'
 class MessageDefinition:
     """One message type, described so that a reader without ROS can decode it.
 
-    Attributes:
-        name: For example ``nav_msgs/msg/Path``.
-        encoding: Of the text: ``ros2msg`` or ``ros2idl``.
-        text: Its definition, followed by those of all types that it uses.
-        type_hash: The REP 2011 hash, ``RIHS01_...``.
+    ``name`` is like ``nav_msgs/msg/Path``, ``encoding`` that of the text (``ros2msg`` or
+    ``ros2idl``), ``text`` its definition, followed by those of all types that it uses, and
+    ``type_hash`` the REP 2011 hash, ``RIHS01_...``.
     """
 
     name: str
@@ -47,8 +45,10 @@ def load_definition(name: str) -> MessageDefinition:
 
     Dependencies follow the type itself depth first, each once, as rosbag2 orders them.
 
-    Raises:
-        RecordingFailed: The interface files of the type are not installed.
+    Raises
+    ------
+    RecordingFailed
+        The interface files of the type are not installed.
     """
     event = '/srv/' in name and name.endswith(_EVENT)
     described = json.loads(_read_interface(name.removesuffix(_EVENT) if event else name, 'json'))

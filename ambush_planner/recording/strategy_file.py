@@ -1,9 +1,10 @@
-"""The attachment ``strategy.npz``: a strategy with its network, read back and checked."""
+"""The attachment ``strategy.npz``: a strategy with its network, written, read back and checked."""
 
 from __future__ import annotations
 
 import math
 import warnings
+from dataclasses import replace
 from io import BytesIO
 from zipfile import ZipFile, ZipInfo
 
@@ -11,20 +12,26 @@ import numpy as np
 from scipy.special import entr
 
 from ..core.arrays import frozen_array, sums
+from ..core.certificate import Budget, certify
 from ..core.errors import AmbushPlannerError
 from ..core.game import Game, GameOptions, make_game
 from ..core.network import Network
 from ..core.routes import RouteSampler
-from ..core.strategy import CERTIFICATE_TOLERANCE, CONSERVATION_TOLERANCE, Strategy
+from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
 
 STRATEGY_FILE = 'strategy.npz'
 NUMBERS = (
     'value', 'lower_bound', 'length_budget', 'length_price', 'shortest_length',
-    'expected_length', 'edge_entropy', 'route_entropy',
+    'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
+    'edge_entropy', 'route_entropy',
 )
+_BUDGETS = ('length_budget', 'exposure_budget')
 _ARRAYS = ('points', 'alpha', 'edges', 'edge_probability', 'ambush_probability')
 _NODE_INDICES = ('source', 'target')
-_NAMES = {*_ARRAYS, *_NODE_INDICES, *NUMBERS}
+# How far an ambush reaches in the game that was solved [m]: with the tube of the driven path.
+_REACH = 'reach'
+_SINGLE = (*NUMBERS, _REACH)
+_NAMES = {*_ARRAYS, *_NODE_INDICES, *_SINGLE}
 # Lattices join a node with eight others at most, triangulations with six on average.
 _MOST_EDGES_OF_A_NODE = 8
 # What a network of a million nodes takes (the most that network.target_nodes asks for): 224
@@ -40,17 +47,38 @@ class BadStrategy(ValueError):
     """The bytes are no strategy of this format; the text says why."""
 
 
+def strategy_file(strategy: Strategy) -> bytes:
+    """Return the strategy and its network as an npz file (``numpy.load`` reads it)."""
+    network = strategy.network
+    stream = BytesIO()
+    np.savez_compressed(
+        stream,
+        points=network.points,
+        alpha=network.alpha,
+        edges=network.edges,
+        source=network.source,
+        target=network.target,
+        edge_probability=strategy.edge_probability,
+        ambush_probability=strategy.ambush_probability,
+        reach=strategy.game.ambush_radius,
+        **{name: getattr(strategy, name) for name in NUMBERS},
+    )
+    return stream.getvalue()
+
+
 def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
     """Return the strategy in the bytes of a ``strategy.npz``, for the game with these options.
 
     All that follows from the probabilities is computed again, the certificate too, and must be
-    what the file states. The number of iterations is not in the file and comes back as 0.
+    what the file states. Iterations and law are not in the file and come back as 0 and None.
 
-    Raises:
-        BadStrategy: An array is missing or of the wrong shape, a number is not finite, the
-            probabilities are no strategy, or a stated number does not follow from them.
+    Raises
+    ------
+    BadStrategy
+        An array is missing or of the wrong shape, a number is not finite, the probabilities are
+        no strategy, or a stated number does not follow from them.
     """
-    content = _content(data)
+    content = arrays_of(data)
     try:
         with warnings.catch_warnings():
             # Edges that the network drops are found by the shape of the probabilities.
@@ -59,21 +87,27 @@ def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
                 content['points'], content['alpha'], content['edges'],
                 int(content['source']), int(content['target']),
             )
-        game = make_game(network, options)
+        game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
     except AmbushPlannerError as error:
         raise BadStrategy(str(error)) from error
     p = _probabilities(content, 'edge_probability', len(network.edges))
     q = _probabilities(content, 'ambush_probability', len(network.points))
-    if not game.conservation_residual(p) <= 10.0 * CONSERVATION_TOLERANCE:
-        raise BadStrategy('edge_probability does not lead one convoy from start to goal')
-    if not abs(q.sum() - 1.0) <= CERTIFICATE_TOLERANCE:
-        raise BadStrategy(f'ambush_probability sums to {q.sum():.9g}, not to 1')
-    strategy = _strategy(game, p, q, content)
+    try:
+        strategy = _strategy(game, p, q, content)
+    except AmbushPlannerError as error:
+        raise BadStrategy(str(error)) from error
     _compare(strategy, content)
     return strategy
 
 
-def _content(data: bytes) -> dict[str, np.ndarray]:
+def arrays_of(data: bytes) -> dict[str, np.ndarray]:
+    """Return the arrays in the bytes of a ``strategy.npz``, checked for shape and size only.
+
+    Raises
+    ------
+    BadStrategy
+        An array is missing, of the wrong shape, or would take more memory than any strategy.
+    """
     try:
         _check_sizes(data)
         with np.load(BytesIO(data), allow_pickle=False) as archive:
@@ -83,10 +117,10 @@ def _content(data: bytes) -> dict[str, np.ndarray]:
     except Exception as error:
         # zipfile, zlib and numpy raise a dozen kinds of errors at bytes that are not theirs.
         raise BadStrategy(f'{STRATEGY_FILE} is damaged ({type(error).__name__})') from error
-    for name in NUMBERS:
+    for name in _SINGLE:
         number = content[name]
         whole = number.shape == () and number.dtype.kind == 'f' and not np.isnan(number)
-        if not whole or (name != 'length_budget' and not math.isfinite(number)):
+        if not whole or (name not in _BUDGETS and not math.isfinite(number)):
             raise BadStrategy(f'{name} is not a finite number')
     for name in _NODE_INDICES:
         if content[name].shape != () or content[name].dtype.kind not in 'iu':
@@ -113,7 +147,7 @@ def _check_sizes(data: bytes) -> None:
     expected = {
         'points': (nodes, 2), 'alpha': (nodes,), 'ambush_probability': (nodes,),
         'edges': (edges, 2), 'edge_probability': (edges,),
-        **dict.fromkeys((*_NODE_INDICES, *NUMBERS), ()),
+        **dict.fromkeys((*_NODE_INDICES, *_SINGLE), ()),
     }
     for name, shape in expected.items():
         if shapes[name] != shape:
@@ -147,9 +181,16 @@ def _strategy(
     game: Game, p: np.ndarray, q: np.ndarray, content: dict[str, np.ndarray]
 ) -> Strategy:
     network = game.network
-    budget, price = float(content['length_budget']), float(content['length_price'])
-    value = game.upper_bound(p)
-    bound = min(game.lower_bound(q, price, budget), value)
+    stated = {name: float(content[name]) for name in NUMBERS}
+    length = Budget(
+        game, network.lengths, stated['length_budget'], stated['shortest_length'], 'detour', 'm'
+    )
+    exposure = Budget(
+        game, network.edge_exposure, stated['exposure_budget'], stated['least_exposure'],
+        'exposure', 'loss x m',
+    )
+    prices = stated['length_price'], stated['exposure_price']
+    certificate = certify(game, p, q, (length, exposure), prices)
     leaving = sums(network.tails, p, game.node_count)
     edge_entropy = float(entr(p).sum())
     return Strategy(
@@ -157,17 +198,22 @@ def _strategy(
         edge_probability=p,
         visit_probability=frozen_array(game.visits(p), np.float64),
         ambush_probability=q,
-        value=value,
-        lower_bound=bound,
-        gap=value - bound,
+        value=certificate.value,
+        lower_bound=certificate.bound,
+        gap=certificate.value - certificate.bound,
         edge_entropy=edge_entropy,
         # -sum p_ij ln(p_ij / x_i), with x_i as the sum of the p_ij.
         route_entropy=edge_entropy - float(entr(leaving).sum()),
-        expected_length=float(p @ network.lengths),
-        shortest_length=float(content['shortest_length']),
-        length_budget=budget,
-        length_price=price,
+        expected_length=length.mean(p),
+        shortest_length=length.least,
+        length_budget=length.limit,
+        length_price=prices[0],
+        expected_exposure=exposure.mean(p),
+        least_exposure=exposure.least,
+        exposure_budget=exposure.limit,
+        exposure_price=prices[1],
         iterations=0,
+        law=None,
         _sampler=RouteSampler(network, p),
     )
 

@@ -3,16 +3,7 @@
 Each check leans on the one before: the stated hashes hold for what was recorded; the trip follows
 from the recorded poses; the map, the trip and the parameters give the recorded network and
 strategy; the recorded strategy and the source of randomness give the recorded route; and all that
-was published follows from these. It shows that a recording is consistent with itself and with the
-planner, not who made it: a recording that was made anew as a whole, say from another seed with
-the route and the path that follow from it, is as consistent as the first. Nor does it show that
-times are right, but only their order: the request first, then the path, the answer last. Nor can
-it show a change of what has no effect on the departure: of cells far from every node, of
-``max_planning_time``, of quality-of-service profiles, of the stamps of markers and inputs, of the
-versions that are noted. In the diagnostics, the state, the level beyond whether it is an error,
-what the node was called and problems of its surroundings (also where the answer repeats them) are
-not checked, nor topics that were remapped; nor, of a goal pose in another frame than the map's,
-its orientation and height.
+was published follows from these. What that cannot show stands in the help of ``ambush_verify``.
 """
 
 from __future__ import annotations
@@ -27,20 +18,23 @@ from typing import Any
 from ..core.errors import AmbushPlannerError
 from ..core.planner import PlanningOptions, PlanRequest
 from ..core.strategy import Strategy
-from ..recording.departure import RecordedDeparture
-from ..recording.errors import UnreadableRecording
-from ..recording.reader import read_departure
-from ..recording.strategy_file import STRATEGY_FILE
+from ..recording import UnreadableRecording
+from ..recording.metadata import Metadata
+from ..recording.reader import departure_from, read_bytes
 from ..ros.conversions import occupancy_from_ros
-from ..ros.departures import planner_version, software_versions
-from .departures import DepartureRecord, record_from, strategy_from
+from ..ros.departure_record import planner_version, software_versions
+from ..worker.process import WorkerProcess
+from .case import Case
 from .verify_file import file_faults
+from .verify_ground import changed_route_faults
 from .verify_messages import (
     marker_faults,
     message_faults,
     path_faults,
     service_faults,
+    solve_seconds,
     status_faults,
+    time_faults,
 )
 from .verify_plan import PlannedAgain
 from .verify_strategy import (
@@ -48,9 +42,9 @@ from .verify_strategy import (
     route_faults,
     source_faults,
     strategy_faults,
+    was_hurried,
 )
-from .verify_times import time_faults
-from .verify_trip import PosedTrip, metadata_faults, posed_trip
+from .verify_trip import PosedTrip, ends_faults, frame_faults, posed_trip
 
 # There and back again, as the node keeps plans.
 _KEPT = 4
@@ -60,37 +54,69 @@ _KEPT = 4
 class Verdict:
     """What was found about one recorded departure.
 
-    Attributes:
-        path: The file.
-        number: Which departure of its session it is; 0 if that could not be read.
-        summary: The same in words, with its strategy; empty if it could not be read.
-        problems: What does not hold; each begins with the part of the recording that it is about.
-        notes: What could not be checked, and how the computers differ.
+    Attributes
+    ----------
+    path
+        The file.
+    sha256
+        Of the file; empty if it could not be read.
+    number
+        Which departure of its session it is; 0 if that could not be read.
+    nodes, value
+        Of its strategy; 0 and nan if that could not be read.
+    problems
+        What does not hold; each begins with the part of the recording that it is about.
+    notes
+        What could not be checked, and how the computers differ.
+    metadata
+        What the file says; None if it could not be read.
     """
 
     path: Path
-    number: int
-    summary: str
-    problems: tuple[str, ...]
-    notes: tuple[str, ...]
+    sha256: str = ''
+    number: int = 0
+    nodes: int = 0
+    value: float = math.nan
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    metadata: Metadata | None = None
 
     @property
     def holds(self) -> bool:
         """Whether all that was checked holds."""
         return not self.problems
 
+    @property
+    def readable(self) -> bool:
+        """Whether it is a departure at all."""
+        return self.metadata is not None
+
 
 class Verifier:
     """Verifies departures one after the other; those of one strategy take one solve.
 
-    Args:
-        planning: Called with a file before it is planned again, which may take long.
+    Solves run in a worker process like the node's, with its number of threads, as another number
+    rounds otherwise. Also a context manager, which ends it.
+
+    Parameters
+    ----------
+    planning
+        Called with a file before it is planned again, which may take long.
     """
 
     def __init__(self, planning: Callable[[Path], None] = lambda path: None) -> None:
         self._planning = planning
         self._kept = {kind: _Cache() for kind in ('strategy', 'plan', 'comparison', 'markers')}
-        self._seen: dict[str, tuple[Path, Any]] = {}
+        self._seen: dict[str, tuple[Path, Mapping[str, str]]] = {}
+        self._worker: WorkerProcess | None = None
+
+    def __enter__(self) -> Verifier:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._worker is not None:
+            self._worker.close()
+            self._worker = None
 
     def verify(self, path: Path) -> Verdict:
         """Verify one file; never raises for what is in it."""
@@ -109,46 +135,46 @@ class Verifier:
         return check.verdict()
 
     def _check(self, check: _Check) -> None:
-        recorded = read_departure(check.path)
-        record = record_from(recorded)
-        check.number, check.summary = record.number, f'departure {record.number}'
-        check.problems += file_faults(check.path)
-        check.problems += metadata_faults(recorded, record)
-        check.problems += self._copy_faults(record)
-        check.problems += message_faults(recorded)
-        check.problems += service_faults(recorded, record)
-        check.problems += time_faults(recorded)
-        strategy = self._strategy(recorded, record)
-        check.summary += f', {len(strategy.network.points)} nodes, value {strategy.value:.6g}'
-        check.problems += self._marker_faults(recorded, record, strategy)
-        check.problems += source_faults(record)
-        certificate = certificate_faults(strategy, record.parameters.planning.strategy)
-        check.problems += certificate or route_faults(record, strategy)
-        trip = posed_trip(recorded, record)
+        data = read_bytes(check.path)
+        recorded = departure_from(check.path, data)
+        check.metadata, check.sha256 = recorded.metadata, recorded.sha256
+        case = Case(recorded)
+        check.problems += file_faults(recorded)
+        check.problems += frame_faults(case, software_versions())
+        check.problems += self._copy_faults(case.metadata, check.path)
+        check.problems += message_faults(case)
+        check.problems += service_faults(case)
+        check.problems += time_faults(case)
+        strategy = self._kept['strategy'].get(_strategy_key(case), case.strategy)
+        check.nodes, check.value = len(strategy.network.points), strategy.value
+        check.problems += self._marker_faults(case, strategy)
+        check.problems += source_faults(case)
+        certificate = certificate_faults(strategy, case.parameters.planning)
+        check.problems += certificate
+        if not certificate and not case.recorded.map_changes:
+            check.problems += route_faults(case, strategy)
+        trip = posed_trip(case)
         check.problems += trip.faults
-        check.notes += [*trip.notes, *_version_notes(record)]
-        self._check_plan(check, recorded, record, strategy, trip)
+        check.notes += [*trip.notes, *_version_notes(case.metadata)]
+        if case.parameters.seed >= 0:
+            check.notes.append('drawn with a fixed seed: who knows it can foretell the route')
+        self._check_plan(check, case, strategy, trip)
 
     def _check_plan(
-        self,
-        check: _Check,
-        recorded: RecordedDeparture,
-        record: DepartureRecord,
-        strategy: Strategy,
-        trip: PosedTrip,
+        self, check: _Check, case: Case, strategy: Strategy, trip: PosedTrip
     ) -> None:
         """Plan again, and compare; the rest cannot be checked where that fails.
 
         The game is solved only on the network that was recorded.
         """
-        key = _plan_key(record, trip)
+        key = _plan_key(case, trip)
         try:
-            again = self._kept['plan'].get(key, lambda: self._plan(recorded, record, trip))
-            if again.goal_xy != record.trip.goal_xy:
+            again = self._kept['plan'].get(key, lambda: self._plan(case, trip))
+            if again.goal_xy != case.metadata.trip.goal_xy:
                 check.problems.append(
                     'trip: its goal is not where the goal pose and the tolerance lead to'
                 )
-            check.problems += path_faults(recorded, record, strategy, again.spacing, trip)
+            check.problems += ends_faults(case, again.spacing)
             if faults := again.network_faults(strategy.network):
                 check.problems += faults
                 return
@@ -156,63 +182,64 @@ class Verifier:
         except AmbushPlannerError as error:
             check.problems.append(f'map, trip and parameters cannot be planned with: {error}')
             return
+        hurried = was_hurried(strategy, case.parameters.planning, solve_seconds(case))
         faults, notes = self._kept['comparison'].get(
-            (key, _strategy_key(record)),
-            lambda: strategy_faults(recorded.attachment(STRATEGY_FILE), strategy, plan.strategy),
+            (key, _strategy_key(case), hurried),
+            lambda: strategy_faults(case.recorded.strategy, strategy, plan.strategy, hurried),
         )
-        check.problems += [*faults, *status_faults(recorded, record, plan)]
+        # On the recorded strategy, which may differ by rounding, or where time was up.
+        used = replace(plan, strategy=strategy)
+        check.problems += [*faults, *status_faults(case, used if hurried else plan, hurried)]
+        if not check.problems and case.recorded.map_changes:
+            check.problems += changed_route_faults(case, used)
+        check.problems += path_faults(case, used, trip)
         check.notes += notes
 
-    def _plan(
-        self, recorded: RecordedDeparture, record: DepartureRecord, trip: PosedTrip
-    ) -> PlannedAgain:
-        self._planning(recorded.path)
+    def _plan(self, case: Case, trip: PosedTrip) -> PlannedAgain:
+        self._planning(case.path)
+        if self._worker is None or not self._worker.alive:
+            self._worker = WorkerProcess()
         return PlannedAgain(PlanRequest(
-            *occupancy_from_ros(recorded.message('map')),
-            record.parameters.occupancy,
+            *occupancy_from_ros(case.message('map')),
+            case.parameters.occupancy,
             trip.start_xy,
             trip.goal_xy,
-            record.trip.tolerance,
-            _options(record),
-        ))
+            case.metadata.trip.tolerance,
+            _options(case),
+        ), self._worker.solve)
 
-    def _strategy(self, recorded: RecordedDeparture, record: DepartureRecord) -> Strategy:
-        return self._kept['strategy'].get(
-            _strategy_key(record), lambda: strategy_from(recorded, record)
-        )
-
-    def _marker_faults(
-        self, recorded: RecordedDeparture, record: DepartureRecord, strategy: Strategy
-    ) -> list[str]:
+    def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:
         """Markers are made once for a strategy: the same bytes stand in each of its departures."""
         data = tuple(
-            (each.topic, each.data) for each in recorded.messages
+            (each.topic, each.data) for each in case.recorded.messages
             if each.type.endswith('/MarkerArray')
         )
         return self._kept['markers'].get(
-            (_strategy_key(record), record.frame, data),
-            lambda: marker_faults(recorded, record.frame, strategy),
+            (_strategy_key(case), case.metadata.frame, data), lambda: marker_faults(case, strategy)
         )
 
-    def _copy_faults(self, record: DepartureRecord) -> list[str]:
-        path, hashes = self._seen.setdefault(record.id, (record.path, record.sha256))
-        if hashes == record.sha256:
+    def _copy_faults(self, metadata: Metadata, path: Path) -> list[str]:
+        first, hashes = self._seen.setdefault(metadata.id, (path, metadata.sha256))
+        if hashes == metadata.sha256:
             return []
-        return [f'departure_id: it is also that of {path.name}, which holds something else']
+        return [f'departure_id: it is also that of {first.name}, which holds something else']
 
 
 class _Check:
     """What is being found out about one file."""
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.number, self.summary = 0, ''
+        self.path, self.sha256 = path, ''
+        self.metadata: Metadata | None = None
+        self.nodes, self.value = 0, math.nan
         self.problems: list[str] = []
         self.notes: list[str] = []
 
     def verdict(self) -> Verdict:
+        number = self.metadata.number if self.metadata else 0
         return Verdict(
-            self.path, self.number, self.summary, tuple(self.problems), tuple(self.notes)
+            self.path, self.sha256, number, self.nodes, self.value, tuple(self.problems),
+            tuple(self.notes), self.metadata,
         )
 
 
@@ -232,27 +259,27 @@ class _Cache:
         return self._kept[key]
 
 
-def _strategy_key(record: DepartureRecord) -> Hashable:
-    return record.sha256['strategy'], record.parameters.planning.game
+def _strategy_key(case: Case) -> Hashable:
+    return case.metadata.sha256['strategy'], case.parameters.planning.game
 
 
-def _plan_key(record: DepartureRecord, trip: PosedTrip) -> Hashable:
+def _plan_key(case: Case, trip: PosedTrip) -> Hashable:
     return (
-        record.sha256['map'], trip.start_xy, trip.goal_xy, record.trip.tolerance,
-        record.parameters.occupancy, _options(record),
+        case.metadata.sha256['map'], trip.start_xy, trip.goal_xy, case.metadata.trip.tolerance,
+        case.parameters.occupancy, _options(case),
     )
 
 
-def _options(record: DepartureRecord) -> PlanningOptions:
+def _options(case: Case) -> PlanningOptions:
     """The recorded options; whoever verifies has all the time that it takes."""
-    options = record.parameters.planning
+    options = case.parameters.planning
     return replace(options, strategy=replace(options.strategy, time_limit=math.inf))
 
 
-def _version_notes(record: DepartureRecord) -> list[str]:
+def _version_notes(metadata: Metadata) -> list[str]:
     """Tell what was recorded with another version than it is verified with."""
     here = {'ambush_planner': planner_version(), **software_versions()}
-    there = {'ambush_planner': record.planner_version, **record.versions}
+    there = {'ambush_planner': metadata.planner_version, **metadata.versions}
     others = [name for name in here if there.get(name) != here[name]]
     if not others:
         return []

@@ -5,7 +5,9 @@ from __future__ import annotations
 import array
 import math
 from collections import Counter
+from contextlib import suppress
 from copy import deepcopy
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,16 +21,15 @@ from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from ..core.planner import Plan
-from ..core.routes import densify
+from ..core.planner import Plan, Route, departure_path
 from ..core.strategy import Strategy
-from ..recording.departure import RecordedDeparture
-from ..recording.messages import type_name
+from ..recording import type_name
+from ..recording.metadata import ROLES
 from ..ros import markers
 from ..ros.diagnostics import Status, status_to_ros
 from ..ros.errors import OK_CODE
-from ..ros.paths import departure_path
-from .departures import ROLES, DepartureRecord
+from ..ros.paths import path_between
+from .case import Case
 from .verify_strategy import PROBABILITY_TOLERANCE
 from .verify_trip import PosedTrip
 
@@ -38,12 +39,17 @@ _MARKERS, _DIAGNOSTICS = type_name(MarkerArray), type_name(DiagnosticArray)
 _SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
 _EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
 # What the diagnostics say beside the strategy and the departure.
-_UNFORESEEN = ('state', 'code', 'message', 'recording', 'solve_seconds')
+_UNFORESEEN = (
+    'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
+    'stale',
+)
+# The ambusher's sites, and what is worked out beside the strategy as long as there is time.
+_TIMED = ('deciding_sites', 'deciding_sites_near_ends', 'secured_value')
 
 
-def message_faults(recorded: RecordedDeparture) -> list[str]:
+def message_faults(case: Case) -> list[str]:
     """Check that there is each message that the node records, and no other."""
-    topics = {recorded.recorded(role).topic for role in ROLES}
+    recorded, topics = case.recorded, {case.metadata.inputs[role] for role in ROLES}
     kinds = Counter(
         'service event' if each.type in _EVENTS else each.type
         for each in recorded.messages
@@ -59,45 +65,40 @@ def message_faults(recorded: RecordedDeparture) -> list[str]:
     return [*faults, f'messages: {others} are of kinds that are not recorded'] if others else faults
 
 
-def path_faults(
-    recorded: RecordedDeparture,
-    record: DepartureRecord,
-    strategy: Strategy,
-    spacing: float,
-    trip: PosedTrip,
-) -> list[str]:
+def path_faults(case: Case, plan: Plan, trip: PosedTrip) -> list[str]:
     """Make the path of the recorded route again, and compare it pose for pose.
 
-    Args:
-        recorded, record: The departure.
-        strategy: The recorded one; its network has the route's nodes.
-        spacing: Of poses where the parameter route.path_spacing leaves it open [m].
-        trip: Start and goal pose; where one is not known, what the path has instead is believed.
+    Parameters
+    ----------
+    case
+        The departure.
+    plan
+        What it was planned with; its network has the route's nodes.
+    trip
+        Start and goal pose; where one is not known, what the path has instead is believed.
     """
-    path, points = recorded.message('path'), strategy.network.points
-    if record.route.max() >= len(points):
+    path, nodes = case.message('path'), np.array(case.metadata.route)
+    edges = set(map(tuple, plan.network.edges.tolist()))
+    if not path.poses or not edges.issuperset(pairwise(case.metadata.route)):
         return ['route: it leaves the network']
-    points, spacing = points[record.route], record.parameters.path_spacing or spacing
-    # No more than there are can be asked for: a tiny spacing must not fill the memory.
-    length = float(np.hypot(*np.diff(points, axis=0).T).sum())
-    if not 0.0 < length / spacing <= len(path.poses):
-        return [f'path: it has {len(path.poses)} poses for a route that needs others']
-    first, last = path.poses[0].pose, path.poses[-1].pose
-    start = trip.start or _at(first, trip.start_xy)
-    again = departure_path(densify(points, spacing), start, trip.goal or last, path.header)
+    (begin, end), first, last = case.metadata.ends, path.poses[0].pose, path.poses[-1].pose
+    spacing = case.parameters.path_spacing or plan.spacing
+    route = Route(nodes, plan.network.points[nodes])
+    rows = departure_path(plan, route, spacing, (begin, end))
+    again = path_between(rows, trip.start or _at(first, begin), trip.goal or last, path.header)
     return _differences(path, again.to_message())
 
 
-def service_faults(recorded: RecordedDeparture, record: DepartureRecord) -> list[str]:
+def service_faults(case: Case) -> list[str]:
     """Compare the recorded call, its request and its response, with the departure."""
-    messages = [each for each in recorded.messages if each.type in _EVENTS]
+    messages = case.of_type(Trigger.Event, GetPlan.Event)
     faults = []
     events = {}
     for message in messages:
-        event = recorded.decode(message)
-        if message.topic.split('/')[-2:] != [record.service, '_service_event']:
+        event = case.decode(message)
+        if message.topic.split('/')[-2:] != [case.metadata.service, '_service_event']:
             faults.append('service: the recorded call is of another one')
-        if event.info.sequence_number != record.number:
+        if event.info.sequence_number != case.metadata.number:
             faults.append('departure: its number is not that of the recorded call')
         if _nanoseconds(event.info.stamp) != message.stamp_ns:
             faults.append('service: the recorded call was at another time')
@@ -109,17 +110,32 @@ def service_faults(recorded: RecordedDeparture, record: DepartureRecord) -> list
     if answering is not kind or len(answered.response) != 1 or answered.request:
         return [*faults, 'response: it is missing']
     check = _trigger_faults if kind is Trigger else _get_plan_faults
-    return [*faults, *check(recorded, record, asked.request[0], answered.response[0])]
+    return [*faults, *check(case, asked.request[0], answered.response[0])]
 
 
-def status_faults(recorded: RecordedDeparture, record: DepartureRecord, plan: Plan) -> list[str]:
-    """Compare the recorded diagnostics with the departure and with the plan."""
-    messages = [recorded.decode(each) for each in recorded.messages if each.type == _DIAGNOSTICS]
+def solve_seconds(case: Case) -> float:
+    """How long the diagnostics say that the solve took [s]; nan where they do not."""
+    for each in case.of_type(DiagnosticArray):
+        for status in case.decode(each).status:
+            for value in status.values:
+                if value.key == 'solve_seconds':
+                    with suppress(ValueError):
+                        return float(value.value)
+    return math.nan
+
+
+def status_faults(case: Case, plan: Plan, hurried: bool) -> list[str]:
+    """Compare the recorded diagnostics with the departure and with the plan.
+
+    ``hurried``: what could be found with more time is not looked at.
+    """
+    unforeseen = (*_UNFORESEEN, *_TIMED) if hurried else _UNFORESEEN
+    messages = [case.decode(each) for each in case.of_type(DiagnosticArray)]
     if len(messages) != 1 or len(messages[0].status) != 1:
         return ['diagnostics: there is not one status']
     shown = messages[0].status[0]
     told = {each.key: each.value for each in shown.values}
-    status = Status(plan=plan, departures=record.number, departure_id=record.id)
+    status = Status(plan=plan, departures=case.metadata.number, departure_id=case.metadata.id)
     tolerance = PROBABILITY_TOLERANCE * plan.strategy.value
     failing = shown.level in (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
     again = status_to_ros(status, '', Time()).status[0]
@@ -133,16 +149,16 @@ def status_faults(recorded: RecordedDeparture, record: DepartureRecord, plan: Pl
     return faults + [
         f'diagnostics: {each.key} is not that of the departure'
         for each in again.values
-        if each.key not in _UNFORESEEN
+        if each.key not in unforeseen
         and not _same_text(told.get(each.key), each.value, tolerance)
     ]
 
 
-def marker_faults(recorded: RecordedDeparture, frame: str, strategy: Strategy) -> list[str]:
+def marker_faults(case: Case, strategy: Strategy) -> list[str]:
     """Draw the recorded strategy again, and compare the markers."""
     shown, faults = {}, []
-    for message in recorded.messages:
-        if message.type == _MARKERS and (each := recorded.decode(message)).markers:
+    for message in case.of_type(MarkerArray):
+        if (each := case.decode(message)).markers:
             name = each.markers[0].ns
             shown[name] = each
             # A topic may have been remapped, but not to another one's name.
@@ -159,8 +175,32 @@ def marker_faults(recorded: RecordedDeparture, frame: str, strategy: Strategy) -
             continue
         header = shown[name].markers[0].header
         again = deserialize_message(draw(content, header), MarkerArray)
-        if header.frame_id != frame or not same(shown[name], again):
+        if header.frame_id != case.metadata.frame or not same(shown[name], again):
             faults.append(f'markers: {name} does not show the recorded strategy')
+    return faults
+
+
+def time_faults(case: Case) -> list[str]:
+    """Check that the request came first, the answer last, and that the path left in between.
+
+    Nodes record it so even where the clock stands still or is set back on the way. That the times
+    are right is shown by nothing in a recording.
+    """
+    calls = {
+        case.decode(each).info.event_type: each.stamp_ns
+        for each in case.of_type(Trigger.Event, GetPlan.Event)
+    }
+    begin = calls.get(ServiceEventInfo.REQUEST_RECEIVED)
+    end = calls.get(ServiceEventInfo.RESPONSE_SENT)
+    if begin is None or end is None:
+        return []  # that it is missing is found elsewhere
+    faults = []
+    if not all(begin <= each.stamp_ns <= end for each in case.recorded.messages):
+        faults.append('times: a message is from before the request or after the answer')
+    if any(case.recorded.recorded(role).stamp_ns != begin for role in ('map', 'start', 'goal')):
+        faults.append('times: map, start and goal are not from when the request came')
+    if not begin <= _nanoseconds(case.message('path').header.stamp) <= end:
+        faults.append('times: the path is stamped before the request or after the answer')
     return faults
 
 
@@ -180,25 +220,24 @@ def same(one: Any, other: Any) -> bool:
     return bool(names) and all(same(getattr(one, n), getattr(other, n)) for n in names)
 
 
-def _trigger_faults(
-    recorded: RecordedDeparture, record: DepartureRecord, request: Any, response: Any
-) -> list[str]:
-    topic = recorded.recorded('path').topic
-    told = f'departure {record.number} ({record.id}) is published on {topic}'
+def _trigger_faults(case: Case, request: Any, response: Any) -> list[str]:
+    metadata = case.metadata
+    topic = metadata.inputs['path']
+    told = f'departure {metadata.number} ({metadata.id}) is published on {topic}'
     faults = []
-    if record.trip.tolerance != 0.0:
+    if metadata.trip.tolerance != 0.0:
         faults.append('trip: new_route has no tolerance')
     trouble = response.message.removeprefix(told)
-    is_told = response.message.startswith(told) and _is_reported(recorded, trouble)
+    is_told = response.message.startswith(told) and _is_reported(case, trouble)
     if not response.success or not is_told:
         faults.append('response: it does not tell this departure_id, departure and topic')
     return faults
 
 
-def _is_reported(recorded: RecordedDeparture, trouble: str) -> bool:
+def _is_reported(case: Case, trouble: str) -> bool:
     """Whether an answer's text about a recording that failed is that of the diagnostics, if any."""
-    for message in recorded.messages:
-        if message.type == _DIAGNOSTICS and (statuses := recorded.decode(message).status):
+    for message in case.of_type(DiagnosticArray):
+        if statuses := case.decode(message).status:
             values = {each.key: each.value for each in statuses[0].values}
             if values.get('recording') == 'failed':
                 # Trouble with a map stands before it.
@@ -206,19 +245,23 @@ def _is_reported(recorded: RecordedDeparture, trouble: str) -> bool:
     return not trouble
 
 
-def _get_plan_faults(
-    recorded: RecordedDeparture, record: DepartureRecord, request: Any, response: Any
-) -> list[str]:
+def _get_plan_faults(case: Case, request: Any, response: Any) -> list[str]:
     faults = [
         f'request: its {role} is not the recorded {role} pose'
         for role in ('start', 'goal')
-        if not same(getattr(request, role), recorded.message(role))
+        if not (role == 'start' and _from_the_robot(case, request))
+        and not same(getattr(request, role), case.message(role))
     ]
-    if request.tolerance != record.trip.tolerance:
+    if request.tolerance != case.metadata.trip.tolerance:
         faults.append("trip: its tolerance is not the request's")
-    if not same(response.plan, recorded.message('path')):
+    if not same(response.plan, case.message('path')):
         faults.append('response: its plan is not the recorded path')
     return faults
+
+
+def _from_the_robot(case: Case, request: Any) -> bool:
+    """Whether the request leaves the start to where the robot is."""
+    return bool(case.parameters.robot_base_frame) and not request.start.header.frame_id
 
 
 def _differences(path: PathMessage, again: PathMessage) -> list[str]:

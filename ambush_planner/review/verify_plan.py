@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 from ..core.construction import build_network, expected_nodes
 from ..core.network import Network
-from ..core.planner import Plan, PlanRequest, node_spacing, plan_on, read_request
+from ..core.planner import Plan, PlanRequest, node_spacing, read_request, with_cover
 from .verify_strategy import network_faults
 
 # A network is built to be compared only if it is about as large as that which was recorded: a
@@ -20,17 +21,30 @@ class PlannedAgain:
 
     Network and plan are worked out when they are asked for, and raise what ``plan`` raises.
 
-    Attributes:
-        goal_xy: The goal, moved as far as it had to be [m].
-        spacing: As in ``Plan`` [m].
+    Parameters
+    ----------
+    request
+        What the plan follows from.
+    solve
+        Makes the plan, as the node's worker does.
 
-    Raises:
-        InvalidRiskMap: The map is malformed.
-        InvalidOption: The spacing asks for more nodes than any network has.
+    Attributes
+    ----------
+    goal_xy
+        The goal, moved as far as it had to be [m].
+    spacing
+        As in ``Plan`` [m].
+
+    Raises
+    ------
+    InvalidRiskMap
+        The map is malformed.
+    InvalidOption
+        The spacing asks for more nodes than any network has.
     """
 
-    def __init__(self, request: PlanRequest) -> None:
-        self._request = request
+    def __init__(self, request: PlanRequest, solve: Callable[[PlanRequest], Plan]) -> None:
+        self._request, self._solve = request, solve
         self._risk_map, self.goal_xy = read_request(request)
         self.spacing = node_spacing(self._risk_map, request.options.network)
         self._expected_nodes = expected_nodes(self._risk_map, request.options.network)
@@ -47,12 +61,13 @@ class PlannedAgain:
 
     @cached_property
     def plan(self) -> Plan:
-        """The plan on the network that follows."""
-        return plan_on(self._risk_map, self._network, self._request.options)
+        """The plan that follows."""
+        return self._solve(self._request)
 
     @cached_property
     def _network(self) -> Network:
         request = self._request
-        return build_network(
+        network = build_network(
             self._risk_map, request.start_xy, self.goal_xy, request.options.network
         )
+        return with_cover(network, self._risk_map, request.options)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import math
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +17,9 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
+from ..core.arrays import FloatArray
 from ..core.errors import InvalidRiskMap
 from ..core.risk_map import (
-    FloatArray,
     OccupancyOptions,
     RiskMap,
     check_occupancy,
@@ -28,6 +29,15 @@ from .errors import InvalidPose
 
 # Of the squared norm, as Nav2 checks quaternions; covers rounding to float32.
 _UNIT_TOLERANCE = 1e-4
+_new: Any = object.__new__
+# Of Jazzy's messages; where others are used, they are made by their constructors.
+_SLOTS_ARE_KNOWN = all(
+    kind.__slots__ == [*(f'_{name}' for name in names), '_check_fields']
+    for kind, names in (
+        (Point, 'xyz'), (Quaternion, 'xyzw'), (Pose, ('position', 'orientation')),
+        (PoseStamped, ('header', 'pose')),
+    )
+)
 
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
@@ -118,10 +128,34 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
 
     The first pose is the start's and the last one the goal's, as they were given.
     """
-    result = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
+    result = stamped_poses(poses, header)
     result[0].pose = start
     result[-1].pose = goal
     return PathMessage(header=header, poses=result)
+
+
+def stamped_poses(poses: FloatArray, header: Header) -> list[PoseStamped]:
+    """Return the poses (L, 3) = (x, y, yaw) as messages that share one header.
+
+    Without the constructors, which take eight times as long: a path of 500 poses took 7 ms of a
+    departure's answer.
+    """
+    if not _SLOTS_ARE_KNOWN:
+        return [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
+    check = header._check_fields
+    return [_stamped_pose(x, y, 0.5 * yaw, header, check) for x, y, yaw in poses.tolist()]
+
+
+def _stamped_pose(x: float, y: float, half: float, header: Header, check: bool) -> PoseStamped:
+    position = _new(Point)
+    position._x, position._y, position._z, position._check_fields = x, y, 0.0, check
+    q = _new(Quaternion)
+    q._x, q._y, q._z, q._w, q._check_fields = 0.0, 0.0, math.sin(half), math.cos(half), check
+    pose = _new(Pose)
+    pose._position, pose._orientation, pose._check_fields = position, q, check
+    stamped = _new(PoseStamped)
+    stamped._header, stamped._pose, stamped._check_fields = header, pose, check
+    return stamped
 
 
 def path_from_ros(path: PathMessage) -> FloatArray:

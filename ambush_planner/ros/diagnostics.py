@@ -12,24 +12,36 @@ from std_msgs.msg import Header
 
 from ..core.bottleneck import Bottleneck
 from ..core.planner import Plan
+from ..worker.errors import SolveCancelled
 from .errors import OK_CODE, code_of
+from .ground import Standing
+
+# Of the value: a gap that is left by rounding, or by the slack that is usual.
+_SOLVED = 0.02
 
 
 class Problem(NamedTuple):
-    """What is wrong: a code (``errors.code_of``) and the message for people."""
+    """What is wrong: a code (``errors.code_of``), the message for people, and the level."""
 
     code: str
     message: str
+    level: bytes = DiagnosticStatus.ERROR
 
 
 @dataclass(frozen=True)
 class Status:
-    """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'."""
+    """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'.
+
+    ``standing`` tells how the plan stands on the map in force; ``stale`` says in words, if it
+    is so, that the plan has to be solved anew.
+    """
 
     missing: tuple[str, ...] = ()
     solving: bool = False
     problems: Mapping[str, Problem] = field(default_factory=dict)
     plan: Plan | None = None
+    standing: Standing | None = None
+    stale: str = ''
     departures: int = 0
     departure_id: str = ''
     recording: str = 'off'
@@ -43,7 +55,11 @@ class Status:
 
     def with_problem(self, concern: str, error: Exception) -> Status:
         """Return the status with ``error`` as what is wrong with ``concern``."""
-        problem = Problem(code_of(error), str(error) or type(error).__name__)
+        # Somebody wanted a solve to end: nothing has failed.
+        level = (
+            DiagnosticStatus.WARN if isinstance(error, SolveCancelled) else DiagnosticStatus.ERROR
+        )
+        problem = Problem(code_of(error), str(error) or type(error).__name__, level)
         return replace(self, problems={**self.problems, concern: problem})
 
     def without_problem(self, concern: str) -> Status:
@@ -60,6 +76,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'code': code,
         'message': message,
         **_strategy_values(status.plan),
+        **_standing_values(status.standing, status.stale),
         'departures': str(status.departures),
         'departure_id': status.departure_id,
         'recording': status.recording,
@@ -80,12 +97,27 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     if concerns:
         problems = [status.problems[concern] for concern in concerns]
         message = '; '.join(problem.message for problem in problems)
-        return DiagnosticStatus.ERROR, problems[0].code, message
+        return max(problem.level for problem in problems), problems[0].code, message
     if status.missing:
         return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
+    if status.stale:
+        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {status.stale}'
+    if status.plan is not None and (warning := _gap_warning(status.plan)):
+        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     if status.plan is not None and (warning := _warning(status.plan.bottleneck)):
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
+
+
+def _gap_warning(plan: Plan) -> str:
+    """Say so where the time was up before the strategy was the best."""
+    strategy = plan.strategy
+    if strategy.gap <= _SOLVED * strategy.value:
+        return ''
+    return (
+        f'the value {strategy.value:.4g} may be {strategy.gap:.3g} over the least one: allow more '
+        'max_planning_time, or a smaller strategy.risk_slack'
+    )
 
 
 def _warning(bottleneck: Bottleneck) -> str:
@@ -103,6 +135,15 @@ def _warning(bottleneck: Bottleneck) -> str:
         f'that ground were secured (game.secured_radius), it would be '
         f'{bottleneck.secured_value:.4g}'
     )
+
+
+def _standing_values(standing: Standing | None, stale: str) -> dict[str, str]:
+    """The strategy in force on the newest map."""
+    return {
+        'current_value': '' if standing is None else f'{standing.value:.9g}',
+        'current_gap': '' if standing is None else f'{standing.gap:.9g}',
+        'stale': '' if standing is None else 'yes' if stale else 'no',
+    }
 
 
 def _strategy_values(plan: Plan | None) -> dict[str, str]:

@@ -20,7 +20,7 @@ from ..core.errors import (
     TimeLimit,
 )
 from ..recording import RecordingFailed
-from ..worker.errors import SolveCancelled, WorkerFailed
+from ..worker.errors import QueueFull, SolveCancelled, WorkerFailed
 
 
 class NoMap(AmbushPlannerError):
@@ -41,6 +41,10 @@ class InvalidPose(AmbushPlannerError, ValueError):
 
 class FrameMismatch(AmbushPlannerError):
     """A pose is not given in the map's frame."""
+
+
+class GroundChanges(AmbushPlannerError):
+    """The map, or the robot, changes faster than it can be planned for."""
 
 
 class UnreadableMessage(AmbushPlannerError):
@@ -69,6 +73,8 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (InvalidOption, 'INVALID_OPTION'),
     (SolverFailed, 'SOLVER_FAILED'),
     (SolveCancelled, 'CANCELLED'),
+    (QueueFull, 'BUSY'),
+    (GroundChanges, 'NO_VALID_PATH'),
     (WorkerFailed, 'WORKER_FAILED'),
     (RecordingFailed, 'RECORDING_FAILED'),
 )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,18 +12,29 @@ import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from std_msgs.msg import Header
 
 from ..core.errors import InvalidRiskMap
-from .conversions import occupancy_from_ros, position_from_ros
+from ..core.risk_map import check_occupancy
+from ..recording import type_name
+from .cdr import GridUpdate, grid_bytes, grid_cells
+from .conversions import occupancy_from_ros, pose_to_ros, position_from_ros
 from .errors import NoGoal, NoMap, NoStart
+from .qos import LATEST
 from .transforms import FrameTransforms
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """A message as it came in; ``topic`` is the full name, ``data`` the message serialised."""
+    """A message as it came in.
+
+    ``topic`` is the full name, ``type`` the name of the type of ``data``, the message serialised;
+    ``message`` is what the planner needs of it.
+    """
 
     topic: str
+    type: str
     message: Any
     data: bytes
     qos: QoSProfile
@@ -29,7 +42,11 @@ class Received:
 
 @dataclass(frozen=True, eq=False)
 class MapInForce:
-    """A map that was accepted: its cells (H, W), resolution [m] and origin (x, y, yaw)."""
+    """A map that was accepted: its cells (H, W), resolution [m] and origin (x, y, yaw).
+
+    ``received.message`` has the header and the info, but no cells: they lie once in the memory, in
+    ``received.data``.
+    """
 
     received: Received
     values: npt.NDArray[np.int8]
@@ -39,16 +56,46 @@ class MapInForce:
     @property
     def frame(self) -> str:
         """The frame of positions on the map."""
-        return self.received.message.header.frame_id
+        name: str = self.received.message.header.frame_id
+        return name
+
+    def same_ground(self, other: MapInForce) -> bool:
+        """Whether a cell of one map is the same piece of ground on the other."""
+        return (
+            self.values.shape == other.values.shape
+            and (self.frame, self.resolution, self.origin)
+            == (other.frame, other.resolution, other.origin)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """From where to where somebody wants to go.
+
+    ``start`` is None for where the robot is. The goal may be moved by ``goal_tolerance`` [m] where
+    it is blocked.
+    """
+
+    start: Received | None
+    goal: Received
+    goal_tolerance: float = 0.0
+
+
+@dataclass(frozen=True)
+class RobotOptions:
+    """Where the robot is: the name of its frame ('': unknown), and how old a transform may be [s].
+
+    ``start_topic`` is the name under which the robot's pose is recorded.
+    """
+
+    frame: str = ''
+    max_age: float = math.inf
+    start_topic: str = ''
 
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """From where to where, on which map; poses and positions [m] in the map's frame.
-
-    ``start`` and ``goal`` are what was received as such. The goal may be moved by
-    ``goal_tolerance`` [m] where it is blocked.
-    """
+    """What was asked for, on a map; poses and positions [m] in the map's frame."""
 
     map: MapInForce
     start: Received
@@ -72,8 +119,8 @@ class Inputs:
         self._transforms = transforms
         self._map: MapInForce | None = None
         self._refused: InvalidRiskMap | None = None
-        self._start: tuple[Received, PoseStamped] | None = None
-        self._goal: tuple[Received, PoseStamped] | None = None
+        self._start: Received | None = None
+        self._goal: Received | None = None
 
     def accept_map(self, received: Received) -> MapInForce:
         """Put a map in force and return it; one that equals the present one changes nothing.
@@ -83,89 +130,154 @@ class Inputs:
         InvalidRiskMap
             The map is malformed; the one before stays in force.
         """
-        present = self._map
-        if present is None or not _same_map(present.received.message, received.message):
-            try:
-                values, resolution, origin = occupancy_from_ros(received.message)
-            except InvalidRiskMap as error:
-                self._refused = error
-                raise
-            present = self._map = MapInForce(received, values, resolution, origin)
-        self._refused = None
-        return present
+        try:
+            new = _map_from(received)
+        except InvalidRiskMap as error:
+            self._refused = error
+            raise
+        return self._put_in_force(new)
 
-    def set_start(self, received: Received, pose: PoseStamped) -> None:
+    def update_map(self, update: GridUpdate) -> MapInForce:
+        """Change some cells of the map in force, and return the map that is in force then.
+
+        Raises
+        ------
+        NoMap
+            There is no map that could be changed.
+        InvalidRiskMap
+            The update does not fit the map; the map stays as it was.
+        """
+        return self._put_in_force(_changed(self.map_in_force(), update))
+
+    def set_start(self, received: Received) -> None:
         """Depart from here from now on."""
-        self._start = (received, pose)
+        self._start = received
 
-    def set_goal(self, received: Received, pose: PoseStamped) -> None:
+    def set_goal(self, received: Received) -> None:
         """Drive there from now on."""
-        self._goal = (received, pose)
+        self._goal = received
 
-    @property
-    def missing(self) -> tuple[str, ...]:
+    def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """What has not arrived yet, by the names of the topics."""
-        parts = {'alpha_map': self._map, 'start_pose': self._start, 'goal_pose': self._goal}
-        return tuple(name for name, part in parts.items() if part is None)
+        parts = {
+            'alpha_map': self._map is not None,
+            'start_pose': self._start is not None or bool(robot.frame),
+            'goal_pose': self._goal is not None,
+        }
+        return tuple(name for name, here in parts.items() if not here)
 
-    def trip(self) -> Trip:
-        """Return the trip between the latest start and goal.
+    def latest(self, robot: RobotOptions) -> Asked:
+        """Return the trip between the latest start and goal, as it was asked for.
 
         Raises
         ------
         NoMap, NoStart, NoGoal
             Something has not arrived.
-        FrameMismatch, InvalidPose
-            A pose cannot be brought into the map's frame, or its numbers are no pose.
         """
-        present = self._map_in_force()
-        if self._start is None:
-            raise NoStart('no start yet: publish one on start_pose or initialpose')
+        self.map_in_force()
+        if self._start is None and not robot.frame:
+            raise NoStart(
+                'no start yet: publish one on start_pose or initialpose, or set robot_base_frame'
+            )
         if self._goal is None:
             raise NoGoal('no goal yet: publish one on goal_pose')
-        return self._trip(present, *self._start, *self._goal)
+        return Asked(self._start, self._goal)
 
-    def trip_between(self, start: Received, goal: Received, goal_tolerance: float) -> Trip:
-        """Return the trip between two given poses; raises as ``trip`` does."""
-        present = self._map_in_force()
-        return self._trip(present, start, start.message, goal, goal.message, goal_tolerance)
-
-    def _map_in_force(self) -> MapInForce:
+    def map_in_force(self) -> MapInForce:
+        """Return the map; raises NoMap as long as there is none."""
         if self._map is None:
             why = f'; the last one was refused: {self._refused}' if self._refused else ''
             raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
         return self._map
 
-    def _trip(
-        self,
-        map_in_force: MapInForce,
-        start: Received,
-        start_pose: PoseStamped,
-        goal: Received,
-        goal_pose: PoseStamped,
-        goal_tolerance: float = 0.0,
-    ) -> Trip:
-        frame = map_in_force.frame
-        start_pose = self._transforms.to_frame(start_pose, 'start', frame)
-        goal_pose = self._transforms.to_frame(goal_pose, 'goal', frame)
+    def locate(self, asked: Asked, robot: RobotOptions) -> Trip:
+        """Return the trip on the map in force, with all poses where they are now.
+
+        Raises
+        ------
+        NoMap
+            There is no map.
+        FrameMismatch, InvalidPose
+            A pose cannot be brought into the map's frame, or its numbers are not a pose.
+        """
+        present = self.map_in_force()
+        start, start_pose = self._start_of(asked.start, robot, present.frame)
+        goal_pose = self._transforms.to_frame(
+            asked.goal.message, 'goal', present.frame, robot.max_age
+        )
         return Trip(
-            map=map_in_force,
+            map=present,
             start=start,
-            goal=goal,
+            goal=asked.goal,
             start_pose=start_pose,
             goal_pose=goal_pose,
             start_xy=position_from_ros(start_pose, 'start'),
             goal_xy=position_from_ros(goal_pose, 'goal'),
-            goal_tolerance=goal_tolerance,
+            goal_tolerance=asked.goal_tolerance,
         )
 
+    def _start_of(
+        self, start: Received | None, robot: RobotOptions, frame: str
+    ) -> tuple[Received, PoseStamped]:
+        """Return the start as it is recorded, and its pose in the map's frame."""
+        if start is not None and (start.message.header.frame_id or not robot.frame):
+            return start, self._transforms.to_frame(start.message, 'start', frame, robot.max_age)
+        here = PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
+        pose = self._transforms.to_frame(here, 'start', frame, robot.max_age)
+        data = serialize_message(pose)
+        return Received(robot.start_topic, type_name(pose), pose, data, LATEST), pose
 
-def _same_map(one: OccupancyGrid, other: OccupancyGrid) -> bool:
-    """Tell whether two maps differ in their time stamps at most."""
-    a, b = one.info, other.info
-    return (
-        (a.width, a.height, a.resolution) == (b.width, b.height, b.resolution)
-        and one.header.frame_id == other.header.frame_id
-        and a.origin == b.origin
-        and np.array_equal(np.frombuffer(one.data, np.int8), np.frombuffer(other.data, np.int8))
+    def _put_in_force(self, new: MapInForce) -> MapInForce:
+        present = self._map
+        if present is None or not _same_map(present, new):
+            present = self._map = new
+        self._refused = None
+        return present
+
+
+def _map_from(received: Received) -> MapInForce:
+    message: OccupancyGrid = received.message
+    values, resolution, origin = occupancy_from_ros(message)
+    shared = grid_cells(message, received.data)
+    if shared is not None:
+        received = replace(received, message=_without_cells(message))
+        values = shared
+    return MapInForce(received, values, resolution, origin)
+
+
+def _changed(present: MapInForce, update: GridUpdate) -> MapInForce:
+    """Return the map with the cells of the update; raises InvalidRiskMap where it does not fit."""
+    if update.frame != present.frame:
+        raise InvalidRiskMap(
+            f'map update: it is given in the frame {update.frame[:80]!r}, the map in '
+            f'{present.frame!r}'
+        )
+    (rows, columns), (height, width) = update.values.shape, present.values.shape
+    if update.x < 0 or update.y < 0 or update.x + columns > width or update.y + rows > height:
+        raise InvalidRiskMap(
+            f'map update: {columns} x {rows} cells from ({update.x}, {update.y}) on do not lie '
+            f'within the map of {width} x {height}'
+        )
+    try:
+        check_occupancy(update.values, present.resolution, present.origin)
+    except InvalidRiskMap as error:
+        raise InvalidRiskMap(f'map update: {error}') from error
+    values = present.values.copy()
+    values[update.y:update.y + rows, update.x:update.x + columns] = update.values
+    head = _without_cells(present.received.message)
+    head.header = Header(frame_id=update.frame, stamp=update.stamp)
+    data = grid_bytes(head, values)
+    shared = grid_cells(head, data)
+    received = replace(present.received, message=head, data=data)
+    return MapInForce(
+        received, values if shared is None else shared, present.resolution, present.origin
     )
+
+
+def _without_cells(message: OccupancyGrid) -> OccupancyGrid:
+    return OccupancyGrid(header=message.header, info=copy(message.info))
+
+
+def _same_map(one: MapInForce, other: MapInForce) -> bool:
+    """Tell whether two maps differ in their time stamps at most."""
+    return one.same_ground(other) and np.array_equal(one.values, other.values)

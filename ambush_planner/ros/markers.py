@@ -12,8 +12,8 @@ from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from ..core.network import IndexArray, Network
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, IndexArray
+from ..core.network import Network
 from ..core.strategy import Strategy
 from .cdr import marker_array
 

@@ -7,22 +7,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from visualization_msgs.msg import MarkerArray
 
 from ..recording import RecordedMessage, type_name
-
-# Late joiners get the last message.
-LATCHED = QoSProfile(
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-# Many may ask at once while a solve runs: none of them is to go without an answer.
-REQUESTS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
-_DIAGNOSTICS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+from .qos import DIAGNOSTICS, LATCHED
 
 _TOPICS = {
     'path': (PathMessage, LATCHED),
@@ -30,7 +19,7 @@ _TOPICS = {
     'mean_direction': (MarkerArray, LATCHED),
     'ambush_sites': (MarkerArray, LATCHED),
     'network': (MarkerArray, LATCHED),
-    '/diagnostics': (DiagnosticArray, _DIAGNOSTICS),
+    '/diagnostics': (DiagnosticArray, DIAGNOSTICS),
 }
 
 

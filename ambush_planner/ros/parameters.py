@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
@@ -22,7 +22,7 @@ from rclpy.parameter import Parameter
 from ..core.construction import METHODS, NetworkOptions
 from ..core.errors import InvalidOption
 from ..core.game import GameOptions
-from ..core.planner import PlanningOptions
+from ..core.planner import DriveOptions, PlanningOptions
 from ..core.risk_map import OccupancyOptions
 from ..core.strategy import SOLVERS, StrategyOptions
 from ..recording.recorder import COMPRESSIONS
@@ -31,6 +31,12 @@ _MAP, _NETWORK, _GAME, _STRATEGY = (
     OccupancyOptions(), NetworkOptions(), GameOptions(), StrategyOptions()
 )
 _INT64_MAX = 2**63 - 1
+PRESETS = ('alpha', 'costmap')
+_COSTMAP_OBSTACLE = 99
+# In groups of the core's options, but not of these.
+_NOT_THE_CORES = ('map.preset', 'strategy.max_gap')
+# For a parameter whose option may be left to the planner.
+_CHOSEN = -1.0
 
 _Options = TypeVar('_Options')
 
@@ -72,6 +78,11 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'map.obstacle_threshold': Declaration(
         _MAP.obstacle_threshold,
         'Cells of at least this value are obstacles; 101: no value is one.', 1, 101),
+    'map.preset': Declaration(
+        'alpha',
+        'What publishes the map: alpha, a risk map made for this planner; costmap, a costmap of '
+        'Nav2, in which 99 (inscribed) is an obstacle like 100 (lethal), whatever the threshold.',
+        choices=PRESETS),
     'map.unknown_alpha': Declaration(
         _MAP.unknown_alpha,
         'Loss for being ambushed in an unknown cell (-1); negative: such cells are obstacles.',
@@ -100,11 +111,18 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _GAME.alpha_threshold,
         'Nodes whose loss is over this are not driven through; .inf: all may be.'),
     'game.ambushers': Declaration(
-        _GAME.ambushers, 'Number of sites that are held at once; only 1 is available.', 1, 100),
+        _GAME.ambushers, 'Number of sites that are held at once; their losses add up.', 1, 100),
+    'game.ambush_in_obstacles': Declaration(
+        _GAME.ambush_in_obstacles,
+        'Whether, with an ambush_radius, somebody can also wait in obstacle cells.'),
     'strategy.solver': Declaration(_STRATEGY.solver, 'How the game is solved.', choices=SOLVERS),
     'strategy.max_detour': Declaration(
         _STRATEGY.max_detour,
         'Expected length allowed, as a multiple of the shortest path; .inf: any.', 1.0),
+    'strategy.max_exposure': Declaration(
+        _STRATEGY.max_exposure,
+        'Expected exposure allowed, the integral of the loss along the route, as a multiple of the '
+        'least one; .inf: any. For the solver max_entropy.', 1.0),
     'strategy.risk_slack': Declaration(
         _STRATEGY.risk_slack,
         'Share of the value that may be given up for less predictable routes.'),
@@ -112,8 +130,37 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _STRATEGY.length_weight,
         'Weight w of the length for the solvers interior_point and simplex, which minimise '
         '(1 - w) * value + w * length.', 0.0, 1.0),
+    'strategy.max_gap': Declaration(
+        0.1,
+        'How much better another strategy could be where somebody departs on this one, as a share '
+        'of its value: after a change of the map, until it is solved anew, and where '
+        'max_planning_time was up before the best one was found.'),
+    'replan.tolerance': Declaration(
+        0.05,
+        'Share by which a change of the map may raise the value of the strategy before it is '
+        'solved anew.'),
+    'queue.size': Declaration(
+        8, 'How many solves may wait beside the one that runs; others are refused.', 1, 1000),
+    'robot_base_frame': Declaration(
+        '',
+        'Frame of the robot, like base_link: where no start is given, it is where TF has the robot '
+        'at departure. Empty: a start has to be given.'),
+    'transform.max_age': Declaration(
+        2.0, 'Age of a moving transform from which on it is refused [s]; .inf: any will do.'),
     'max_planning_time': Declaration(
         60.0, 'Time after which a solve is given up [s]; .inf: never.', 0.001),
+    'route.start_tolerance': Declaration(
+        math.inf,
+        'How far start and goal may be from those of a strategy that is there for a departure on '
+        'it [m]; never more than half the distance of nodes, which .inf stands for.'),
+    'route.tube': Declaration(
+        _CHOSEN,
+        'How far the path that is driven may be from the drawn route [m]; an ambush is taken to '
+        'reach as much further. -1: as far as no other node is met, or with an ambush_radius a '
+        'part of the distance of nodes.', _CHOSEN),
+    'route.turning_radius': Declaration(
+        DriveOptions().turning_radius,
+        'Turns are at least this wide [m] where there is room for it.'),
     'route.path_spacing': Declaration(
         0.0,
         "Largest distance of poses on the path [m]; 0: the map's resolution or the distance of "
@@ -123,6 +170,9 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
     'recording.compression': Declaration(
         'zstd', 'Compression of the recordings.', choices=tuple(COMPRESSIONS)),
+    'diagnostics.error_hold': Declaration(
+        30.0, 'How long the diagnostics tell of a request that failed [s]; a success ends it, '
+        'too.'),
     'seed': Declaration(
         -1,
         "-1: routes are drawn with the operating system's entropy. From 0: always the same "
@@ -159,12 +209,21 @@ class RecordingOptions:
 
 @dataclass(frozen=True)
 class NodeParameters:
-    """All parameters as the parts of the planner take them; ``path_spacing`` as declared [m]."""
+    """All parameters as the parts of the planner take them; those of a line of their own as
+    declared.
+    """
 
     occupancy: OccupancyOptions
     planning: PlanningOptions
-    path_spacing: float
     recording: RecordingOptions
+    path_spacing: float
+    start_tolerance: float
+    replan_tolerance: float
+    max_gap: float
+    queue_size: int
+    robot_base_frame: str
+    transform_max_age: float
+    error_hold: float
     seed: int
     values: Mapping[str, Any]
 
@@ -183,17 +242,48 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
         )
     limit = values['max_planning_time']
     return NodeParameters(
-        occupancy=_options(OccupancyOptions, 'map', values),
+        occupancy=_occupancy(values),
         planning=PlanningOptions(
             _options(NetworkOptions, 'network', values),
             _options(GameOptions, 'game', values),
             _options(StrategyOptions, 'strategy', values, time_limit=limit),
+            _drive(values),
+            values['strategy.max_gap'],
         ),
-        path_spacing=values['route.path_spacing'],
         recording=_options(RecordingOptions, 'recording', values),
+        path_spacing=values['route.path_spacing'],
+        start_tolerance=values['route.start_tolerance'],
+        replan_tolerance=values['replan.tolerance'],
+        max_gap=values['strategy.max_gap'],
+        queue_size=values['queue.size'],
+        robot_base_frame=values['robot_base_frame'],
+        transform_max_age=values['transform.max_age'],
+        error_hold=values['diagnostics.error_hold'],
         seed=values['seed'],
         values=MappingProxyType(dict(values)),
     )
+
+
+def _occupancy(values: Mapping[str, Any]) -> OccupancyOptions:
+    preset = values['map.preset']
+    if preset not in PRESETS:
+        raise InvalidOption(f'map.preset must be one of {", ".join(PRESETS)}, got {preset!r}')
+    options = _options(OccupancyOptions, 'map', values)
+    if preset == 'alpha':
+        return options
+    return replace(
+        options, obstacle_threshold=min(options.obstacle_threshold, _COSTMAP_OBSTACLE)
+    )
+
+
+def _drive(values: Mapping[str, Any]) -> DriveOptions:
+    tube, radius = values['route.tube'], values['route.turning_radius']
+    if tube < 0.0 and tube != _CHOSEN:
+        raise InvalidOption(f'route.tube must be >= 0 [m], or -1 to be chosen, got {tube}')
+    try:
+        return DriveOptions(None if tube == _CHOSEN else tube, radius)
+    except InvalidOption as error:
+        raise InvalidOption(f'route.{error}') from error
 
 
 def declare_parameters(
@@ -238,7 +328,10 @@ def _options(
 ) -> _Options:
     """Make the options that ``group`` holds; errors call them by their parameters' names."""
     start = f'{group}.'
-    options = {name.removeprefix(start): values[name] for name in values if name.startswith(start)}
+    options = {
+        name.removeprefix(start): values[name]
+        for name in values if name.startswith(start) and name not in _NOT_THE_CORES
+    }
     try:
         return kind(**options, **others)
     except InvalidOption as error:

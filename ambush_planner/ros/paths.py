@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import math
-import struct
 from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import Pose
 from nav_msgs.msg import Path as PathMessage
-from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
-from ..core.arrays import frozen_array
-from ..core.risk_map import FloatArray
+from ..core.arrays import FloatArray, frozen_array
+from .cdr import path_bytes
 from .conversions import path_to_ros
-
-_POSE = struct.Struct('<7d')
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,24 +33,12 @@ class DeparturePath:
         return path_to_ros(self.rows, self.start, self.goal, self.header)
 
     def to_bytes(self) -> bytes:
-        """Return the same message serialised, the poses put into its bytes as one array.
-
-        All stamped poses behind the first one take the same bytes but for the seven numbers at
-        their end: the frame is the same, and each begins and ends aligned to 8.
-        """
+        """Return the same message serialised."""
         ends = path_to_ros(self.rows[[0, -1]], self.start, self.goal, self.header)
-        none, one, both = (
-            serialize_message(PathMessage(header=self.header, poses=ends.poses[:count]))
-            for count in range(3)
-        )
-        last = both[len(one):]
-        inner = np.tile(np.frombuffer(last, np.uint8), (len(self.rows) - 2, 1))
-        inner[:, -_POSE.size:] = _numbers(self.rows[1:-1]).view(np.uint8)
-        count = struct.pack('<I', len(self.rows))
-        return b''.join((none[:-4], count, both[len(none):len(one)], inner, last))
+        return path_bytes(ends, _numbers(self.rows[1:-1]))
 
 
-def departure_path(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:
+def path_between(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:
     """Take poses (L, 3) for the path of a departure between two poses that were given.
 
     The path ends where the last row lies, with the goal's orientation: a goal that was blocked has

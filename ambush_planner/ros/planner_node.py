@@ -1,39 +1,44 @@
-"""The node: wires topics, services, parameters and timer to a session."""
+"""The node: wires topics, services, parameters and timer to the dispatcher."""
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import ExitStack, suppress
 from functools import partial
 from threading import Event
 from typing import Any, TypeVar
 
 import rclpy
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
-from nav_msgs.msg import OccupancyGrid
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from std_srvs.srv import Trigger
 
-from ..core.errors import AmbushPlannerError, InvalidOption
-from ..worker.errors import for_the_log, forget_frames, unexpected
-from .departures import ServiceCall, planner_version
-from .errors import UnreadableMessage
-from .heap import share_one_heap
-from .inputs import Received
-from .later import answers_later
-from .outbox import LATCHED, LATEST, REQUESTS, Outbox
-from .parameters import declare_parameters
-from .session import Session
+from ..core.errors import InvalidOption
+from ..core.planner import Plan
+from ..recording import type_name
+from .departure_record import Departure, ServiceCall, planner_version
+from .dispatcher import Dispatcher
+from .futures import done
+from .guard import Guard
+from .inputs import Asked, Inputs, Received, RobotOptions
+from .outbox import Outbox
+from .parameters import NodeParameters, declare_parameters
+from .qos import LATEST
+from .reporter import Reporter
+from .services import DeferredService
+from .subscriptions import Subscriptions
 from .transforms import FrameTransforms
 
 NODE_NAME = 'ambush_planner'
@@ -41,6 +46,8 @@ _REPORT_PERIOD = 1.0  # s
 _LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
 # For requests, `cancel`, and all else; none of them waits for anything.
 THREADS = 3
+
+_M_MMAP_THRESHOLD, _LARGE = -3, 2**20  # malloc.h
 
 _Result = TypeVar('_Result')
 
@@ -59,23 +66,49 @@ class PlannerNode(Node):
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
+        self._closing = ExitStack()
+        self._closing.callback(super().destroy_node)
+        with ExitStack() as unless_built:
+            unless_built.enter_context(self._closing)
+            self._build()
+            unless_built.pop_all()
+
+    def _build(self) -> None:
         self._guard_own_services()
-        parameters = declare_parameters(self, lambda new: self._session.reconfigure(new))
-        if parameters.seed >= 0:
+        self._settings = declare_parameters(self, self._reconfigure)
+        if self._settings.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
                 'be foreseen; only for tests and replay'
             )
-        self._transforms = FrameTransforms(self)
-        self._session = Session(
+        outbox = Outbox(self)
+        self._path_topic = outbox.topic_name('path')
+        self._reporter = Reporter(
             self.get_fully_qualified_name().lstrip('/'),
-            parameters,
-            Outbox(self),
-            self._transforms,
+            outbox,
+            self.get_clock(),
+            lambda: self._dispatcher.solving,
+            self._settings.error_hold,
+        )
+        self._guard = Guard(self.context, self.get_logger(), self._reporter.failed)
+        self._transforms = FrameTransforms(self)
+        self._closing.callback(self._transforms.close)
+        self._inputs = Inputs(self._transforms)
+        self._dispatcher = Dispatcher(
+            self._settings,
+            self._inputs,
+            outbox,
+            self._reporter,
             self.get_clock(),
             self.get_logger(),
+            self.resolve_topic_name('start_pose'),
         )
-        self._listen()
+        self._closing.callback(self._dispatcher.close)
+        self._reporter.recording(self._settings.recording.enabled)
+        self._tell_missing()
+        self._listening = Subscriptions(
+            self, self._inputs, self._guard, self._tell_missing, self._map_accepted
+        )
         self._serve()
         # Steady: a simulation's clock that stands still must not silence the diagnostics.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -83,13 +116,30 @@ class PlannerNode(Node):
 
     def stop_solving(self) -> None:
         """End all solves, now and to come; requests that wait for one are answered."""
-        self._session.stop_solving()
+        self._dispatcher.stop_solving()
 
     def destroy_node(self) -> None:
-        """Answer who waits, write the last recordings, and end all that belongs to the node."""
-        self._session.close()
-        self._transforms.close()
-        super().destroy_node()
+        """Answer all who wait, write the last recordings, and end all that belongs to the node."""
+        self._closing.close()
+
+    def _reconfigure(self, parameters: NodeParameters) -> None:
+        before, self._settings = self._settings, parameters
+        self._reporter.error_hold = parameters.error_hold
+        self._dispatcher.reconfigure(parameters)
+        if parameters.recording != before.recording:
+            self._reporter.recording(parameters.recording.enabled)
+        self._tell_missing()
+
+    def _tell_missing(self) -> None:
+        self._reporter.inputs(self._inputs.missing(self._robot()))
+
+    def _map_accepted(self) -> None:
+        self._reporter.map_accepted()
+        self._tell_missing()
+        self._dispatcher.ground_changed()
+
+    def _robot(self) -> RobotOptions:
+        return RobotOptions(self._settings.robot_base_frame)
 
     def _guard_own_services(self) -> None:
         """Keep exceptions in rclpy's own services: one that leaves a callback ends the executor.
@@ -107,136 +157,109 @@ class PlannerNode(Node):
             self.get_logger().error(f'{name}: refused, {type(error).__name__}')
             return response
 
-    def _listen(self) -> None:
-        session = self._session
-        self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, session.accept_map)
-        self._start_topic = self._subscribe(
-            PoseStamped, 'start_pose', LATEST, lambda got: session.set_start(got, got.message)
-        )
-        self._goal_topic = self._subscribe(
-            PoseStamped, 'goal_pose', LATEST, lambda got: session.set_goal(got, got.message)
-        )
-        self._subscribe(
-            PoseWithCovarianceStamped,
-            'initialpose',
-            LATEST,
-            lambda got: session.set_start(
-                got, PoseStamped(header=got.message.header, pose=got.message.pose.pose)
-            ),
-        )
-
-    def _subscribe(
-        self, kind: type, topic: str, qos: QoSProfile, use: Callable[[Received], None]
-    ) -> str:
-        """Subscribe, and return the topic's full name."""
-        name = self.resolve_topic_name(topic)
-        concern = 'map' if kind is OccupancyGrid else 'request'
-
-        def receive(data: bytes) -> None:
-            self._attempt(name, concern, lambda: use(_received(kind, name, data, qos)))
-
-        # Raw: what cannot be read would end the executor, and recordings keep the bytes that came.
-        self.create_subscription(kind, topic, receive, qos, raw=True)
-        return name
-
     def _serve(self) -> None:
         planning = MutuallyExclusiveCallbackGroup()
-        for kind, name, callback, group in (
-            (Trigger, '~/new_route', self._on_new_route, planning),
-            (Trigger, '~/replan', self._on_replan, planning),
-            (GetPlan, '~/get_plan', self._on_get_plan, planning),
-            (Trigger, '~/cancel', self._on_cancel, MutuallyExclusiveCallbackGroup()),
-        ):
-            answers_later(self.create_service(
-                kind, name, callback, qos_profile=REQUESTS, callback_group=group
-            ))
-
-    def _on_new_route(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response | Future:
-        call = ServiceCall(Trigger, self.resolve_service_name('~/new_route'), request)
-        return self._outcome(
-            'new_route', lambda: self._session.new_route(call, _success), _failure
+        self._serve_departures(Trigger, '~/new_route', planning, self._latest, self._new_route)
+        self._serve_departures(
+            GetPlan, '~/get_plan', planning, self._between,
+            lambda departure: GetPlan.Response(plan=departure.path.to_message()),
+        )
+        DeferredService(
+            self, Trigger, '~/replan',
+            lambda _: self._begin(lambda: self._dispatcher.replan(self._latest(None))),
+            lambda outcome: self._response('replan', Trigger, outcome, _replanned), planning,
+        )
+        DeferredService(
+            self, Trigger, '~/cancel',
+            lambda _: done(self._dispatcher.cancel),
+            lambda outcome: self._response('cancel', Trigger, outcome, _cancelled),
+            MutuallyExclusiveCallbackGroup(),
         )
 
-    def _on_get_plan(
-        self, request: GetPlan.Request, response: GetPlan.Response
-    ) -> GetPlan.Response | Future:
-        call = ServiceCall(GetPlan, self.resolve_service_name('~/get_plan'), request)
-        start = _as_received(self._start_topic, request.start)
-        goal = _as_received(self._goal_topic, request.goal)
-        return self._outcome(
-            'get_plan', lambda: self._session.get_plan(call, start, goal), lambda _: response
+    def _serve_departures(
+        self,
+        kind: type,
+        name: str,
+        group: CallbackGroup,
+        asked: Callable[[Any], Asked],
+        success: Callable[[Departure], Any],
+    ) -> None:
+        """Serve departures; ``asked`` reads a request, ``success`` makes the response."""
+        whole_name, what = self.resolve_service_name(name), name.removeprefix('~/')
+
+        def begin(request: Any) -> Future[Departure]:
+            call = ServiceCall(kind, whole_name, request)
+            return self._begin(lambda: self._dispatcher.depart(call, asked(request)))
+
+        DeferredService(
+            self, kind, name, begin,
+            lambda outcome: self._response(what, kind, outcome, success), group,
+            self._dispatcher.record,
         )
 
-    def _on_replan(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response | Future:
-        return self._outcome('replan', lambda: self._session.replan(_success), _failure)
+    def _latest(self, _: object) -> Asked:
+        return self._inputs.latest(self._robot())
 
-    def _on_cancel(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        cancelled, error = self._attempt('cancel', 'request', self._session.cancel)
-        if cancelled:
-            return _success('the solve was cancelled')
-        return _failure(error or 'no solve is running')
+    def _between(self, request: GetPlan.Request) -> Asked:
+        """The poses of a request, whose goal may be moved where it is blocked."""
+        if not request.tolerance >= 0.0:
+            raise InvalidOption(f'tolerance must be >= 0 [m], got {request.tolerance}')
+        self._inputs.map_in_force()
+        return Asked(
+            _as_received(self._listening.start_topic, request.start),
+            _as_received(self._listening.goal_topic, request.goal),
+            request.tolerance,
+        )
 
-    def _on_timer(self) -> None:
-        self._attempt('diagnostics', 'request', self._session.report)
+    def _new_route(self, departure: Departure) -> Trigger.Response:
+        trouble = f'; {departure.trouble}' if departure.trouble else ''
+        return _success(
+            f'departure {departure.number} ({departure.id}) is published on {self._path_topic}'
+            f'{trouble}'
+        )
 
-    def _outcome(
+    def _begin(self, work: Callable[[], Future[_Result]]) -> Future[_Result]:
+        """Start the work for a request; an error is its outcome."""
+        try:
+            return work()
+        except Exception as error:
+            failed: Future[_Result] = Future()
+            failed.set_exception(error)
+            return failed
+
+    def _response(
         self,
         what: str,
-        begin: Callable[[], Future[_Result]],
-        failure: Callable[[Exception], _Result],
-    ) -> _Result | Future[_Result]:
-        """Return the response to a request, or a future of it; that to an error by ``failure``."""
-        pending, error = self._attempt(what, 'request', begin)
-        if pending is None:
-            return failure(error)
-        answer: Future[_Result] = Future()
+        kind: Any,
+        outcome: Future[_Result],
+        success: Callable[[_Result], Any],
+    ) -> Any:
+        """Make the response; where something has failed, the reason is told and logged."""
+        response, error = self._guard.attempt(what, 'request', lambda: success(outcome.result()))
+        if response is not None:
+            return response
+        return _failure(error) if kind is Trigger else kind.Response()
 
-        def settle(done: Future[_Result]) -> None:
-            outcome, error = self._attempt(what, 'request', done.result)
-            answer.set_result(failure(error) if outcome is None else outcome)
-
-        pending.add_done_callback(settle)
-        return answer
-
-    def _attempt(
-        self, what: str, concern: str, action: Callable[[], _Result]
-    ) -> tuple[_Result | None, Exception | None]:
-        """Return (result, None) or (None, error).
-
-        No exception leaves a callback, where it would end the executor: it goes into the log
-        once, and into the diagnostics.
-        """
-        try:
-            return action(), None
-        except AmbushPlannerError as error:
-            known: AmbushPlannerError = error
-        except Exception as error:
-            known = unexpected(error)
-            forget_frames(error)
-        forget_frames(known)
-        if self.context.ok():
-            self.get_logger().error(f'{what}: {for_the_log(known)}')
-            self._session.fail(concern, known)
-        return None, known
-
-
-def _received(kind: type, topic: str, data: bytes, qos: QoSProfile) -> Received:
-    try:
-        message = deserialize_message(data, kind)
-    except Exception as error:  # rclpy's own error type is not public
-        raise UnreadableMessage(
-            f'a message of {len(data)} bytes on {topic} is no {kind.__name__}'
-        ) from error
-    return Received(topic, message, data, qos)
+    def _on_timer(self) -> None:
+        self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 
 def _as_received(topic: str, pose: PoseStamped) -> Received:
     """A pose of a request, as if it had come on the topic."""
-    return Received(topic, pose, serialize_message(pose), LATEST)
+    return Received(topic, type_name(pose), pose, serialize_message(pose), LATEST)
+
+
+def _replanned(plan: Plan) -> Trigger.Response:
+    return _success(
+        f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
+        f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes'
+    )
+
+
+def _cancelled(count: int) -> Trigger.Response:
+    if not count:
+        return _failure('no solve is running')
+    return _success('the solve was cancelled' if count == 1 else f'{count} solves were cancelled')
 
 
 def _success(message: str) -> Trigger.Response:
@@ -254,6 +277,15 @@ def _init(args: list[str] | None) -> None:
         raise InvalidOption(str(error)) from error
 
 
+def _give_back_large_blocks() -> None:
+    """Have glibc return the memory of a map when it is freed, in this process of our own.
+
+    By itself it keeps blocks of up to 32 MB once it has freed one, in a heap for each thread.
+    """
+    with suppress(AttributeError, OSError):
+        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     # Our own handlers, which only raise a flag: rclpy's end the context at once, wherever the
@@ -262,7 +294,7 @@ def main(args: list[str] | None = None) -> int:
     stop = Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    share_one_heap()
+    _give_back_large_blocks()
     executor, node = None, None
     try:
         _init(args)
@@ -273,6 +305,9 @@ def main(args: list[str] | None = None) -> int:
         )
         executor = MultiThreadedExecutor(num_threads=THREADS)
         executor.add_node(node)
+        # What is there by now stays: the collector need not look at it, which took 50 ms a time.
+        gc.collect()
+        gc.freeze()
         while rclpy.ok() and not stop.is_set():
             executor.spin_once(timeout_sec=_LOOK_UP)
     except ExternalShutdownException:

@@ -1,21 +1,54 @@
-"""Plans are worked out once and kept; randomness is made anew for every departure."""
+"""Plans are worked out once and kept as long as they hold on the newest map."""
 
 from __future__ import annotations
 
 import math
 import secrets
-from collections import OrderedDict
 from concurrent.futures import Future
-from dataclasses import replace
-from threading import Lock
+from dataclasses import dataclass, replace
+from functools import partial
+from threading import RLock
+
+import numpy as np
 
 from ..core.planner import Plan, PlanRequest
 from ..worker.solve_queue import SolveQueue
+from .futures import done
+from .ground import Ground
 from .inputs import MapInForce, Trip
 from .parameters import NodeParameters
 
 # There and back again, with a detour or two.
 _KEPT = 4
+_Position = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldPlan:
+    """A plan with the trip and the parameters that it was worked out for."""
+
+    plan: Plan
+    trip: Trip
+    parameters: NodeParameters
+    ground: Ground
+
+    def ends(self, trip: Trip) -> tuple[_Position, _Position]:
+        """Where a route for this trip begins and ends [m]: a blocked goal has been moved."""
+        return trip.start_xy, self.plan.goal_xy if self.moved else trip.goal_xy
+
+    @property
+    def moved(self) -> bool:
+        """Whether the goal was blocked, and has been moved."""
+        return self.plan.goal_xy != self.trip.goal_xy
+
+
+@dataclass(frozen=True, eq=False)
+class _Pending:
+    """A solve that waits or runs."""
+
+    trip: Trip
+    parameters: NodeParameters
+    solve: Future[HeldPlan]
 
 
 class Plans:
@@ -25,64 +58,115 @@ class Plans:
     """
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[tuple, Plan] = OrderedDict()
-        self._map: MapInForce | None = None
-        self._lock = Lock()
-        self._solves = SolveQueue()
+        self._kept: list[HeldPlan] = []  # the one used last is the last
+        self._pending: list[_Pending] = []
+        self._lock = RLock()
+        self._solves: SolveQueue[HeldPlan] = SolveQueue()
 
     @property
     def solving(self) -> bool:
         """Whether a solve runs or waits."""
         return self._solves.busy
 
-    def find(self, trip: Trip, parameters: NodeParameters) -> Plan | None:
-        """Return the plan for exactly these inputs, if it is kept."""
-        key = _key(trip, parameters)
+    def find(self, trip: Trip, parameters: NodeParameters) -> HeldPlan | None:
+        """Return the kept plan that is good for the trip, the nearest one, if there is any."""
         with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-            return self._kept.get(key)
+            good = [held for held in self._kept if usable(held, trip, parameters)]
+            if not good:
+                return None
+            nearest = min(reversed(good), key=lambda held: _apart(held.trip, trip))
+            self._keep(nearest)
+            return nearest
 
-    def solve(self, trip: Trip, parameters: NodeParameters) -> Future[Plan]:
-        """Have the plan worked out anew, and kept.
+    def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[HeldPlan]:
+        """Return a plan for the trip that is kept by now, or else will be.
+
+        A solve for nearly this trip that waits or runs already is shared: look whether its plan is
+        ``usable``.
 
         Raises
         ------
         SolveCancelled
             The plans are closed.
+        QueueFull
+            Too many solves wait already.
         """
-        # Whoever allows another time waits for another solve.
-        key = (_key(trip, parameters), parameters.planning.strategy.time_limit)
-        solve = self._solves.submit(key, _request(trip, parameters))
-        solve.add_done_callback(lambda done: self._keep(trip, parameters, done))
-        return solve
-
-    def forget_others(self, map_in_force: MapInForce) -> None:
-        """Keep the plans of this map only: one that was replaced comes back as another one."""
         with self._lock:
-            self._map = map_in_force
-            for key in [key for key in self._kept if key[0] is not map_in_force]:
-                del self._kept[key]
+            if (held := self.find(trip, parameters)) is not None:
+                return done(lambda: held)
+            for each in self._pending:
+                if not each.solve.done() and _near(each, trip, parameters):
+                    return self._submit(each.trip, each.parameters, background=False)
+            return self._submit(trip, parameters, background=False)
 
-    def cancel(self) -> bool:
-        """End the solve that runs; return whether there was one."""
+    def solve(
+        self, trip: Trip, parameters: NodeParameters, *, background: bool = False
+    ) -> Future[HeldPlan]:
+        """Have the plan worked out anew, for exactly this trip; raises as ``plan_for`` does.
+
+        One in the ``background`` gives way to solves that somebody waits for, and to the next one
+        of its kind.
+        """
+        with self._lock:
+            return self._submit(trip, parameters, background)
+
+    def keep_ground(self, newest: MapInForce) -> None:
+        """Forget the plans that are not of this map's ground."""
+        with self._lock:
+            self._kept = [held for held in self._kept if held.trip.map.same_ground(newest)]
+
+    def withdraw_background(self) -> None:
+        """Withdraw what waits in the background."""
+        self._solves.withdraw_background()
+
+    def cancel(self) -> int:
+        """End the solve that runs and all that wait; return how many there were."""
         return self._solves.cancel()
 
     def close(self) -> None:
         """End all solves and the worker process."""
         self._solves.close()
 
-    def _keep(self, trip: Trip, parameters: NodeParameters, solve: Future[Plan]) -> None:
-        if solve.exception() is not None:
-            return
-        key = _key(trip, parameters)
+    def _submit(
+        self, trip: Trip, parameters: NodeParameters, background: bool
+    ) -> Future[HeldPlan]:
+        solve = self._solves.submit(
+            _key(trip, parameters),
+            _request(trip, parameters),
+            partial(_held, trip, parameters),
+            parameters.queue_size,
+            background,
+        )
+        self._pending = [each for each in self._pending if not each.solve.done()]
+        if all(each.solve is not solve for each in self._pending):
+            self._pending.append(_Pending(trip, parameters, solve))
+            solve.add_done_callback(self._keep_solved)
+        return solve
+
+    def _keep_solved(self, solve: Future[HeldPlan]) -> None:
         with self._lock:
-            # The map may have been replaced during the solve.
-            if trip.map is self._map:
-                self._kept[key] = solve.result()
-                self._kept.move_to_end(key)
-                if len(self._kept) > _KEPT:
-                    self._kept.popitem(last=False)
+            self._pending = [each for each in self._pending if each.solve is not solve]
+            if solve.exception() is None:
+                self._keep(solve.result())
+
+    def _keep(self, held: HeldPlan) -> None:
+        others = [each for each in self._kept if not _supersedes(held, each)]
+        self._kept = [*others, held][-_KEPT:]
+
+
+def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
+    """Whether somebody can depart on a plan for a trip that may be a little different."""
+    if not trip.map.same_ground(held.trip.map) or _options(held.parameters) != _options(parameters):
+        return False
+    if held.moved and _goal(held.trip) != _goal(trip):
+        return False
+    apart = _apart(held.trip, trip)
+    if apart > _tolerance(parameters, held.plan.spacing):
+        return False
+    standing = held.ground.standing(trip.map)
+    if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
+        return False
+    return apart == 0.0 or _connected(held, trip)
 
 
 def route_entropy_source(seed: int, departure: int) -> list[int]:
@@ -95,14 +179,85 @@ def route_entropy_source(seed: int, departure: int) -> list[int]:
     return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
-def _key(trip: Trip, parameters: NodeParameters) -> tuple:
-    planning = parameters.planning
-    # How long a solve may take does not change the plan.
-    strategy = replace(planning.strategy, time_limit=math.inf)
-    return (
-        trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance,
-        parameters.occupancy, planning.network, planning.game, strategy,
+def _apart(one: Trip, other: Trip) -> float:
+    """How far apart the starts or the goals of two trips are [m], whichever is more."""
+    return max(
+        math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy)
     )
+
+
+def _tolerance(parameters: NodeParameters, spacing: float) -> float:
+    """How far start and goal may be from those that a plan is for [m].
+
+    Never more than half the distance of nodes.
+    """
+    return min(parameters.start_tolerance, 0.5 * spacing)
+
+
+def _supersedes(new: HeldPlan, old: HeldPlan) -> bool:
+    """Whether a plan answers the same question as an older one: of an earlier map, perhaps."""
+    return (
+        old.trip.start_xy == new.trip.start_xy
+        and _goal(old.trip) == _goal(new.trip)
+        and _options(old.parameters) == _options(new.parameters)
+    )
+
+
+def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
+    """Whether what is being solved will probably do for a trip."""
+    other, used = pending.trip, pending.parameters
+    # Where the distance of nodes is chosen by the planner, it is no less than this.
+    spacing = parameters.planning.network.spacing or trip.map.resolution
+    limits = (each.planning.strategy.time_limit for each in (used, parameters))
+    return (
+        trip.map.same_ground(other.map)
+        and _options(used) == _options(parameters)
+        and len(set(limits)) == 1  # whoever allows another time waits for another solve
+        and other.goal_tolerance == trip.goal_tolerance
+        and _apart(other, trip) <= _tolerance(parameters, spacing)
+    )
+
+
+def _goal(trip: Trip) -> tuple[_Position, float]:
+    return trip.goal_xy, trip.goal_tolerance
+
+
+def _connected(held: HeldPlan, trip: Trip) -> bool:
+    """Whether each first and each last edge in use can be driven from start and to goal as asked.
+
+    All of them: whether a route can be used must not depend on which one is drawn.
+    """
+    network, p = held.plan.network, held.plan.strategy.edge_probability
+    start, goal = held.ends(trip)
+    left = (p > 0.0) & ~held.ground.lost(trip.map)
+    firsts = network.points[network.heads[left & (network.tails == network.source)]]
+    lasts = network.points[network.tails[left & (network.heads == network.target)]]
+    a = np.concatenate((np.broadcast_to(start, firsts.shape), lasts))
+    b = np.concatenate((firsts, np.broadcast_to(goal, lasts.shape)))
+    if left[(network.tails == network.source) & (network.heads == network.target)].any():
+        a, b = np.vstack((a, [start])), np.vstack((b, [goal]))
+    return held.ground.clear(a, b, trip.map)
+
+
+def _options(parameters: NodeParameters) -> tuple[object, ...]:
+    planning = parameters.planning
+    # How long a solve may take does not change the plan, nor does what is made of it then.
+    strategy = replace(planning.strategy, time_limit=math.inf)
+    return parameters.occupancy, replace(planning, strategy=strategy, max_gap=0.0)
+
+
+def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
+    limit = parameters.planning.strategy.time_limit, parameters.max_gap
+    where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
+    return *where, *_options(parameters), *limit
+
+
+def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
+    planning = parameters.planning
+    ground = Ground(
+        plan, trip.map, parameters.occupancy, planning.game, planning.network.clearance
+    )
+    return HeldPlan(plan, trip, parameters, ground)
 
 
 def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:

@@ -15,19 +15,20 @@ from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan
 from ..recording import Recorder, RecordingFailed
 from ..recording.repair import repair
+from ..recording.strategy_file import strategy_file
 from ..worker.errors import forget_frames, unexpected
-from .departures import (
+from .departure_record import (
     Departure,
+    attachments,
+    map_changes,
     recorded_messages,
     recorded_metadata,
-    strategy_attachment,
-    strategy_file,
 )
 from .parameters import RecordingOptions
 
-# Writing [s] that may be owed to the disk: little enough that all of it is done when the node is
-# told to end. Who departs beyond that waits.
-_MOST_OWED = 0.5
+# Writing [s] that may wait for the disk: little enough that all of it is done when the node is
+# told to end. The next departure waits until there is no more.
+_MOST_BACKLOG = 0.25
 # A write that takes longer [s] is of a disk that does not answer. Nobody waits for that one, but
 # only so many departures are kept for it.
 _PATIENCE, _MOST_KEPT = 2.0, 16
@@ -70,8 +71,14 @@ class Recordings:
         self._thread = Thread(target=self._work, name='recordings', daemon=True)
         self._thread.start()
 
+    def wait_for_room(self) -> None:
+        """Wait while more writing waits than may: before somebody departs, never after."""
+        with self._condition:
+            while self._backlog() > _MOST_BACKLOG and not self._hurry and not self._stuck():
+                self._condition.wait(_LOOK_UP)
+
     def record(self, departure: Departure) -> None:
-        """Queue a departure; wait while more is owed to the disk than may be.
+        """Queue a departure; never waits.
 
         Raises
         ------
@@ -89,8 +96,6 @@ class Recordings:
                 self._begin = time.monotonic()
             self._unwritten.append(departure)
             self._condition.notify_all()
-            while self._owed() > _MOST_OWED and not self._hurry and not self._stuck():
-                self._condition.wait(_LOOK_UP)
 
     def hurry(self) -> None:
         """Let nobody wait any more, now and from now on: the node ends."""
@@ -99,16 +104,16 @@ class Recordings:
             self._condition.notify_all()
 
     def close(self, seconds: float) -> int:
-        """Write what is owed, but for no longer than this; return how many are not written."""
+        """Write what waits, but for no longer than this; return how many are not written."""
         with self._condition:
             self._closing = True
             self._condition.notify_all()
         self._thread.join(max(0.0, seconds))
         return len(self._unwritten)
 
-    def _owed(self) -> float:
+    def _backlog(self) -> float:
         # How long the first one of a plan takes nobody knows: it is waited for.
-        return sum(self._costs.get(each.plan, math.inf) for each in self._unwritten)
+        return sum(self._costs.get(each.held.plan, math.inf) for each in self._unwritten)
 
     def _stuck(self) -> bool:
         return bool(self._unwritten) and time.monotonic() - self._begin > _PATIENCE
@@ -118,7 +123,7 @@ class Recordings:
             self._write(departure)
             with self._condition:
                 now = time.monotonic()
-                self._costs[departure.plan], self._begin = now - self._begin, now
+                self._costs[departure.held.plan], self._begin = now - self._begin, now
                 self._unwritten.popleft()
                 self._condition.notify_all()
             del departure  # with its plan, until the next one comes
@@ -144,13 +149,14 @@ class Recordings:
             self._done(departure.parameters.recording, error)
 
     def _record(self, departure: Departure) -> None:
-        if departure.plan not in self._strategies:
-            self._strategies[departure.plan] = strategy_file(departure.plan.strategy)
-        data = self._strategies[departure.plan]
+        plan = departure.held.plan
+        if plan not in self._strategies:
+            self._strategies[plan] = strategy_file(plan.strategy)
+        data, changes = self._strategies[plan], map_changes(departure)
         self._recorder_for(departure.parameters.recording).record_departure(
             recorded_messages(departure),
-            recorded_metadata(departure, data),
-            [strategy_attachment(data)],
+            recorded_metadata(departure, data, changes),
+            attachments(data, changes),
         )
 
     def _recorder_for(self, options: RecordingOptions) -> Recorder:

@@ -1,186 +1,216 @@
-"""The audit in words and tables. Node indices and positions stand in the CSV only."""
+"""The audit in words and tables. Positions stand in the CSV only."""
 
 from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from datetime import datetime, timezone
 from io import StringIO
+from textwrap import fill
 
 import numpy as np
 
-from ..core.audit import Audit
-from ..core.audit_learning import LEARNT
-from ..core.strategy import Strategy
-from ..review.departures import Campaign
+from ..audit.departures import FEWEST_DEPARTURES, Audit
+from ..audit.learning import LEARNT
+from ..review.departures import Departure
+from . import cli
 
 CHECKS = {
-    "frequency": "each stretch is driven as often as published",
-    "surprise": "routes are as likely as they should be",
-    "order": "no rhythm from one departure to another",
-    "repeats": "pairs of departures on the very same route",
+    'frequency': 'each stretch is driven as often as published',
+    'surprise': 'routes are as likely as they should be',
+    'order': 'no rhythm from one departure to another',
+    'repeats': 'pairs of departures on the very same route',
 }
-# Below this chance or over this number, words say more than digits.
-NEVER, UNTOLD = 1e-12, 1e12
+# Over this number, words say more than digits.
+UNTOLD = 1e12
+# Of findings of one kind.
+MOST_TOLD = 10
 
 
-def title(campaign: Campaign) -> str:
-    """Name a strategy, its departures and when they were."""
-    return f"strategy {campaign.sha256[:8]}: {how_many(campaign)}, {span(campaign)}"
+def lines(
+    departures: Sequence[Departure],
+    audited: Sequence[Departure],
+    audit: Audit | None,
+    impossible: int,
+    sources: Sequence[str],
+    unreadable: Sequence[Exception],
+    others: Sequence[Departure],
+) -> list[str]:
+    """Return the whole text, line by line."""
+    said = [title(departures), ''] if departures else []
+    if audit:
+        said += [*table(audit).splitlines(), '', *findings(audit), '', *learning_lines(audit)]
+    elif impossible:
+        said.append(f'FINDING (impossible): {impossible_steps(impossible)}')
+    said += [f'FINDING (random source): {each}' for each in sources[:MOST_TOLD]]
+    if len(sources) > MOST_TOLD:
+        said.append(f'FINDING (random source): {len(sources) - MOST_TOLD} more')
+    if others:
+        said.append(f'Not audited, as their strategies have cycles: {how_many(others)}.')
+    if audit is None:
+        missing = FEWEST_DEPARTURES - len(audited)
+        said.append(
+            f'Not enough to tell: {FEWEST_DEPARTURES} departures are needed, {missing} more than '
+            'these.'
+        )
+    said += [f'UNREADABLE, and no part of the audit: {error}' for error in unreadable]
+    return [part for line in said for part in _wrapped(line)]
 
 
-def how_many(campaign: Campaign) -> str:
+def title(departures: Sequence[Departure]) -> str:
+    """Say how many departures, of how many strategies, and when they were."""
+    count = len({id(each.strategy) for each in departures})
+    strategies = f'{count} strateg{"ies" if count != 1 else "y"}'
+    return f'{how_many(departures)} of {strategies}, {span(departures)}'
+
+
+def how_many(departures: Sequence[Departure]) -> str:
     """Return the number of departures, as text."""
-    count = len(campaign.departures)
-    return f"{count} departure{'s' * (count != 1)}"
+    return cli.count(len(departures), 'departure')
 
 
-def span(campaign: Campaign) -> str:
+def span(departures: Sequence[Departure]) -> str:
     """Return from when to when the departures were."""
-    ends = (when(campaign.departures[k].stamp_ns) for k in (0, -1))
-    return " to ".join(dict.fromkeys(ends))
+    ends = (when(departures[k].stamp_ns) for k in (0, -1))
+    return ' to '.join(dict.fromkeys(ends))
 
 
 def when(stamp_ns: int) -> str:
     """Return a time as date and minute, UTC."""
     moment = datetime.fromtimestamp(stamp_ns // 1_000_000_000, tz=timezone.utc)
-    return moment.strftime("%Y-%m-%d %H:%M UTC")
+    return moment.strftime('%Y-%m-%d %H:%M UTC')
 
 
 def table(audit: Audit) -> str:
     """One row a check: the statistic, what chance makes of it, and the chance of as much."""
-    rows = [("check", "recorded", "by chance", "p-value", "")]
-    rows.append(("nothing that the strategy cannot draw", str(audit.impossible), "0", "-",
+    rows = [('check', 'recorded', 'by chance', 'p-value', '')]
+    rows.append(('nothing that the strategy cannot draw', str(audit.impossible), '0', '-',
                  _mark(audit.impossible > 0)))
     for name, verdict in audit.tests.items():
-        rows.append((CHECKS[name], f"{verdict.observed:.4g}", f"{verdict.expected:.4g}",
-                     f"{verdict.p_value:.5f}", _mark(verdict.finding)))
+        rows.append((CHECKS[name], f'{verdict.observed:.4g}', f'{verdict.expected:.4g}',
+                     f'{verdict.p_value:.5f}', _mark(verdict.finding)))
     widths = [max(len(row[k]) for row in rows) for k in range(4)]
     lines = [
-        f"{row[0]:<{widths[0]}}"
-        + "".join(f"  {cell:>{width}}" for cell, width in zip(row[1:4], widths[1:], strict=True))
-        + f"  {row[4]}"
+        f'{row[0]:<{widths[0]}}'
+        + ''.join(f'  {cell:>{width}}' for cell, width in zip(row[1:4], widths[1:], strict=True))
+        + f'  {row[4]}'
         for row in rows
     ]
-    return "\n".join(line.rstrip() for line in lines)
+    return '\n'.join(line.rstrip() for line in lines)
 
 
-def findings(audit: Audit, strategy: Strategy) -> list[str]:
+def findings(audit: Audit) -> list[str]:
     """Say what was found and what it means, or that nothing was."""
-    rate = f"{100.0 * audit.false_alarm_rate:g} %"
+    rate = f'{100.0 * audit.false_alarm_rate:g} %'
     if audit.blind and not audit.findings:
         return [
-            f"UNTESTED: {audit.resamples + 1:,} resamples are too few to hold a rate of {rate}; "
-            "only what cannot be drawn at all would have been found. Audit fewer strategies at a "
-            "time, or raise --false-alarm-rate."
+            f'UNTESTED: {audit.resamples + 1:,} resamples are too few to hold a rate of {rate}; '
+            'only what cannot be drawn at all would have been found. Audit fewer strategies at a '
+            'time, or raise --false-alarm-rate.'
         ]
     if not audit.findings:
         return [
-            "Nothing suspicious. Departures of this strategy, drawn as published, raise an alarm "
-            f"in at most {rate} of audits. Few departures show gross deviations only."
+            'Nothing suspicious. Departures of this strategy, drawn as published, raise an alarm '
+            f'in at most {rate} of audits. Few departures show gross deviations only.'
         ]
+    expected = audit.tests['repeats'].expected
     said = {
-        "impossible": impossible_steps(audit.impossible),
-        "frequency": "Some stretches are driven far more often, others less often, than the "
-        "published probabilities say. The picture shows which.",
-        "surprise": f"The routes are on the whole {_likelier(audit, strategy)} than routes drawn "
-        "as published: the draw does not weigh the choices as it should.",
-        "order": _rhythm(audit),
-        "repeats": f"Only {audit.different} of {audit.departures} routes are different, where "
-        f"{audit.tests['repeats'].expected:.3g} identical pairs are expected by chance: routes "
-        "are used again, or the source of randomness repeats itself.",
+        'impossible': impossible_steps(audit.impossible),
+        'frequency': 'Some stretches are driven far more often, others less often, than the '
+        'published probabilities say. The picture shows which.',
+        'surprise': f'The routes are on the whole {_likelier(audit)} than routes drawn '
+        'as published: the draw does not weigh the choices as it should.',
+        'order': _rhythm(audit),
+        'repeats': f'Only {audit.different} of {audit.departures} routes are different, where '
+        f'{expected:.3g} identical pairs are expected by chance: routes '
+        'are used again, or the source of randomness repeats itself.',
     }
-    return [f"FINDING ({name}): {said[name]}" for name in audit.findings] + [
-        f"Departures of this strategy, drawn as published, raise an alarm in at most {rate} of "
-        "audits."
+    return [f'FINDING ({name}): {said[name]}' for name in audit.findings] + [
+        f'Departures of this strategy, drawn as published, raise an alarm in at most {rate} of '
+        'audits.'
     ]
 
 
 def impossible_steps(count: int) -> str:
     """Say that so many steps and ends of routes are none of the strategy's."""
     return (
-        f"Steps and ends of routes that cannot have been drawn: {count}. Something else was driven "
-        "than was planned, or the files do not belong together."
+        f'Steps and ends of routes that cannot have been drawn: {count}. Something else was driven '
+        'than was planned, or the files do not belong together.'
     )
 
 
-def learning_lines(audit: Audit, strategy: Strategy) -> list[str]:
+def learning_lines(audit: Audit) -> list[str]:
     """Say what an observer of these departures has learnt."""
     learning, n = audit.learning, audit.departures
     lines = [
-        "To guess the next route is as hard as among "
-        f"{plain(learning.effective_routes)} equally likely ones; the chance that it is one "
-        f"of the {audit.different} that were driven is {_chance(learning.seen_probability)}. "
-        "Two identical routes are to be expected among "
-        f"{plain(learning.departures_to_repeat)} departures."
+        'To guess the next route is as hard as among '
+        f'{plain(learning.effective_routes)} equally likely ones. Two identical routes are to be '
+        f'expected among {plain(learning.departures_to_repeat)} departures.'
     ]
-    share = f"{100.0 * LEARNT:.0f} %"
+    share = f'{100.0 * LEARNT:.0f} %'
     known = (
-        f"An ambusher who knows the strategy causes a mean loss of {learning.value:.4g} a "
-        "departure, and nobody can expect more. One who has only watched, and then waits where it "
-        "would have cost most so far, "
+        f'An ambusher who knows the strategy causes a mean loss of {learning.value:.4g} a '
+        'departure, and nobody can expect more. One who has only watched, and then waits where it '
+        'would have cost most so far, '
     )
     if learning.departures_to_learn is None:
-        lines.append(f"{known}had not come to {share} of that for good after all {n} departures.")
+        lines.append(f'{known}had not come to {share} of that for good after all {n} departures.')
     else:
         lines.append(
-            f"{known}causes at least {share} of that from {learning.departures_to_learn} watched "
-            "departures on."
+            f'{known}causes at least {share} of that from {learning.departures_to_learn} watched '
+            'departures on.'
         )
     lines.append(
-        f"Watching and waiting at once, he would have met {learning.ambushes} of the {n - 1} "
-        "departures after the first, by luck or for want of it: a mean loss of "
-        f"{learning.ambusher_loss:.3g}. Had one of their routes been driven every time, he would "
-        f"have met all, a mean loss of {learning.fixed_loss:.3g}."
+        f'Watching and waiting at once, he would have met {learning.ambushes} of the {n - 1} '
+        'departures after the first, by luck or for want of it: a mean loss of '
+        f'{learning.ambusher_loss:.3g}. Had one of their routes been driven every time, he would '
+        f'have met all, a mean loss of {learning.fixed_loss:.3g}.'
     )
     return lines
 
 
-def passages_csv(audit: Audit, strategy: Strategy) -> str:
-    """Every edge that is published or was driven, with both frequencies. A secret."""
-    network, p = strategy.network, strategy.edge_probability
+def passages_csv(audit: Audit) -> str:
+    """Every stretch that is published or was driven, with both frequencies. A secret."""
     stream = StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(("tail", "head", "tail_x", "tail_y", "head_x", "head_y", "probability",
-                     "expected_passages", "passages"))
-    for k in np.flatnonzero((p > 0.0) | (audit.passages > 0)).tolist():
-        tail, head = network.edges[k].tolist()
-        places = [f"{number:.3f}" for node in (tail, head) for number in network.points[node]]
-        writer.writerow((tail, head, *places, f"{p[k]:.9g}", f"{audit.departures * p[k]:.6g}",
-                         int(audit.passages[k])))
+    writer = csv.writer(stream, lineterminator='\n')
+    writer.writerow(('tail_x', 'tail_y', 'head_x', 'head_y', 'expected_passages', 'passages'))
+    for ends, expected, passages in zip(
+        audit.segments.reshape(-1, 4), audit.expected, audit.passages, strict=True
+    ):
+        writer.writerow((*(f'{x:.3f}' for x in ends), f'{expected:.6g}', int(passages)))
     return stream.getvalue()
 
 
 def plain(number: float) -> str:
     """Return a number of things as people read it; huge ones as a power of ten."""
     if number >= UNTOLD:
-        return f"10^{math.floor(math.log10(number))}" if math.isfinite(number) else "countless"
-    return f"{number:,.0f}" if number >= 100.0 else f"{number:.3g}"
-
-
-def _chance(chance: float) -> str:
-    if chance <= NEVER:
-        return "practically none"
-    return f"{100.0 * chance:.2g} %"
+        return f'10^{math.floor(math.log10(number))}' if math.isfinite(number) else 'countless'
+    return f'{number:,.0f}' if number >= 100.0 else f'{number:.3g}'
 
 
 def _mark(finding: bool) -> str:
-    return "FINDING" if finding else "ok"
+    return 'FINDING' if finding else 'ok'
 
 
-def _likelier(audit: Audit, strategy: Strategy) -> str:
-    return "too likely" if audit.mean_surprise < strategy.route_entropy else "too unlikely"
+def _likelier(audit: Audit) -> str:
+    return 'too likely' if audit.mean_surprise < audit.mean_entropy else 'too unlikely'
 
 
 def _rhythm(audit: Audit) -> str:
-    order, n = audit.order, audit.departures
-    lags = np.arange(1, len(order.by_lag) + 1)
-    deviation = (order.by_lag - order.mean) * np.sqrt(n - lags)
+    order = audit.order
+    centre = order.expected - order.expected.mean() + order.mean
+    deviation = (order.by_lag - centre) / np.maximum(order.band, 1e-9)
     worst = int(np.argmax(np.abs(deviation)))
-    alike = "more" if deviation[worst] > 0.0 else "less"
-    apart = "that follow each other" if worst == 0 else f"{worst + 1} apart"
+    alike = 'more' if deviation[worst] > 0.0 else 'less'
+    apart = 'that follow each other' if worst == 0 else f'{worst + 1} apart'
     return (
-        f"Departures {apart} share {100.0 * order.by_lag[worst]:.0f} % of their ground, "
-        f"{alike} than the {100.0 * order.mean:.0f} % of any two: who watches can tell what comes "
-        "next."
+        f'Departures {apart} share {100.0 * order.by_lag[worst]:.0f} % of their ground, '
+        f'{alike} than the {100.0 * order.mean:.0f} % of any two: who watches can tell what comes '
+        'next.'
     )
+
+
+def _wrapped(line: str) -> list[str]:
+    """Lines of sentences at the width of a terminal; those of tables are short already."""
+    return fill(line, cli.WIDTH, break_on_hyphens=False).splitlines() or ['']

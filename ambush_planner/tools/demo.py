@@ -1,80 +1,238 @@
-"""``ambush_demo``: departures on real ground, through the real node; see ``tools/demo_run.py``."""
+"""``ambush_demo``: real ground, the real node, departures over DDS, a report of the recordings."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from ..core.arrays import FloatArray
+from ..core.errors import AmbushPlannerError
+from ..core.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
+from ..core.frontier import frontier
+from ..core.game import GameOptions
+from ..core.strategy import Strategy, StrategyOptions
+from ..recording import recordings_in
+from ..recording.durable import write_durably
+from ..ros.conversions import path_from_ros
+from . import cli
+from .demo_client import DemoClient, NoAnswer
+from .demo_figures import FixedRoute, routes_figure
+from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
+from .frontier_run import write_frontier
+from .node_process import NodeFailed, NodeProcess, free_domain
+from .report import write_report
+from .report_figures import as_png
+
+# Four cells: about 6000 nodes.
+SPACING = 360.0
+# Own troops hold the ground around the start and the goal.
+SECURED_RADIUS = 2000.0
+# Whoever waits can hit what comes within the weapon range that the map's risk is made with.
+AMBUSH_RADIUS = OPTIONS.view.weapon_range
+# Other budgets that the frontier shows, and the time for each of its strategies [s].
+DETOURS, SLACKS, SWEEP_SECONDS = (1.1, 1.2, 1.5), (0.05,), 30.0
+# The diagnostics give nine digits.
+SAME_VALUE = 1e-6
 EPILOG = """\
 It starts the node ambush_planner as a process of its own, publishes a risk map made from the
 elevation model that comes with matplotlib, and asks for departures by service call. The folder
-then holds a recording of each departure (MCAP, for ros2 bag and Foxglove), strategy.png,
-routes.png, frontier.png (what other budgets would buy), frontier.csv and the node's log. Exit
-code: 0, or 1 if anything went wrong.
-"""
+then holds a recording of each departure (MCAP, for ros2 bag and Foxglove), the report that
+ambush_report writes of them, verified, routes.png, which has the routes beside those of planners
+that leave no choice, frontier.png and frontier.csv (what other budgets would buy), and the node's
+log.
+--json: {"verdict", "folder", "departures", "value", "lower_bound", "seconds"}
+""" + cli.EXIT_CODES
+
+
+class DemoFailed(AmbushPlannerError):
+    """What the demo left is not what it should be."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo and return its exit code."""
-    options = _parser().parse_args(arguments)
-    try:
-        # Here, so that --help and the message below need no ROS and no matplotlib.
-        from .demo_run import FAILURES, run_demo
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
-        return _fail(
-            f"{package} is not installed; try: pip install 'ambush_planner[jazzy,figures]'"
-        )
     # Ended from outside, it still takes its node along.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    return cli.run(parser(), _work, arguments)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'demo', 'Random routes on real ground: departures, recordings, a report.', EPILOG
+    )
+    made.add_argument(
+        '-o', '--output', type=Path, default=Path('out/demo'), metavar='FOLDER',
+        help='where the results go; made if missing (default: %(default)s)',
+    )
+    made.add_argument(
+        '-n', '--departures', type=_positive, default=8, metavar='COUNT',
+        help='number of routes to ask for (default: %(default)s)',
+    )
+    return made
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> int:
+    begin = time.monotonic()
+
+    def say(text: str) -> None:
+        console.say(f'{time.monotonic() - begin:5.1f} s  {text}')
+
+    folder = Path(os.path.abspath(options.output))
+    folder.mkdir(parents=True, exist_ok=True)
+    before = set(folder.rglob('*.mcap'))
     try:
-        run_demo(options.output, options.departures)
-    except FAILURES as error:
-        return _fail(str(error))
-    except KeyboardInterrupt:
-        return _fail("interrupted")
-    return 0
+        say('making the risk map from the elevation model')
+        paths, status, seconds = _departures(load_ground().values, folder, options.departures, say)
+    except (NodeFailed, NoAnswer) as error:
+        raise DemoFailed(str(error)) from error
+    recordings = [path for path in recordings_in(folder) if path not in before]
+    if len(recordings) != options.departures:
+        raise DemoFailed(f'{options.departures} departures left {len(recordings)} recordings')
+    say('verifying the recordings and writing the report')
+    written = write_report(recordings[0].parent, folder, True, console)
+    if written.code != cli.Exit.HOLDS:
+        raise DemoFailed('the recordings do not hold; see the report')
+    strategy, secured = written.sections[-1].strategy, SECURED_RADIUS
+    _compare(status, strategy)
+    figure = routes_figure(
+        written.sections[-1].risk_map, strategy, [path[:, :2] for path in paths],
+        fixed_routes(strategy), secured,
+    )
+    write_durably(folder / 'routes.png', as_png(figure))
+    say('frontier.png: what another length budget, or more risk, would buy')
+    _sweep(strategy, folder)
+    total = time.monotonic() - begin
+    console.line(table(status, strategy, paths, [*seconds, total]))
+    console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
+                 'frontier.csv, node.log and the recordings')
+    console.result = {
+        'verdict': 'holds', 'folder': cli.place(folder), 'departures': options.departures,
+        'value': strategy.value, 'lower_bound': strategy.lower_bound, 'seconds': round(total, 1),
+    }
+    return cli.Exit.HOLDS
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="ambush_demo",
-        description="Random routes on real ground: departures, recordings and pictures.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def _sweep(strategy: Strategy, folder: Path) -> None:
+    """Other budgets on the same network, to choose by looking."""
+    game = GameOptions(
+        ambush_radius=strategy.game.ambush_radius, secured_radius=SECURED_RADIUS
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        default=Path("out/demo"),
-        metavar="FOLDER",
-        help="where the results go; made if missing (default: %(default)s)",
-    )
-    parser.add_argument(
-        "-n",
-        "--departures",
-        type=_positive,
-        default=8,
-        metavar="COUNT",
-        help="number of routes to ask for (default: %(default)s)",
-    )
-    return parser
+    options = StrategyOptions(time_limit=SWEEP_SECONDS)
+    rows = frontier(strategy.network, game, DETOURS, SLACKS, options)
+    write_frontier(folder / 'frontier.csv', rows, options.max_detour, options.risk_slack)
+
+
+def _departures(
+    values: np.ndarray, folder: Path, count: int, say: Callable[[str], None]
+) -> tuple[list[FloatArray], dict[str, str], list[float]]:
+    """Return paths (L, 3), last diagnostics, and each departure's seconds."""
+    # Read by the middleware in this process, and inherited by the node's.
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    domain = free_domain()
+    say(f'starting the node in ROS domain {domain}')
+    node = NodeProcess(_node_parameters(folder), domain, folder / 'node.log')
+    with node, DemoClient(domain, node.check) as client:
+        client.wait_for_node()
+        rows, columns = values.shape
+        say(f'publishing the map ({columns} x {rows} cells), start and goal')
+        client.publish_inputs(values, RESOLUTION, START, GOAL)
+        paths, seconds = [], []
+        for k in range(count):
+            say(f'departure {k + 1} of {count}' + (': solving the game' * (k == 0)))
+            begin = time.monotonic()
+            paths.append(path_from_ros(client.depart()))
+            seconds.append(time.monotonic() - begin)
+        status = client.status_after(count)
+        say('stopping the node')
+    say(f'the node ended with exit code 0 after {node.seconds_to_stop:.1f} s')
+    return paths, status, seconds
+
+
+def _node_parameters(folder: Path) -> dict[str, object]:
+    return {
+        'network.spacing': SPACING,
+        'game.secured_radius': SECURED_RADIUS,
+        'game.ambush_radius': AMBUSH_RADIUS,
+        'recording.enabled': True,
+        'recording.directory': str(folder),
+    }
+
+
+def _compare(status: Mapping[str, str], strategy: Strategy) -> None:
+    """Check that the node said of its strategy what the recordings say."""
+    for name in ('value', 'edge_entropy', 'route_entropy', 'expected_length'):
+        theirs, ours = float(status[name]), float(getattr(strategy, name))
+        if abs(theirs - ours) > SAME_VALUE * abs(ours):
+            raise DemoFailed(f'{name}: the node says {theirs}, its recordings say {ours}')
+
+
+def fixed_routes(strategy: Strategy) -> list[FixedRoute]:
+    """The shortest and the safest route, each with its worst ambush, once it is known."""
+    game, points = strategy.game, strategy.network.points
+    measures = evaluate(strategy)
+    routes = []
+    for name, row, route in (
+        ('shortest route', measures['energy_efficient'], energy_efficient_route(game)),
+        ('safest route', measures['risk_avoidance'], risk_avoiding_route(game)),
+    ):
+        worst = route[np.argmax(game.loss[route])]
+        label = f'{name} ({row.expected_length / 1000:.1f} km, loss {row.v_repeated:.2f})'
+        routes.append(FixedRoute(label, points[route], points[worst]))
+    return routes
+
+
+def table(
+    status: Mapping[str, str],
+    strategy: Strategy,
+    paths: Sequence[FloatArray],
+    seconds: Sequence[float],
+) -> str:
+    """What the node says about its strategy, and how the departures went.
+
+    ``seconds``: of each departure, and last of the whole demo.
+    """
+    known = {name: float(status[name]) for name in ('value', 'lower_bound', 'gap', 'edge_entropy',
+             'route_entropy', 'expected_length', 'shortest_length', 'solve_seconds')}
+    measures = evaluate(strategy)
+    length, shortest = known['expected_length'] / 1000, known['shortest_length'] / 1000
+    *each, total = seconds
+    later = f', {1000 * float(np.median(each[1:])):.0f} ms a further departure' * (len(each) > 1)
+    rows = [
+        ('value', f'{known["value"]:.6f}', 'mean loss by the best ambush, the strategy known'),
+        ('lower bound', f'{known["lower_bound"]:.6f}', 'no strategy of this length has less'),
+        ('gap', f'{known["gap"]:.1e}', ''),
+        ('fixed shortest route', f'{measures["energy_efficient"].v_repeated:.2f}',
+         'loss once it is known'),
+        ('fixed safest route', f'{measures["risk_avoidance"].v_repeated:.2f}',
+         'loss once it is known'),
+        ('edge entropy', f'{known["edge_entropy"]:.1f}', 'nats'),
+        ('route entropy', f'{known["route_entropy"]:.1f}', 'nats'),
+        ('expected length', f'{length:.1f} km',
+         f'{length / shortest:.2f} times the shortest, {shortest:.1f} km'),
+        ('network', f'{status["nodes"]} nodes', f'{status["edges"]} edges'),
+        ('different routes', f'{count_different(paths)} of {len(paths)}', ''),
+        ('seconds', f'{total:.1f}', f'{known["solve_seconds"]:.1f} to plan{later}'),
+    ]
+    return '\n' + '\n'.join(f'{a:<21} {b:>12}   {c}'.rstrip() for a, b, c in rows)
+
+
+def count_different(paths: Sequence[FloatArray]) -> int:
+    """Number of paths (L, 3) that no earlier one equals."""
+    return len({np.ascontiguousarray(path).tobytes() for path in paths})
 
 
 def _positive(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"must be a positive whole number, got {text!r}")
+        raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
     return int(text)
 
 
-def _fail(message: str) -> int:
-    print(f"ambush_demo: {message}", file=sys.stderr)
-    return 1
-
-
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

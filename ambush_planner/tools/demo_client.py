@@ -19,7 +19,7 @@ from std_srvs.srv import Trigger
 
 from ..ros.conversions import occupancy_to_ros, pose_to_ros
 
-FRAME = "map"
+FRAME = 'map'
 # Discovery alone can take more than 3 s.
 DISCOVERY_TIMEOUT = 30.0
 PLANNING_TIMEOUT = 90.0
@@ -51,16 +51,16 @@ class DemoClient:
     def __enter__(self) -> DemoClient:
         self._context = Context()
         rclpy.init(context=self._context, domain_id=self._domain)
-        self._node = rclpy.create_node("ambush_demo", context=self._context)
+        self._node = rclpy.create_node('ambush_demo', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         create = self._node.create_publisher
-        self._map = create(OccupancyGrid, "alpha_map", LATCHED)
-        self._start = create(PoseStamped, "start_pose", LATCHED)
-        self._goal = create(PoseStamped, "goal_pose", LATCHED)
-        self._node.create_subscription(PathMessage, "path", self.paths.append, LATCHED)
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_status, 10)
-        self._new_route = self._node.create_client(Trigger, "/ambush_planner/new_route")
+        self._map = create(OccupancyGrid, 'alpha_map', LATCHED)
+        self._start = create(PoseStamped, 'start_pose', LATCHED)
+        self._goal = create(PoseStamped, 'goal_pose', LATCHED)
+        self._node.create_subscription(PathMessage, 'path', self.paths.append, LATCHED)
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
+        self._new_route = self._node.create_client(Trigger, '/ambush_planner/new_route')
         return self
 
     def __exit__(
@@ -80,7 +80,7 @@ class DemoClient:
             lambda: self._new_route.service_is_ready()
             and all(publisher.get_subscription_count() > 0 for publisher in publishers),
             DISCOVERY_TIMEOUT,
-            "the node was not found",
+            'the node was not found',
         )
 
     def publish_inputs(
@@ -100,9 +100,9 @@ class DemoClient:
         self._start.publish(PoseStamped(header=header, pose=pose_to_ros(*start)))
         self._goal.publish(PoseStamped(header=header, pose=pose_to_ros(*goal)))
         self._wait(
-            lambda: self.status.get("state", "waiting") != "waiting",
+            lambda: self.status.get('state', 'waiting') != 'waiting',
             MESSAGE_TIMEOUT,
-            "the node did not take map, start and goal",
+            'the node did not take map, start and goal',
         )
         return grid
 
@@ -110,21 +110,21 @@ class DemoClient:
         """Ask for a route and return it; raises NoAnswer with the node's reason if it says no."""
         known = len(self.paths)
         future = self._new_route.call_async(Trigger.Request())
-        self._wait(future.done, PLANNING_TIMEOUT, "the node did not answer new_route")
+        self._wait(future.done, PLANNING_TIMEOUT, 'the node did not answer new_route')
         response = future.result()
         if not response.success:
-            raise NoAnswer(f"the node found no route: {response.message}")
+            raise NoAnswer(f'the node found no route: {response.message}')
         self._wait(
-            lambda: len(self.paths) > known, MESSAGE_TIMEOUT, "no path came after new_route"
+            lambda: len(self.paths) > known, MESSAGE_TIMEOUT, 'no path came after new_route'
         )
         return self.paths[-1]
 
     def status_after(self, departures: int) -> dict[str, str]:
         """Return the diagnostics once they count ``departures``; raises NoAnswer."""
         self._wait(
-            lambda: self.status.get("departures") == str(departures),
+            lambda: self.status.get('departures') == str(departures),
             MESSAGE_TIMEOUT,
-            f"the diagnostics did not come to count {departures} departures",
+            f'the diagnostics did not come to count {departures} departures',
         )
         return self.status
 
@@ -133,13 +133,13 @@ class DemoClient:
         while not done():
             self._check()
             if time.monotonic() > deadline:
-                message = self.status.get("message", "")
+                message = self.status.get('message', '')
                 raise NoAnswer(
-                    f"{failure} within {timeout:g} s" + (f"; it says: {message}" if message else "")
+                    f'{failure} within {timeout:g} s' + (f'; it says: {message}' if message else '')
                 )
             self._executor.spin_once(timeout_sec=STEP)
 
     def _on_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name.endswith("ambush_planner"):
+            if status.name.endswith('ambush_planner'):
                 self.status = {value.key: value.value for value in status.values}

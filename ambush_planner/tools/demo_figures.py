@@ -1,28 +1,23 @@
-"""The demo's two pictures: the strategy, and departures beside routes that never change."""
+"""The demo's picture: departures beside routes that never change."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from ..core.planner import Plan
 from ..core.risk_map import RiskMap
+from ..core.strategy import Strategy
 from .figures import (
     AMBUSHER,
     OBSTACLE,
     SECURED_DASHES,
-    FixedRoute,
     FloatArray,
-    draw_ambush_sites,
-    draw_edges,
     draw_ends,
-    draw_fixed_routes,
-    draw_mean_direction,
     draw_risk_map,
     draw_routes,
     draw_secured,
@@ -30,99 +25,100 @@ from .figures import (
 )
 
 DOTS_PER_INCH = 130
-# Arrows across the map's longer side, at most.
-ARROWS = 34
+FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))), ('#117733', (0, (1, 1))))
 
 
-def strategy_figure(risk_map: RiskMap, plan: Plan, secured_radius: float = 0.0) -> Figure:
-    """Left: how likely each edge is driven. Right: which way the convoy tends. On both: ambushes.
+@dataclass(frozen=True, eq=False)
+class FixedRoute:
+    """A route (K, 2) [m] that is driven every time, and the place (2,) of its worst ambush."""
 
-    ``secured_radius`` [m] is the game's, which the plan does not hold.
-    """
-    figure, (left, right) = _two_panels()
-    strategy, network = plan.strategy, plan.network
-    frame(left, risk_map, "How likely the convoy drives where")
-    frame(right, risk_map, "Which way it tends on average")
-    edges = draw_edges(left, network, strategy.edge_probability)
-    spacing = float(np.median(network.lengths))
-    draw_mean_direction(right, strategy, max(max(risk_map.size) / ARROWS, spacing))
-    for axes in (left, right):
-        risk = draw_risk_map(axes, risk_map)
-        draw_ambush_sites(axes, network, strategy.ambush_probability)
-        _draw_ends(axes, plan, secured_radius)
-    for axes, colours, label in (
-        (left, edges, "probability that the convoy drives here"),
-        (right, risk, "loss if the convoy is ambushed here"),
-    ):
-        figure.colorbar(colours, ax=axes, location="bottom", label=label, shrink=0.8, aspect=40)
-    sites = _dot("the ambusher's best places; the larger, the likelier")
-    _legend(figure, [sites, *_secured(secured_radius), _obstacles()])
-    return figure
+    label: str
+    points: FloatArray
+    worst_place: FloatArray
 
 
 def routes_figure(
     risk_map: RiskMap,
-    plan: Plan,
+    strategy: Strategy,
     routes: Sequence[FloatArray],
     fixed: Sequence[FixedRoute],
     secured_radius: float = 0.0,
 ) -> Figure:
     """Left: the routes (K, 2) of departures. Right: routes of planners that leave no choice."""
     figure, (left, right) = _two_panels()
-    loss = f"Whoever knows the strategy causes a mean loss of {plan.strategy.value:.2f} at most"
-    frame(left, risk_map, f"{len(routes)} departures of the random convoy\n{loss}")
+    loss = f'Whoever knows the strategy causes a mean loss of {strategy.value:.2f} at most'
+    frame(left, risk_map, f'{len(routes)} departures of the random convoy\n{loss}')
     frame(
         right,
         risk_map,
-        "The same route every day\nWhoever has seen it waits where it hurts most",
+        'The same route every day\nWhoever has seen it waits where it hurts most',
     )
     draw_routes(left, routes)
-    lines = draw_fixed_routes(right, fixed)
+    lines = _draw_fixed_routes(right, fixed)
     for axes in (left, right):
         risk = draw_risk_map(axes, risk_map)
-        _draw_ends(axes, plan, secured_radius)
+        _draw_ends(axes, strategy, secured_radius)
     figure.colorbar(
         risk,
         ax=[left, right],
-        location="bottom",
-        label="loss if the convoy is ambushed here",
+        location='bottom',
+        label='loss if the convoy is ambushed here',
         shrink=0.4,
         aspect=40,
     )
-    ambush = _dot("ambush on a route that is known")
+    ambush = _dot('ambush on a route that is known')
     _legend(figure, [*lines, ambush, *_secured(secured_radius), _obstacles()])
     return figure
 
 
+def _draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
+    """Draw routes that are driven every time, and where the ambusher then waits."""
+    lines = []
+    for route, (colour, dashes) in zip(routes, FIXED, strict=False):
+        lines += axes.plot(
+            *route.points.T,
+            color=colour,
+            linestyle=dashes,
+            linewidth=2.6,
+            label=route.label,
+            zorder=4,
+        )
+        axes.scatter(
+            *route.worst_place, s=170, color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5
+        )
+    return lines
+
+
 def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
-    figure = Figure(figsize=(15.0, 9.6), dpi=DOTS_PER_INCH, layout="compressed")
+    figure = Figure(figsize=(15.0, 9.6), dpi=DOTS_PER_INCH, layout='compressed')
     # Room for the legend below.
     figure.get_layout_engine().set(rect=(0.0, 0.045, 1.0, 0.955), w_pad=0.08)
     left, right = figure.subplots(1, 2)
     return figure, (left, right)
 
 
-def _draw_ends(axes: Axes, plan: Plan, secured_radius: float) -> None:
-    ends = plan.network.points[[plan.network.source, plan.network.target]]
+def _draw_ends(axes: Axes, strategy: Strategy, secured_radius: float) -> None:
+    network = strategy.network
+    ends = network.points[[network.source, network.target]]
     if secured_radius > 0.0:
         draw_secured(axes, ends, secured_radius)
     draw_ends(axes, *ends)
 
 
 def _legend(figure: Figure, handles: list[Line2D | Patch]) -> None:
-    figure.legend(handles=handles, loc="lower center", ncol=len(handles), handlelength=2.6)
+    figure.legend(handles=handles, loc='lower center', ncol=len(handles), handlelength=2.6)
 
 
 def _dot(label: str) -> Line2D:
-    look = {"marker": "o", "markersize": 10, "color": AMBUSHER, "markeredgecolor": "white"}
-    return Line2D([], [], linestyle="none", label=label, **look)
+    look = {'marker': 'o', 'markersize': 10, 'color': AMBUSHER, 'markeredgecolor': 'white'}
+    return Line2D([], [], linestyle='none', label=label, **look)
 
 
 def _secured(radius: float) -> list[Line2D]:
-    label = "secured ground: nobody can wait here"
-    line = Line2D([], [], color="black", linewidth=1.2, linestyle=SECURED_DASHES, label=label)
+    label = 'secured ground: nobody can wait here'
+    line = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES, label=label)
     return [line] if radius > 0.0 else []
 
 
 def _obstacles() -> Patch:
-    return Patch(color=OBSTACLE, label="obstacle")
+    return Patch(color=OBSTACLE, label='obstacle')

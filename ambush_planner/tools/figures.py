@@ -1,4 +1,4 @@
-"""Pictures of risk maps, strategies and routes: panels to combine, and the demo's two figures.
+"""Layers of pictures of risk maps, strategies and routes.
 
 Every ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` gives the axes
 the map's extent and ticks in km or m. Grey is risk, black ground is impassable, blue is the convoy,
@@ -8,7 +8,6 @@ orange the ambusher: told apart by colour-blind readers too.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.image import AxesImage
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -24,34 +22,21 @@ from matplotlib.transforms import Affine2D
 
 from ..core.network import Network
 from ..core.risk_map import RiskMap
-from ..core.strategy import Strategy
 
 FloatArray = npt.NDArray[np.float64]
 
-OBSTACLE = "#1c1714"
-AMBUSHER = "#e66100"
-RISK = LinearSegmentedColormap.from_list("risk", ["#ffffff", "#848484"])
+OBSTACLE = '#1c1714'
+AMBUSHER = '#e66100'
+RISK = LinearSegmentedColormap.from_list('risk', ['#ffffff', '#848484'])
 PROBABILITY = LinearSegmentedColormap.from_list(
-    "probability", ["#7fb8e6", "#2f7fd0", "#1146b0", "#14075c"]
+    'probability', ['#7fb8e6', '#2f7fd0', '#1146b0', '#14075c']
 )
 # Paul Tol's vibrant and muted schemes, without the orange of the ambusher and the greys.
-ROUTES = ("#0077bb", "#cc3311", "#009988", "#ee3377", "#332288", "#33bbee", "#117733", "#882255")
-FIXED = (("#332288", "-"), ("#cc3377", (0, (3, 1.2))), ("#117733", (0, (1, 1))))
+ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
 # Edges that are driven less often than this are left out of pictures.
 LEAST_PROBABILITY = 1e-3
-# Squares that are visited less often than this, relative to the busiest, get no arrow.
-LEAST_SHARE = 2e-3
 SECURED_DASHES = (0, (4, 3))
-HALO = [Stroke(linewidth=3.0, foreground="white"), Normal()]
-
-
-@dataclass(frozen=True, eq=False)
-class FixedRoute:
-    """A route (K, 2) [m] that is driven every time, and the place (2,) of its worst ambush."""
-
-    label: str
-    points: FloatArray
-    worst_place: FloatArray
+HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 
 
 def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
@@ -59,14 +44,14 @@ def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
     width, height = risk_map.size
     corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
     (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    unit, scale = ("km", 1000.0) if max(width, height) >= 2000.0 else ("m", 1.0)
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
+    unit, scale = ('km', 1000.0) if max(width, height) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / scale:g}"))
-    axes.set_xlabel(f"x [{unit}]")
-    axes.set_ylabel(f"y [{unit}]")
-    axes.set_title(title, fontsize="large", loc="left", linespacing=1.4)
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
+    axes.set_xlabel(f'x [{unit}]')
+    axes.set_ylabel(f'y [{unit}]')
+    axes.set_title(title, fontsize='large', loc='left', linespacing=1.4)
 
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
@@ -75,10 +60,10 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     x, y, yaw = risk_map.origin
     image = axes.imshow(
         np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-        origin="lower",
+        origin='lower',
         extent=(0.0, width, 0.0, height),
         cmap=RISK.with_extremes(bad=OBSTACLE),
-        interpolation="nearest",
+        interpolation='nearest',
         zorder=0,
     )
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
@@ -99,75 +84,33 @@ def draw_edges(
     widths: tuple[float, float] = (0.5, 3.0),
 ) -> LineCollection:
     """Draw the edges that are driven: the likelier, the darker and the wider, and on top."""
+    return draw_segments(axes, network.points[network.edges], probability, scale, widths)
+
+
+def draw_segments(
+    axes: Axes,
+    segments: FloatArray,
+    probability: npt.ArrayLike,
+    scale: Normalize | None = None,
+    widths: tuple[float, float] = (0.5, 3.0),
+) -> LineCollection:
+    """Draw stretches (K, 2, 2) as ``draw_edges`` does."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)
-    shown = shown[np.argsort(p[shown], kind="stable")]
+    shown = shown[np.argsort(p[shown], kind='stable')]
     thin, thick = widths
     lines = LineCollection(
-        network.points[network.edges[shown]],
+        segments[shown],
         array=p[shown],
         cmap=PROBABILITY,
         norm=scale,
         linewidths=thin + (thick - thin) * np.asarray(scale(p[shown])) ** 2,
-        capstyle="round",
+        capstyle='round',
         zorder=2,
     )
     axes.add_collection(lines)
     return lines
-
-
-def binned_directions(
-    points: FloatArray, direction: FloatArray, weight: FloatArray, size: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Average mean directions over squares of edge ``size`` [m].
-
-    Returns, for each square that holds weight, the centre of its weight (K, 2), the weighted mean
-    direction (K, 2) and its share of the largest weight (K,).
-    """
-    used = weight > 0.0
-    points, direction, weight = points[used], direction[used], weight[used]
-    if len(points) == 0:
-        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
-    square = np.floor(points / size).astype(np.int64)
-    _, index = np.unique(square, axis=0, return_inverse=True)
-    index = index.reshape(-1)
-    total = np.bincount(index, weights=weight)
-
-    def mean(values: FloatArray) -> FloatArray:
-        sums = [np.bincount(index, weights=weight * column) for column in values.T]
-        return np.stack(sums, axis=1) / total[:, None]
-
-    return mean(points), mean(direction), total / total.max()
-
-
-def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
-    """Draw which way the convoy leaves the ground, averaged over squares of edge ``size`` [m].
-
-    An arrow is long where the direction is certain, and dark where the convoy often comes.
-    """
-    places, directions, share = binned_directions(
-        strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
-    )
-    shown = share >= LEAST_SHARE
-    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
-    axes.quiver(
-        *places[shown].T,
-        *(directions[shown] * size * 1.15).T,
-        np.asarray(often)[shown],
-        cmap=PROBABILITY,
-        clim=(0.0, 1.0),
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        pivot="mid",
-        units="xy",
-        width=size * 0.13,
-        headwidth=3.6,
-        headlength=3.6,
-        headaxislength=3.2,
-        zorder=3,
-    )
 
 
 def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) -> None:
@@ -177,9 +120,9 @@ def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) 
     axes.scatter(
         *network.points[sites].T,
         s=20.0 + 110.0 * q[sites] / q[sites].max(initial=0.0),
-        marker="o",
+        marker='o',
         color=AMBUSHER,
-        edgecolors="white",
+        edgecolors='white',
         linewidths=0.9,
         zorder=5,
     )
@@ -187,17 +130,17 @@ def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) 
 
 def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike) -> None:
     """Mark the start with a square and the goal with a star, each with its name."""
-    for place, marker, size, name in ((start, "s", 90, "start"), (goal, "*", 260, "goal")):
+    for place, marker, size, name in ((start, 's', 90, 'start'), (goal, '*', 260, 'goal')):
         x, y = np.asarray(place, dtype=np.float64)
-        axes.scatter(x, y, s=size, marker=marker, color="#ffd92f", edgecolors="black", zorder=7)
+        axes.scatter(x, y, s=size, marker=marker, color='#ffd92f', edgecolors='black', zorder=7)
         axes.annotate(
             name,
             (x, y),
             xytext=(0, -10),
-            textcoords="offset points",
-            ha="center",
-            va="top",
-            weight="bold",
+            textcoords='offset points',
+            ha='center',
+            va='top',
+            weight='bold',
             path_effects=HALO,
             zorder=8,
         )
@@ -206,37 +149,21 @@ def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike) -> None:
 def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
     """Draw the circles of ``radius`` [m] around places (K, 2) in which nobody can wait."""
     for centre in np.asarray(centres, dtype=np.float64):
-        circle = Circle(centre, radius, fill=False, edgecolor="black", linestyle=SECURED_DASHES)
+        circle = Circle(centre, radius, fill=False, edgecolor='black', linestyle=SECURED_DASHES)
         circle.set(linewidth=1.2, zorder=6)
         axes.add_patch(circle)
 
 
-def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
+def draw_routes(
+    axes: Axes, routes: Sequence[FloatArray], colours: Sequence[str] = ROUTES
+) -> None:
     """Draw routes (K, 2) as lines of different colours with a white edge."""
     for k, route in enumerate(routes):
         axes.plot(
             *np.asarray(route).T,
-            color=ROUTES[k % len(ROUTES)],
+            color=colours[k % len(colours)],
             linewidth=1.9,
             path_effects=HALO,
-            solid_joinstyle="round",
+            solid_joinstyle='round',
             zorder=4,
         )
-
-
-def draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
-    """Draw routes that are driven every time, and where the ambusher then waits."""
-    lines = []
-    for route, (colour, dashes) in zip(routes, FIXED, strict=False):
-        lines += axes.plot(
-            *route.points.T,
-            color=colour,
-            linestyle=dashes,
-            linewidth=2.6,
-            label=route.label,
-            zorder=4,
-        )
-        axes.scatter(
-            *route.worst_place, s=170, color=AMBUSHER, edgecolors="white", linewidths=0.9, zorder=5
-        )
-    return lines

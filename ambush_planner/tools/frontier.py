@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import exit_code
+from . import cli
+from .frontier_run import run_frontier
 
 EPILOG = """\
 MAP is a YAML file that map_server reads (ambush_terrain makes such maps), or an npz file with alpha
@@ -17,49 +18,41 @@ set. The table has a row for each: value and lower_bound, expected_length [m], e
 [loss x m], route_entropy [nats], and error where there is no strategy. Beside TABLE.csv it writes
 TABLE.png, to choose by looking. Options have the names of the node's parameters (map., network.,
 game., strategy.), and the defaults of the Python functions.
-Exit code: 0; 1 if a row has no strategy, or anything could not be read or written; 2 wrong usage.
-"""
+A row without a strategy is a finding.
+--json: {"verdict", "table", "rows": [{...}]}
+""" + cli.EXIT_CODES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write table and picture and return the exit code."""
-    options = _parser().parse_args(arguments)
-
-    def run() -> bool:
-        from .frontier_run import run_frontier
-
-        return run_frontier(options)
-
-    return exit_code('ambush_frontier', 'figures', run)
+    return cli.run(parser(), run_frontier, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='ambush_frontier',
-        description='Value, length, exposure and entropy over the budgets.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'frontier', 'Value, length, exposure and entropy over the budgets.', EPILOG
     )
-    parser.add_argument('map', type=Path, metavar='MAP', help='the risk map, yaml or npz')
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map, yaml or npz')
     place = {'type': float, 'nargs': 2, 'required': True, 'metavar': ('X', 'Y')}
-    parser.add_argument('--start', help='world position [m]', **place)
-    parser.add_argument('--goal', help='world position [m]', **place)
-    parser.add_argument(
+    made.add_argument('--start', help='world position [m]', **place)
+    made.add_argument('--goal', help='world position [m]', **place)
+    made.add_argument(
         '-o', '--output', type=Path, required=True, metavar='TABLE.csv', help='the table to write'
     )
-    parser.add_argument(
+    made.add_argument(
         '--detours', type=float, nargs='+', metavar='D',
         help='expected lengths over the shortest (default: 1.02 to 1.5)',
     )
-    parser.add_argument(
+    made.add_argument(
         '--slacks', type=float, nargs='+', metavar='E',
         help='shares of the value given up for unpredictability (default: 0 to 0.3)',
     )
-    parser.add_argument(
+    made.add_argument(
         '--set', nargs='+', default=[], metavar='NAME=VALUE',
         help='options, such as network.spacing=50 game.ambush_radius=100',
     )
-    return parser
+    return made
 
 
 if __name__ == '__main__':

@@ -18,6 +18,7 @@ from ..core.errors import InvalidOption, InvalidRiskMap
 from ..core.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from ..terrain.map_file import read_map
+from . import cli
 from .frontier_figure import frontier_figure, over
 from .table_file import private
 from .table_options import options_from
@@ -25,8 +26,8 @@ from .table_options import options_from
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 
 
-def run_frontier(arguments: argparse.Namespace) -> bool:
-    """Write the table and its picture; True if each row has a strategy."""
+def run_frontier(arguments: argparse.Namespace, console: cli.Console) -> int:
+    """Write the table and its picture; a row without a strategy is a finding."""
     options = options_from(arguments.set)
     picture = arguments.output.with_suffix('.png')
     if picture == arguments.output:
@@ -40,9 +41,17 @@ def run_frontier(arguments: argparse.Namespace) -> bool:
         options.strategy, _show_progress,
     )
     write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
-    print(table_text(rows))
-    print(f'\n{arguments.output}, {picture.name}: {len(network.points)} nodes')
-    return not any(row.error for row in rows)
+    failed = any(row.error for row in rows)
+    console.line(table_text(rows))
+    console.line(
+        f'\n{cli.place(arguments.output)}, {picture.name}: {len(network.points)} nodes'
+    )
+    console.result = {
+        'verdict': 'finding' if failed else 'holds',
+        'table': cli.place(arguments.output),
+        'rows': [asdict(row) for row in rows],
+    }
+    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
 def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:

@@ -39,7 +39,7 @@ def free_domain() -> int:
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         if is_free(domain):
             return domain
-    raise NodeFailed("no ROS domain id is free on this machine")
+    raise NodeFailed('no ROS domain id is free on this machine')
 
 
 def is_free(domain: int) -> bool:
@@ -56,7 +56,7 @@ def is_free(domain: int) -> bool:
 def _can_bind(port: int) -> bool:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
-            probe.bind(("", port))
+            probe.bind(('', port))
         except OSError:
             return False
     return True
@@ -76,19 +76,19 @@ class NodeProcess:
 
     def __init__(self, parameters: Mapping[str, object], domain: int, log: Path) -> None:
         self._log = log
-        self._arguments = ["--ros-args", "--log-level", "warn"]
+        self._arguments = ['--ros-args', '--log-level', 'warn']
         for name, value in parameters.items():
             # JSON is YAML, which ROS reads parameters as, with all quotes in place.
-            self._arguments += ["-p", f"{name}:={json.dumps(value)}"]
+            self._arguments += ['-p', f'{name}:={json.dumps(value)}']
         # A crash in native code leaves a traceback in the log.
-        extra = {"ROS_DOMAIN_ID": str(domain), "PYTHONFAULTHANDLER": "1"}
+        extra = {'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'}
         self._environment = {**os.environ, **extra}
         self.seconds_to_stop = 0.0
 
     def __enter__(self) -> NodeProcess:
-        with self._log.open("wb") as log:
+        with self._log.open('wb') as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "ambush_planner.ros.planner_node", *self._arguments],
+                [sys.executable, '-m', 'ambush_planner.ros.planner_node', *self._arguments],
                 env=self._environment,
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -106,7 +106,7 @@ class NodeProcess:
     ) -> None:
         code = self._stop()
         if error is None and code != 0:
-            raise NodeFailed(f"the node ended with exit code {code} on SIGINT{self._last_words()}")
+            raise NodeFailed(f'the node ended with exit code {code} on SIGINT{self._last_words()}')
 
     @property
     def pid(self) -> int:
@@ -117,7 +117,7 @@ class NodeProcess:
         """Raise NodeFailed if the node has ended."""
         code = self._process.poll()
         if code is not None:
-            raise NodeFailed(f"the node ended early, exit code {code}{self._last_words()}")
+            raise NodeFailed(f'the node ended early, exit code {code}{self._last_words()}')
 
     def _stop(self) -> int:
         begin = time.monotonic()
@@ -131,5 +131,5 @@ class NodeProcess:
         return code
 
     def _last_words(self) -> str:
-        lines = self._log.read_text(errors="replace").splitlines()[-LOG_LINES:]
-        return "; its last words:\n" + "\n".join(lines) if lines else ""
+        lines = self._log.read_text(errors='replace').splitlines()[-LOG_LINES:]
+        return '; its last words:\n' + '\n'.join(lines) if lines else ''

@@ -5,102 +5,292 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Sequence
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 
-from .command_line import parser_of
+import rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
+from ..core.errors import AmbushPlannerError
+from ..recording import RecordedMessage, UnreadableRecording, read_departure, recordings_in
+from ..review.case import INPUT_TYPES
+from . import cli
+from .replay_player import (
+    CannotPublish,
+    Channel,
+    Player,
+    Stop,
+    check_channels,
+    qos_from_yaml,
+    sleep_until,
+)
+
+NODE_NAME = 'ambush_replay'
 EPILOG = """\
 The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
-recorded distances in time, long pauses too, such as a clock makes that was set meanwhile: each is
-told with the --start-at that skips it. The files of a folder follow each other in one timeline.
-Publishers are made first and wait for listeners on each topic: up to 5 s, or 1 s where
-only some are listened to; with --inputs-only up to 10 s. Calls of services go out as what they
-were recorded as, messages on <service>/_service_event; nobody is called. Latched messages are
-kept for late joiners until the command ends, when all that listen have all (30 s later if not):
-use --loop for more.
-After --ros-args follow remapping and node options as for any ROS executable, for example
+recorded distances in time; from one departure to the next it is --every seconds. Publishers are
+made first and wait for listeners on each topic: up to 5 s, or 1 s where only some are listened to;
+with --inputs-only up to 10 s. Calls of services go out as what they were recorded as, messages on
+<service>/_service_event; nobody is called. Latched messages are kept for late joiners until the
+command ends, when all that listen have all (30 s later if not), or until Ctrl-C with --keep.
+Topics to publish, by the names they were recorded under, follow --; remapping and node options
+follow --ros-args, as for any ROS executable:
+  ambush_replay FOLDER --keep -- /alpha_map /path
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
-Exit code: 0, also after Ctrl-C; 1 if a file could not be read (the others are published) or there
-is nothing to publish; 2 wrong usage.
-"""
+--json: {"verdict", "published": {topic: messages}, "unreadable"}
+""" + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
+# Discovery takes up to 3.3 s, and RViz listens to some topics only; a planner that is to be fed may
+# just be starting, and needs all inputs.
+_DISCOVERY, _PATIENCE = 5.0, 1.0  # s
+_DISCOVERY_OF_INPUTS = 10.0  # s
+# A message is lost to a listener that lacks it when its publisher goes. A loaded machine may take
+# seconds; one that died without a word is forgotten by then.
+_LAST_RECEIPTS = 30.0  # s
+
+
+class NothingToPublish(AmbushPlannerError):
+    """The recordings have no message that was asked for."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Replay recordings and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    own, topics, for_ros = _split(given)
+
+    def work(options: argparse.Namespace, console: cli.Console) -> int:
+        with Stop() as stop:
+            return _Replay(options, topics, console, stop).run(for_ros)
+
+    return cli.run(parser(), work, own)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'replay', 'Publish recorded departures again, for RViz or for a running planner.', EPILOG
+    )
+    made.usage = '%(prog)s [options] FILE_OR_FOLDER [-- TOPIC ...] [--ros-args ...]'
+    cli.add_recordings(made)
+    made.add_argument(
+        '-e', '--every', type=_not_negative, default=5.0, metavar='SECONDS',
+        help='from one departure to the next (default: %(default)s)',
+    )
+    made.add_argument(
+        '-d', '--departure', type=int, metavar='N',
+        help='only the one of this number, from 1; from the end if negative',
+    )
+    made.add_argument(
+        '-r', '--rate', type=_positive, default=1.0,
+        help='how many times as fast as it was recorded (default: %(default)s)',
+    )
+    made.add_argument(
+        '-l', '--loop', action='store_true', help='begin anew after the end, until Ctrl-C'
+    )
+    made.add_argument(
+        '-k', '--keep', action='store_true', help='keep latched messages there until Ctrl-C'
+    )
+    made.add_argument(
+        '--inputs-only', action='store_true',
+        help='publish only map, start and goal, so that a running planner can be fed',
+    )
+    return made
+
+
+class _Replay:
+    """Publishers first, then message after message in time."""
+
+    def __init__(
+        self, options: argparse.Namespace, topics: Sequence[str], console: cli.Console, stop: Stop
+    ) -> None:
+        self._options, self._topics = options, topics
+        self._console, self._going_on = console, stop.going_on
+        self._unreadable: dict[Path, str] = {}
+        self._published: Counter[str] = Counter()
+
+    def run(self, for_ros: Sequence[str]) -> int:
+        """Publish what was recorded, and return the exit code.
+
+        Raises
+        ------
+        UnreadableRecording, NothingToPublish, CannotPublish
+            There is nothing to read, or nothing that can be published.
+        cli.UsageError
+            What stands after --ros-args cannot be followed.
+        """
+        node = None
+        try:
+            _init(for_ros)
+            files = self._files()
+            if self._going_on():
+                node = Node(NODE_NAME, start_parameter_services=False)
+                self._play(node, files)
+        finally:
+            if node is not None:
+                node.destroy_node()
+            rclpy.try_shutdown()
+        code = cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
+        self._console.result = {
+            'verdict': code.name.lower(), 'published': dict(self._published),
+            'unreadable': list(self._unreadable.values()),
+        }
+        return code
+
+    def _files(self) -> dict[Path, set[Channel]]:
+        """The files to be played, with their channels."""
+        paths = recordings_in(self._options.recordings)
+        if (number := self._options.departure) is not None:
+            if not (0 < number <= len(paths) or 0 < -number <= len(paths)):
+                raise NothingToPublish(f'there are {cli.count(len(paths), "departure")}')
+            paths = [paths[number - (number > 0)]]
+        found = {}
+        for path in self._console.progress(paths, 'read'):
+            if not self._going_on():
+                break
+            if messages := self._messages(path):
+                found[path] = set(map(Channel.of, messages))
+        if not found and self._going_on():
+            raise NothingToPublish('none of the recordings can be read')
+        return found
+
+    def _messages(self, path: Path) -> Sequence[RecordedMessage]:
+        try:
+            messages = read_departure(path).messages
+            check_channels(path, set(map(Channel.of, messages)))
+            return messages
+        except UnreadableRecording as error:
+            if path not in self._unreadable:
+                self._unreadable[path] = str(error)
+                self._console.error(error)
+            return ()
+
+    def _play(self, node: Node, files: dict[Path, set[Channel]]) -> None:
+        channels = self._wanted(files)
+        _check_types(node, channels)
+        player = Player(node)
+        for channel in channels:
+            player.advertise(channel, channel.topic, channel.type, qos_from_yaml(channel.qos))
+        self._console.say(f'{cli.count(len(files), "departure")}')
+        longest, patience = _DISCOVERY, _PATIENCE
+        if self._options.inputs_only:
+            longest = patience = _DISCOVERY_OF_INPUTS
+        if unheard := player.wait_for_listeners(longest, patience, self._going_on):
+            self._console.say(f'nobody listens to {", ".join(unheard)}')
+        while self._round(files, player) and self._options.loop:
+            self._console.say('again from the beginning')
+        lacking = player.wait_until_received(_LAST_RECEIPTS, self._going_on)
+        if lacking and self._going_on():
+            self._console.say(f'not everybody who listens has everything on {", ".join(lacking)}')
+        if self._options.keep and self._going_on():
+            self._console.say('all is published; Ctrl-C ends it')
+            sleep_until(math.inf, self._going_on)
+
+    def _round(self, files: Iterable[Path], player: Player) -> bool:
+        """Publish everything once; return False if it was cut short, or nothing is left."""
+        published, due = False, time.monotonic()
+        for path in files:
+            messages = [each for each in self._messages(path) if self._wants(Channel.of(each))]
+            if not messages:
+                continue
+            if published and not sleep_until(due, self._going_on):
+                return False
+            begin, first = time.monotonic(), messages[0].stamp_ns
+            for each in messages:
+                at = begin + (each.stamp_ns - first) / 1e9 / self._options.rate
+                if not sleep_until(at, self._going_on):
+                    return False
+                player.publish(Channel.of(each), each.data)
+                self._published[each.topic] += 1
+            published, due = True, max(begin + self._options.every, time.monotonic())
+            self._console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
+        if not published:
+            self._console.say('nothing was published')
+        elif self._options.loop:
+            return sleep_until(due, self._going_on)
+        return published
+
+    def _wants(self, channel: Channel) -> bool:
+        named = not self._topics or channel.topic in self._topics
+        return named and (channel.type in INPUT_TYPES or not self._options.inputs_only)
+
+    def _wanted(self, files: dict[Path, set[Channel]]) -> list[Channel]:
+        """Return the channels that are to be published, in a fixed order."""
+        known = set().union(*files.values())
+        topics = sorted({channel.topic for channel in known})
+        for topic in self._topics:
+            if topic not in topics:
+                raise NothingToPublish(
+                    f'nothing is recorded on {topic[:60]!r}, only on {", ".join(topics)}'
+                )
+        wanted = sorted(filter(self._wants, known), key=lambda c: (c.topic, c.type, c.qos))
+        if not wanted:
+            raise NothingToPublish('none of these topics is an input')
+        return wanted
+
+
+def _split(arguments: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
+    """Return the command's own arguments, the topics after --, and those from --ros-args on."""
+    place = _index(arguments, '--ros-args')
+    own, for_ros = list(arguments[:place]), list(arguments[place:])
     try:
-        return _replay(given)
-    except KeyboardInterrupt:
-        # Before the command's own handling of signals.
-        return 0
+        own += remove_ros_args([NODE_NAME, *for_ros])[1:]
+    except (RuntimeError, UnicodeError):
+        pass  # said when ROS is given them
+    place = _index(own, '--')
+    return own[:place], own[place + 1 :], for_ros
 
 
-def _replay(given: list[str]) -> int:
+def _index(arguments: Sequence[str], mark: str) -> int:
+    return arguments.index(mark) if mark in arguments else len(arguments)
+
+
+def _init(for_ros: Sequence[str]) -> None:
     try:
-        # Here, so that --help and the message below need no ROS.
-        from .replay_run import FAILURES, Replay, WrongArguments, run_replay, split_arguments
-    except ModuleNotFoundError as error:
-        _parser().parse_known_args(given)
-        package = str(error.name).partition(".")[0]
-        return _fail(f"{package} is not installed; try: pip install 'ambush_planner[jazzy]'")
-    try:
-        own, for_ros = split_arguments(given)
-        return run_replay(Replay(**vars(_parser().parse_args(own))), for_ros)
-    except WrongArguments as error:
-        _parser().error(str(error))
-    except FAILURES as error:
-        return _fail(str(error))
+        rclpy.init(args=[NODE_NAME, *for_ros], signal_handler_options=SignalHandlerOptions.NO)
+    except (RuntimeError, UnicodeError) as error:
+        # Names of files need not be UTF-8, and ROS takes nothing else.
+        raise cli.UsageError(f'after --ros-args: {error}') from error
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = parser_of(
-        "ambush_replay",
-        "Publish recorded departures again, for RViz or for a running planner.",
-        EPILOG,
-    )
-    parser.add_argument(
-        "-r", "--rate", type=_positive, default=1.0,
-        help="how many times as fast as it was recorded (default: %(default)s)",
-    )
-    parser.add_argument(
-        "-l", "--loop", action="store_true", help="begin anew a second after the end, until Ctrl-C"
-    )
-    parser.add_argument(
-        "--topics", nargs="+", metavar="TOPIC", default=[],
-        help="publish only these, by the names they were recorded under",
-    )
-    parser.add_argument(
-        "--inputs-only", action="store_true",
-        help="publish only map, start and goal, so that a running planner can be fed",
-    )
-    parser.add_argument(
-        "--start-at", type=_not_negative, default=0.0, metavar="SECONDS",
-        help="begin this long after the first message, without what comes before",
-    )
-    return parser
+def _check_types(node: Node, channels: Iterable[Channel]) -> None:
+    """Raise where a name would have two types: a node can publish only one."""
+    first: dict[str, Channel] = {}
+    for channel in channels:
+        name = node.resolve_topic_name(channel.topic)
+        other = first.setdefault(name, channel)
+        types = f'{other.type} and {channel.type}'
+        if other.type == channel.type:
+            continue
+        if other.topic != channel.topic:
+            raise cli.UsageError(
+                f'{other.topic} and {channel.topic} would both be {name}, as {types}'
+            )
+        raise CannotPublish(
+            f'{channel.topic} is recorded as {types}, and a node can publish only one of them; '
+            'name the other topics after --, or replay the files one by one'
+        )
 
 
 def _positive(text: str) -> float:
-    number = _not_negative(text)
-    if number == 0.0:
-        raise argparse.ArgumentTypeError("must be over 0")
-    return number
+    return _number(text, lambda number: 0.0 < number < math.inf, 'over 0')
 
 
 def _not_negative(text: str) -> float:
+    return _number(text, lambda number: 0.0 <= number < math.inf, 'from 0')
+
+
+def _number(text: str, good: Callable[[float], bool], what: str) -> float:
     try:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not 0.0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"must be a number from 0, got {text!r}")
+    if not good(number):
+        raise argparse.ArgumentTypeError(f'must be a number {what}, got {text!r}')
     return number
 
 
-def _fail(message: str) -> int:
-    print(f"ambush_replay: {message}", file=sys.stderr)
-    return 1
-
-
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

@@ -5,49 +5,116 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from .command_line import exit_code, parser_of
+from ..recording import recordings_in
+from ..review.chain import together
+from . import cli
+from .audit import read_all
+from .report_figures import as_png, ground_figure, routes_figure, strategy_figure
+from .report_page import page
+from .report_sections import Section, sections_of
+from .verify import verify_files
 
+PAGE = 'report.html'
 EPILOG = """\
 The page, report.html, has the map, the strategy, the routes, how they compare with planners that
-leave no choice, and what is promised, in words. It holds its pictures itself, needs no network and
-runs no scripts. It shows secret routes: it has mode 0600, a new folder 0700.
-Exit code: 0; 1 if anything could not be read or written; 2 wrong usage.
-"""
+leave no choice, and what is promised, in words; a section for a map and a pair of places. It holds
+its pictures itself, needs no network and runs no scripts. It shows secret routes: it has mode
+0600, a new folder 0700. It says "verified" only with --verify, which plans and draws every
+departure again, as ambush_verify does.
+--json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
+""" + cli.EXIT_CODES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the report and return the exit code."""
-    options = _parser().parse_args(arguments)
-
-    def run() -> bool:
-        from .report_run import run_report
-
-        return run_report(options.recordings, options.output, options.replace)
-
-    return exit_code("ambush_report", "jazzy,figures", run)
+    return cli.run(parser(), _work, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = parser_of(
-        "ambush_report",
-        "Recorded departures on one HTML page, for people without RViz or Foxglove.",
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'report', 'Recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        type=Path,
-        required=True,
-        metavar="DIR",
-        help="where report.html goes; made if missing",
+    cli.add_recordings(made)
+    cli.add_output(made, PAGE)
+    made.add_argument(
+        '--verify', action='store_true', help='verify the recordings, and say what was found'
     )
-    parser.add_argument(
-        "--replace", action="store_true", help="replace the report.html that DIR holds already"
-    )
-    return parser
+    return made
 
 
-if __name__ == "__main__":
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A report: how it went, the trips that are in it, how many files could not be read."""
+
+    code: cli.Exit
+    sections: list[Section]
+    unreadable: int
+
+
+def write_report(place: Path, output: Path, verify: bool, console: cli.Console) -> Written:
+    """Write the page for the recordings that ``place`` stands for.
+
+    Raises
+    ------
+    AmbushPlannerError, OSError
+        What went wrong, in words for the user.
+    """
+    departures, unreadable = read_all(place, console)
+    for error in unreadable:
+        console.error(error)
+    if not departures:
+        console.error('no recording could be read, so there is no report')
+        return Written(cli.Exit.UNREADABLE, [], len(unreadable))
+    verdicts, faults = [], []
+    if verify:
+        verdicts = verify_files(recordings_in(place), console)
+        if place.is_dir():
+            faults, _ = together(verdicts)
+    sections = sections_of(departures)
+    drawn = [(each, _pictures(each)) for each in console.progress(sections, 'drawn')]
+    html = page(drawn, len(unreadable), verdicts, faults)
+    cli.write_private(output, {PAGE: html.encode()})
+    wrong = bool(faults) or any(each.readable and not each.holds for each in verdicts)
+    code = cli.Exit.FINDING if wrong else (
+        cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
+    )
+    return Written(code, sections, len(unreadable))
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> int:
+    if options.output is None:
+        raise cli.UsageError('-o DIR says where the page goes')
+    cli.refuse_existing(options.output, [PAGE], options.replace)
+    written = write_report(options.recordings, options.output, options.verify, console)
+    page_place = cli.place(options.output / PAGE) if written.sections else None
+    if page_place:
+        console.line(page_place)
+        console.line('It shows secret routes; only this user can read it.')
+    console.result = {
+        'verdict': written.code.name.lower(), 'page': page_place,
+        'departures': sum(len(each.departures) for each in written.sections),
+        'sections': len(written.sections), 'unreadable': written.unreadable,
+        'verified': written.code == cli.Exit.HOLDS if options.verify else None,
+    }
+    return written.code
+
+
+def _pictures(section: Section) -> list[bytes]:
+    risk_map, strategy = section.risk_map, section.strategy
+    secured = section.departures[-1].parameters.planning.game.secured_radius
+    routes = [each.strategy.network.points[each.route] for each in section.departures]
+    figures = (
+        ground_figure(risk_map, strategy, secured),
+        strategy_figure(risk_map, strategy, secured),
+        routes_figure(risk_map, strategy, routes, section.colours(), secured),
+    )
+    return [as_png(figure) for figure in figures]
+
+
+if __name__ == '__main__':
     sys.exit(main())

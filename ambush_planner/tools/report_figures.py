@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 
 import numpy as np
@@ -16,12 +16,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 
-from ..core.risk_map import FloatArray, RiskMap
+from ..core.arrays import FloatArray
+from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from .figures import (
     AMBUSHER,
     OBSTACLE,
-    ROUTES,
     SECURED_DASHES,
     draw_ambush_sites,
     draw_edges,
@@ -36,10 +36,10 @@ from .figures import (
 WIDTH = 7.0
 DOTS_PER_INCH = 140
 # On the first picture risk is all there is to see; on the others it stands back, in grey.
-DANGER = LinearSegmentedColormap.from_list("danger", ["#fffdf5", "#fdd49e", "#ef6548", "#990000"])
+DANGER = LinearSegmentedColormap.from_list('danger', ['#fffdf5', '#fdd49e', '#ef6548', '#990000'])
 FADED = 0.65
-# Of these the colours can be told apart; earlier routes are drawn in one thin line each.
-COLOURED = len(ROUTES)
+# Of routes that have no colour of their own.
+THIN = '#33557f'
 
 
 def as_png(figure: Figure) -> bytes:
@@ -47,11 +47,11 @@ def as_png(figure: Figure) -> bytes:
     stream = BytesIO()
     figure.savefig(
         stream,
-        format="png",
+        format='png',
         dpi=DOTS_PER_INCH,
-        bbox_inches="tight",
+        bbox_inches='tight',
         pad_inches=0.08,
-        metadata={"Software": None},
+        metadata={'Software': None},
     )
     return stream.getvalue()
 
@@ -61,7 +61,7 @@ def ground_figure(risk_map: RiskMap, strategy: Strategy, secured_radius: float) 
     figure, axes = _panel(risk_map, 1.3)
     risk = _ground(axes, risk_map, strategy, secured_radius)
     risk.set(cmap=DANGER.with_extremes(bad=OBSTACLE), alpha=1.0)
-    _bar(figure, axes, risk, "loss if the convoy is ambushed here: the darker, the worse")
+    _bar(figure, axes, risk, 'loss if the convoy is ambushed here: the darker, the worse')
     _legend(figure, [_obstacles(1.0), *_secured(secured_radius)])
     return figure
 
@@ -74,29 +74,35 @@ def strategy_figure(risk_map: RiskMap, strategy: Strategy, secured_radius: float
     waits = []
     if strategy.value > 0.0:
         draw_ambush_sites(axes, strategy.network, strategy.ambush_probability)
-        look = {"marker": "o", "markersize": 10, "color": AMBUSHER, "markeredgecolor": "white"}
-        label = "here the best ambusher waits"
-        waits = [Line2D([], [], linestyle="none", label=label, **look)]
-    bar = _bar(figure, axes, edges, "chance that a departure drives here")
-    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda p, _: f"{100.0 * p:.3g} %"))
+        look = {'marker': 'o', 'markersize': 10, 'color': AMBUSHER, 'markeredgecolor': 'white'}
+        label = 'here the best ambusher waits'
+        waits = [Line2D([], [], linestyle='none', label=label, **look)]
+    bar = _bar(figure, axes, edges, 'chance that a departure drives here')
+    bar.ax.xaxis.set_major_formatter(FuncFormatter(lambda p, _: f'{100.0 * p:.3g} %'))
     _legend(figure, [*waits, _obstacles(), *_secured(secured_radius)])
     return figure
 
 
 def routes_figure(
-    risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray], secured_radius: float
+    risk_map: RiskMap,
+    strategy: Strategy,
+    routes: Sequence[FloatArray],
+    colours: Mapping[int, str],
+    secured_radius: float,
 ) -> Figure:
-    """The routes (K, 2) of departures: the latest in colours, earlier ones thin."""
-    figure, axes = _panel(risk_map, 0.7)
+    """The routes (K, 2) of departures: those in ``colours`` (by index) named, others thin."""
+    figure, axes = _panel(risk_map, 0.9)
     _ground(axes, risk_map, strategy, secured_radius)
-    earlier, latest = routes[:-COLOURED], routes[-COLOURED:]
-    for route in earlier:
-        axes.plot(*route.T, color="#33557f", linewidth=0.8, alpha=0.5, zorder=3)
-    draw_routes(axes, latest)
-    label = "latest departures, each in its colour"
-    colours = [Line2D([], [], color=ROUTES[0], linewidth=1.9, label=label)]
-    thin = [Line2D([], [], color="#33557f", linewidth=0.8, label="earlier ones")]
-    _legend(figure, [*colours, *(thin if earlier else []), _obstacles(), *_secured(secured_radius)])
+    lines = []
+    for number, route in enumerate(routes):
+        if number in colours:
+            draw_routes(axes, [route], [colours[number]])
+            lines.append(Line2D([], [], color=colours[number], linewidth=1.9, label=number + 1))
+        else:
+            axes.plot(*route.T, color=THIN, linewidth=0.8, alpha=0.5, zorder=3)
+    if len(lines) < len(routes):
+        lines.append(Line2D([], [], color=THIN, linewidth=0.8, label='earlier ones'))
+    _legend(figure, [*lines, _obstacles(), *_secured(secured_radius)], across=5)
     return figure
 
 
@@ -104,14 +110,14 @@ def _panel(risk_map: RiskMap, room: float) -> tuple[Figure, Axes]:
     """A picture as high as the map demands, within reason, and ``room`` for bar and legend."""
     width, height = risk_map.size
     high = float(np.clip(WIDTH * height / width, 0.35 * WIDTH, 1.4 * WIDTH)) + room
-    figure = Figure(figsize=(WIDTH, high), layout="constrained")
+    figure = Figure(figsize=(WIDTH, high), layout='constrained')
     return figure, figure.add_subplot()
 
 
 def _ground(
     axes: Axes, risk_map: RiskMap, strategy: Strategy, secured_radius: float
 ) -> AxesImage:
-    frame(axes, risk_map, "")
+    frame(axes, risk_map, '')
     risk = draw_risk_map(axes, risk_map)
     risk.set_alpha(FADED)
     network = strategy.network
@@ -124,24 +130,24 @@ def _ground(
 
 def _bar(figure: Figure, axes: Axes, colours: ScalarMappable, label: str) -> Colorbar:
     return figure.colorbar(
-        colours, ax=axes, location="bottom", label=label, shrink=0.8, aspect=45, pad=0.02
+        colours, ax=axes, location='bottom', label=label, shrink=0.8, aspect=45, pad=0.02
     )
 
 
-def _legend(figure: Figure, handles: list[Line2D | Patch]) -> None:
-    """A line or two below everything else."""
-    columns = len(handles) if len(handles) < 4 else 2
+def _legend(figure: Figure, handles: list[Line2D | Patch], across: int = 3) -> None:
+    """Lines of ``across`` entries below everything else."""
+    columns = min(len(handles), across)
     room = 0.1 + 0.2 * -(-len(handles) // columns)
     bottom = room / figure.get_size_inches()[1]
     figure.get_layout_engine().set(rect=(0.0, bottom, 1.0, 1.0 - bottom))
-    figure.legend(handles=handles, loc="lower center", ncol=columns, frameon=False)
+    figure.legend(handles=handles, loc='lower center', ncol=columns, frameon=False)
 
 
 def _obstacles(alpha: float = FADED) -> Patch:
-    return Patch(color=OBSTACLE, alpha=alpha, linewidth=0.0, label="impassable")
+    return Patch(color=OBSTACLE, alpha=alpha, linewidth=0.0, label='impassable')
 
 
 def _secured(radius: float) -> list[Line2D]:
-    label = "held ground: nobody can wait here"
-    line = Line2D([], [], color="black", linewidth=1.2, linestyle=SECURED_DASHES, label=label)
+    label = 'held ground: nobody can wait here'
+    line = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES, label=label)
     return [line] if radius > 0.0 else []

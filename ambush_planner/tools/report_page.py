@@ -10,9 +10,10 @@ from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
 
-from ..review.departures import Campaign
+from ..review.verify import Verdict
 from . import report_words as words
 from .audit_text import how_many, span
+from .report_sections import Section
 
 STYLE = """\
 :root { color-scheme: light; }
@@ -45,103 +46,148 @@ tbody th { font-weight: normal; }
 """
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 SECRET = (
-    "This page shows where convoys drive and drove. Whoever has it knows the routes of past "
-    "departures and the odds of coming ones. Treat it like the recordings that it was made from: "
-    "keep it off shared disks and chats, and delete it when it has been read."
+    'This page shows where convoys drive and drove. Whoever has it knows the routes of past '
+    'departures and the odds of coming ones. Treat it like the recordings that it was made from: '
+    'keep it off shared disks and chats, and delete it when it has been read.'
 )
 ABOUT = (
-    "A convoy drives between the same two places again and again, and an ambusher may be waiting. "
-    "A route that is driven twice can be learnt. The planner therefore worked out odds: how "
-    "likely each stretch of ground is driven, so that the best ambush does the least harm. For "
-    "each departure one route was drawn by these odds. This page shows the ground, the odds, the "
-    "routes that were drawn, and how much safety can be promised."
+    'A convoy drives between the same two places again and again, and an ambusher may be waiting. '
+    'A route that is driven twice can be learnt. The planner therefore worked out odds: how '
+    'likely each stretch of ground is driven, so that the best ambush does the least harm. For '
+    'each departure one route was drawn by these odds. This page shows the ground, the odds, the '
+    'routes that were drawn, and how much safety can be promised.'
 )
 UNITS = (
-    "Losses are in the units of the risk map: they say how bad places are compared with each "
-    "other, as set by map.alpha_min and map.alpha_max."
+    'Losses are in the units of the risk map: they say how bad places are compared with each '
+    'other, as set by map.alpha_min and map.alpha_max.'
+)
+SEVERAL = (
+    'The start, the goal or the settings moved a little, so that {} strategies were worked out for '
+    'this trip. Odds and numbers here are those of the latest; the table has the mean loss of each.'
 )
 FIXED_SEED = (
-    "At least one of these departures was drawn with a fixed seed: whoever knows the seed can "
-    "foretell such routes. Use fixed seeds for tests only."
+    'At least one of these departures was drawn with a fixed seed: whoever knows the seed can '
+    'foretell such routes. Use fixed seeds for tests only.'
 )
 MEASURES = (
-    "E is the mean length of the way. P_1 is the chance of meeting the ambusher who plays best "
-    "against an unknown draw; P_inf and V_inf are chance and mean loss once he knows how this "
-    "planner chooses: a fixed route he meets every time, at its worst place."
+    'E is the mean length of the way. P_1 is the chance of meeting the ambusher who plays best '
+    'against an unknown draw; P_inf and V_inf are chance and mean loss once he knows how this '
+    'planner chooses: a fixed route he meets every time, at its worst place.'
 )
 
 
-def page(campaigns: Sequence[tuple[Campaign, Sequence[bytes]]], unreadable: int) -> str:
-    """Return the whole page for strategies with their pictures (PNG): ground, odds, routes.
+def page(
+    sections: Sequence[tuple[Section, Sequence[bytes]]],
+    unreadable: int,
+    verdicts: Sequence[Verdict],
+    faults: Sequence[str],
+) -> str:
+    """Return the whole page.
 
-    ``unreadable``: how many files could not be read and are missing here.
+    Parameters
+    ----------
+    sections
+        Each with its pictures (PNG): ground, odds, routes.
+    unreadable
+        How many files could not be read and are missing here.
+    verdicts, faults
+        What verifying the files one by one and together found; empty where it was not done.
     """
-    count = sum(len(campaign.departures) for campaign, _ in campaigns)
+    count = sum(len(section.departures) for section, _ in sections)
     title = f"Convoy routes: {count} departure{'s' * (count != 1)}"
     body = [
-        _element("h1", title),
+        _element('h1', title),
         f'<p class="secret"><strong>Secret.</strong> {escape(SECRET)}</p>',
-        _element("p", ABOUT),
+        _element('p', ABOUT),
+        *_verification(verdicts, faults),
     ]
     if unreadable:
-        missing = "Recordings that could not be read and are missing here"
-        body.append(_warning(f"{missing}: {unreadable}."))
-    for number, (campaign, pictures) in enumerate(campaigns, start=1):
-        several = f"Strategy {number} of {len(campaigns)}" if len(campaigns) > 1 else ""
-        body += ["<section>", *_campaign(campaign, pictures, several), "</section>"]
-    return "\n".join((
-        "<!DOCTYPE html>",
+        missing = 'Recordings that could not be read and are missing here'
+        body.append(_warning(f'{missing}: {unreadable}.'))
+    for number, (section, pictures) in enumerate(sections, start=1):
+        several = f'Trip {number} of {len(sections)}' if len(sections) > 1 else ''
+        body += ['<section>', *_section(section, pictures, several), '</section>']
+    return '\n'.join((
+        '<!DOCTYPE html>',
         '<html lang="en"><head><meta charset="utf-8">',
         f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<meta name="referrer" content="no-referrer"><meta name="robots" content="noindex">',
-        f"<title>{escape(title)}</title>",
-        f"<style>\n{STYLE}</style></head><body>",
+        f'<title>{escape(title)}</title>',
+        f'<style>\n{STYLE}</style></head><body>',
         *body,
-        "</body></html>\n",
+        '</body></html>\n',
     ))
 
 
-def _campaign(campaign: Campaign, pictures: Sequence[bytes], several: str) -> list[str]:
-    strategy, records = campaign.strategy, campaign.departures
+def _verification(verdicts: Sequence[Verdict], faults: Sequence[str]) -> list[str]:
+    said = words.verification(list(verdicts), list(faults))
+    wrong = bool(faults) or any(not verdict.holds for verdict in verdicts)
+    if wrong:
+        return [_warning(said[0]), *(_element('p', each) for each in said[1:])]
+    return [_element('p', each) for each in said]
+
+
+def _section(section: Section, pictures: Sequence[bytes], several: str) -> list[str]:
+    strategy, records = section.strategy, section.departures
     ground, odds, routes = pictures
-    count = how_many(campaign)
-    heading = (f"{several}: " if several else "") + f"{count}, {span(campaign)}"
-    parts = [_element("h2", heading)]
+    count = how_many(records)
+    heading = (f'{several}: ' if several else '') + f'{count}, {span(records)}'
+    parts = [_element('h2', heading)]
     if any(record.parameters.seed >= 0 for record in records):
         parts.append(_warning(FIXED_SEED))
-    parts += [_tiles(words.tiles(campaign)), _element("p", UNITS)]
+    if section.strategies > 1:
+        parts.append(_element('p', SEVERAL.format(section.strategies)))
     parts += [
-        _element("h3", "The ground"),
-        _figure(ground, "Map of the risk with start and goal",
-                "The redder, the more an ambush would cost there. Black: nobody can drive."),
-        _element("h3", "Where the convoy may drive, and where the ambusher waits"),
-        _figure(odds, "Map of the odds of each stretch, with the places of the ambusher",
-                "Blue: where the convoy may drive; the darker and thicker, the likelier. Orange: "
-                "where the best ambusher waits, one place at a time; the larger, the likelier. "
-                "They lie where the ways are few. The grey is the risk of the picture above."),
-        _element("h3", "The routes that were drawn"),
-        _figure(routes, "Map of the routes of the departures",
-                f"{count}; each route was drawn afresh by the odds of the picture above."),
-        _element("h3", "What is promised"),
-        *(_element("p", sentence) for sentence in words.certificate(campaign)),
-        _element("h3", "Beside planners that leave no choice"),
-        _table(words.measures(strategy), "better"),
-        _element("p", MEASURES),
-        _element("h3", "The strategy in numbers"),
+        _tiles(words.tiles(section)), _element('p', UNITS),
+        _element('h3', 'The ground'),
+        _figure(ground, 'Map of the risk with start and goal',
+                'The redder, the more an ambush would cost there. Black: nobody can drive.'),
+        _element('h3', 'Where the convoy may drive, and where the ambusher waits'),
+        _figure(odds, 'Map of the odds of each stretch, with the places of the ambusher',
+                'Blue: where the convoy may drive; the darker and thicker, the likelier. Orange: '
+                'where the best ambusher waits, one place at a time; the larger, the likelier. '
+                'They lie where the ways are few. The grey is the risk of the picture above.'),
+        _element('h3', 'The routes that were drawn'),
+        _figure(routes, 'Map of the routes of the departures',
+                f'{count}; each route was drawn afresh by the odds that held then. The numbers are '
+                'those of the table below.'),
+        _element('h3', 'Departures'),
+        _departures(section),
+        _element('h3', 'What is promised'),
+        *(_element('p', sentence) for sentence in words.certificate(section)),
+        _element('h3', 'Beside planners that leave no choice'),
+        _table(words.measures(strategy), 'better'),
+        _element('p', MEASURES),
+        _element('h3', 'The strategy in numbers'),
         _pairs(words.quantities(strategy)),
-        _element("h3", "Departures"),
-        _table(words.departures(campaign)),
-        _element("h3", "Settings of the planner"),
-        _pairs(words.settings(campaign)),
-        _element("h3", "Where this comes from"),
-        _pairs(words.origins(campaign)),
+        _element('h3', 'Settings of the planner'),
+        _pairs(words.settings(section)),
+        _element('h3', 'Where this comes from'),
+        _pairs(words.origins(section)),
     ]
     return parts
 
 
+def _departures(section: Section) -> str:
+    """The table of departures; those in colours have a dot of theirs."""
+    head, *rows = words.departures(section)
+    colours = section.colours()
+    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    lines = []
+    for number, (name, *cells) in enumerate(rows):
+        dot = f'&nbsp;<span style="color:{colours[number]}">●</span>' if number in colours else ''
+        data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
+        lines.append(f'<tr><th scope="row">{escape(name)}{dot}</th>{data}</tr>')
+    content = '\n'.join(lines)
+    return (
+        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>\n'
+        f'<tbody>{content}</tbody></table></div>'
+    )
+
+
 def _element(tag: str, text: str) -> str:
-    return f"<{tag}>{escape(text)}</{tag}>"
+    return f'<{tag}>{escape(text)}</{tag}>'
 
 
 def _warning(text: str) -> str:
@@ -149,36 +195,36 @@ def _warning(text: str) -> str:
 
 
 def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
-    items = (f"<li><b>{escape(number)}</b> {escape(text)}</li>" for number, text in tiles)
+    items = (f'<li><b>{escape(number)}</b> {escape(text)}</li>' for number, text in tiles)
     return f'<ul class="tiles">{"".join(items)}</ul>'
 
 
 def _figure(png: bytes, alternative: str, caption: str) -> str:
-    data = b64encode(png).decode("ascii")
+    data = b64encode(png).decode('ascii')
     return (
         f'<figure><img alt="{escape(alternative)}" src="data:image/png;base64,{data}">'
-        f"<figcaption>{escape(caption)}</figcaption></figure>"
+        f'<figcaption>{escape(caption)}</figcaption></figure>'
     )
 
 
-def _table(rows: Sequence[Sequence[str]], first: str = "") -> str:
+def _table(rows: Sequence[Sequence[str]], first: str = '') -> str:
     """A table with a head; ``first`` is the class of the first row below it."""
     head, *body = rows
-    heads = "".join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = []
     for k, (name, *cells) in enumerate(body):
-        attribute = f' class="{first}"' if first and k == 0 else ""
-        data = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
+        attribute = f' class="{first}"' if first and k == 0 else ''
+        data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
         lines.append(f'<tr{attribute}><th scope="row">{escape(name)}</th>{data}</tr>')
-    content = "\n".join(lines)
+    content = '\n'.join(lines)
     return (
         f'<div class="wide"><table><thead><tr>{heads}</tr></thead>\n'
-        f"<tbody>{content}</tbody></table></div>"
+        f'<tbody>{content}</tbody></table></div>'
     )
 
 
 def _pairs(rows: Sequence[tuple[str, str]]) -> str:
-    lines = "\n".join(
+    lines = '\n'.join(
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(value)}</td></tr>'
         for name, value in rows
     )

@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import exit_code
+from . import cli
+from .table_run import run_table
 
 EPILOG = """\
 DEPOTS and CUSTOMERS are CSV files with the columns name, x, y (world positions [m]). The map is one
@@ -20,47 +21,39 @@ Pairs are solved by processes on this machine, or by the workers of a dask.distr
 (pip install 'ambush_planner[dask]' here, ambush_planner there). Rows are kept in TABLE.csv.part as
 they come: after an interruption the same command goes on from there. Rows whose map, positions
 and options are the same are not solved again, rows with an error are.
-Exit code: 0; 1 if a pair has no strategy, or anything could not be read or written; 2 wrong usage.
-"""
+A pair without a strategy is a finding.
+--json: {"verdict", "table", "pairs", "solved", "failed", "seconds"}
+""" + cli.EXIT_CODES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table and return the exit code."""
-    options = _parser().parse_args(arguments)
-
-    def run() -> bool:
-        from .table_run import run_table
-
-        return run_table(options)
-
-    return exit_code('ambush_table', 'figures,dask', run)
+    return cli.run(parser(), run_table, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='ambush_table',
-        description='Value, length and entropy of the strategies for all pairs of places.',
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'table', 'Value, length and entropy of the strategies for all pairs of places.', EPILOG
     )
-    parser.add_argument('depots', type=Path, metavar='DEPOTS.csv', help='where trips begin')
-    parser.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where they end')
-    parser.add_argument('--map', type=Path, required=True, metavar='MAP.yaml', help='the risk map')
-    parser.add_argument(
+    made.add_argument('depots', type=Path, metavar='DEPOTS.csv', help='where trips begin')
+    made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where they end')
+    made.add_argument('--map', type=Path, required=True, metavar='MAP.yaml', help='the risk map')
+    made.add_argument(
         '-o', '--output', type=Path, required=True, metavar='TABLE.csv', help='the table to write'
     )
-    parser.add_argument(
+    made.add_argument(
         '--set', nargs='+', default=[], metavar='NAME=VALUE',
         help='options, such as network.spacing=50 strategy.max_detour=1.3',
     )
-    where = parser.add_mutually_exclusive_group()
+    where = made.add_mutually_exclusive_group()
     where.add_argument(
         '--jobs', type=_positive, metavar='N', help='processes (default: one for each processor)'
     )
     where.add_argument(
         '--scheduler', metavar='ADDRESS', help='of a dask cluster, such as tcp://host:8786'
     )
-    return parser
+    return made
 
 
 def _positive(text: str) -> int:

@@ -8,10 +8,9 @@ import itertools
 import multiprocessing
 import os
 import signal
-import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from ..core.batch import Problem, Solved, solve_many
 from ..core.risk_map import RiskMap, risk_map_from_occupancy
 from ..core.strategy import Strategy
 from ..terrain.map_file import OccupancyMap, read_map
+from . import cli
 from .table_file import COLUMNS, Place, TableFile, read_places
 from .table_options import TableOptions, options_from
 
@@ -33,8 +33,9 @@ class Pair:
     inputs: str
 
 
-def run_table(arguments: argparse.Namespace) -> bool:
-    """Make or complete the table; True if each pair has a strategy."""
+def run_table(arguments: argparse.Namespace, console: cli.Console) -> int:
+    """Make or complete the table; the exit code says whether each pair has a strategy."""
+    begin = time.monotonic()
     options = options_from(arguments.set)
     places = read_places(arguments.depots), read_places(arguments.customers)
     occupancy = read_map(arguments.map)
@@ -44,16 +45,19 @@ def run_table(arguments: argparse.Namespace) -> bool:
     pairs = _pairs(*places, occupancy, options)
     with TableFile(arguments.output) as table:
         missing = [pair for pair in pairs if not table.has(pair.inputs)]
-        progress = _Progress(len(pairs), len(pairs) - len(missing))
+        failed, bar = 0, console.bar('pairs solved')
         if missing:
             with _executor(arguments) as (executor, in_flight):
-                failed = _solve(missing, risk_map, options, executor, in_flight, table, progress)
-        else:
-            failed = 0
+                failed = _solve(missing, risk_map, options, executor, in_flight, table, bar)
         table.finish([pair.inputs for pair in pairs])
-    print(f'{arguments.output}: {len(pairs)} pairs, {len(missing)} of them solved now, '
-          f'{failed} without a strategy, in {progress.seconds:.1f} s')
-    return failed == 0
+    seconds = time.monotonic() - begin
+    console.line(f'{cli.place(arguments.output)}: {len(pairs)} pairs, {len(missing)} of them '
+                 f'solved now, {failed} without a strategy, in {seconds:.1f} s')
+    console.result = {
+        'verdict': 'finding' if failed else 'holds', 'table': cli.place(arguments.output),
+        'pairs': len(pairs), 'solved': len(missing), 'failed': failed, 'seconds': round(seconds, 1),
+    }
+    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
 def _pairs(
@@ -80,7 +84,7 @@ def _solve(
     executor: Executor,
     in_flight: int,
     table: TableFile,
-    progress: _Progress,
+    bar: Callable[[float], None],
 ) -> int:
     """Solve pairs, keep their rows as they come, and return how many have no strategy."""
     problems = (
@@ -89,9 +93,12 @@ def _solve(
         for pair in pairs
     )
 
+    done = [0]
+
     def keep(result: Solved) -> None:
         table.add(_row(pairs[result.index], result))
-        progress.count(result)
+        done[0] += 1
+        bar(done[0] / len(pairs))
 
     results = solve_many(
         problems, executor, answer=_measures, on_result=keep, in_flight=in_flight
@@ -118,8 +125,12 @@ def _row(pair: Pair, result: Solved) -> dict[str, str]:
 def _executor(arguments: argparse.Namespace) -> Iterator[tuple[Executor, int]]:
     """What solves the pairs, and how many of them it should hold."""
     if arguments.scheduler:
-        from distributed import Client
-
+        try:
+            from distributed import Client
+        except ModuleNotFoundError as error:
+            raise cli.UsageError(
+                "--scheduler needs dask: pip install 'ambush_planner[dask]'"
+            ) from error
         with Client(arguments.scheduler, timeout='20s') as client:
             threads = sum(client.nthreads().values())
             yield client.get_executor(), 2 * max(1, threads)
@@ -148,25 +159,3 @@ def _end_with_parent() -> None:
             os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-class _Progress:
-    """A line that is written over on a terminal, nothing elsewhere."""
-
-    def __init__(self, total: int, done: int) -> None:
-        self._total, self._done, self._failed = total, done, 0
-        self._begin = time.monotonic()
-
-    @property
-    def seconds(self) -> float:
-        """Time since the beginning [s]."""
-        return time.monotonic() - self._begin
-
-    def count(self, result: Solved) -> None:
-        """A further pair is done."""
-        self._done += 1
-        self._failed += result.error is not None
-        if sys.stderr.isatty():
-            end = '\n' if self._done == self._total else ''
-            print(f'\r{self._done} of {self._total} pairs, {self._failed} without a strategy',
-                  end=end, file=sys.stderr, flush=True)

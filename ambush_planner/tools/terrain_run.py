@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,12 @@ from ..terrain import (
     terrain_map,
     write_map,
 )
+from . import cli
 from .terrain_figure import terrain_figure
 
 
-def run_terrain(arguments: argparse.Namespace) -> bool:
-    """Write the map, its picture and the preview; True when all are there."""
+def run_terrain(arguments: argparse.Namespace, console: cli.Console) -> int:
+    """Write the map, its picture and the preview, and return the exit code."""
     options = TerrainOptions(
         ViewOptions(
             arguments.weapon_range, arguments.vehicle_height, arguments.person_height
@@ -35,13 +35,18 @@ def run_terrain(arguments: argparse.Namespace) -> bool:
     )
     elevation = elevation_from(read_raster(arguments.elevation), arguments.resolution)
     roads = arguments.roads and mask_from(read_raster(arguments.roads, 'roads'), elevation)
-    ground = terrain_map(elevation, options, roads, _show_progress)
+    ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))
     occupancy = OccupancyMap(ground.values, ground.resolution)
     pictures = [write_map(arguments.output, occupancy, _remark(elevation))]
     pictures.append(_write_preview(arguments.output, elevation, ground))
-    print(_summary(ground))
-    print(f'{arguments.output}, {", ".join(picture.name for picture in pictures)}')
-    return True
+    console.line(_summary(ground))
+    console.line(
+        f'{cli.place(arguments.output)}, {", ".join(picture.name for picture in pictures)}'
+    )
+    console.result = {
+        'verdict': 'holds', 'files': [cli.place(path) for path in (arguments.output, *pictures)],
+    }
+    return cli.Exit.HOLDS
 
 
 def _remark(elevation: Elevation) -> str:
@@ -66,10 +71,3 @@ def _summary(ground: TerrainMap) -> str:
         f'{100.0 * np.mean(values == -1):.1f} % unknown; '
         f'risk (10 %, 50 %, 90 % of the rest) {spread}'
     )
-
-
-def _show_progress(done: float) -> None:
-    """A line that is written over on a terminal, nothing elsewhere."""
-    if sys.stderr.isatty():
-        end = '\n' if done == 1.0 else ''
-        print(f'\rlines of sight: {100.0 * done:3.0f} %', end=end, file=sys.stderr, flush=True)

@@ -3,54 +3,172 @@
 from __future__ import annotations
 
 import argparse
+import math
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
-from .command_line import exit_code, parser_of
+from ..recording import recordings_in
+from ..recording.errors import shown
+from ..review.chain import together
+from ..review.verify import Verdict, Verifier
+from . import cli
 
 EPILOG = """\
 Each departure is planned again from its recorded map, start, goal and parameters, and its route
 drawn again. It holds if network, strategy, value and route are the same (numbers to 1e-9, the
 probabilities to 1e-6 where another processor or release of numpy or scipy rounds otherwise), if
-the strategy's certificate closes, if path, markers, answer and the strategy's numbers in the
-diagnostics follow from these, if the request came first and the answer last, and if nothing
-stands in the file that the planner does not record or that some readers of MCAP would not find.
-Standard output has a line a departure, which names what does not hold, and one for departures
-that are missing between others, which is no failure; standard error the progress. Departures of
-one strategy take one solve. Numbers are compared best with the releases of all software that
-recorded them; the line says where they are others.
+the strategy's certificate closes (where the solve took a fifth of max_planning_time or more, it may
+have been cut short: then certificate and strategy.max_gap count, whatever is found with more time),
+if path, markers, answer and the strategy's numbers in the diagnostics follow from these, if the request came first and the answer last, and if the file is
+laid out as the recorder does it, with nothing else in it. Of a folder it is also checked that each
+file states the SHA-256 of the one before it, so that none is missing, exchanged, moved or
+inserted; that metadata.yaml names just the files that are there; and that no two departures were
+drawn from the same random numbers. The newest recording's hash is told last: note it elsewhere,
+or sign it, and give it with --expect the next time.
 
-Not shown is who made a recording: one that was made anew as a whole, say from another seed, is
-found to be consistent as well, and so is a folder whose first or last file was taken away. Nor
-that its times are right: only their order within a departure is checked, and all of them can be
-moved together. Where that matters, sign the files. By whoever corrects the checksums, these can
-be changed unnoticed, too: what had no effect on the departure (cells far from all nodes, time
-limits, quality of service, stamps of markers and inputs), the versions of software; in the
-diagnostics the state, the name, the kind of warning, and trouble with a map or with recording,
-which the answer repeats; and the names of topics that were remapped.
-Exit code: 0 all departures hold; 1 one does not, or could not be read; 2 wrong usage.
-"""
+What is not found, by somebody who corrects checksums and hashes:
+* a recording that was made anew as a whole, from another seed with all that follows, if no later
+  one states its hash and it is not expected; the last files, taken away, and the first of all,
+  if the recording that they follow is not here; a whole folder, made anew
+* times: only their order within a departure is checked
+* map cells whose change alters neither an edge (obstacles) nor the loss of a node (others)
+* max_planning_time and the solve's seconds, quality of service, stamps of markers and inputs, versions of software; in the
+  diagnostics the state, the name, the kind of warning, and trouble with a map or with recording,
+  which the answer repeats; names of topics that were remapped; orientation and height of a goal
+  in another frame than the map's; where departures are missing that were not recorded at all
+
+Output: a line a departure, what does not hold below it; progress on standard error.
+--json: {"verdict", "departures": [{"file", "sha256", "number", "holds", "value", "problems",
+"notes"}], "findings", "notes", "newest_sha256"}
+""" + cli.EXIT_CODES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Verify recordings and return the exit code."""
-    options = _parser().parse_args(arguments)
-
-    def run() -> bool:
-        from .verify_run import run_verify
-
-        return run_verify(options.recordings)
-
-    return exit_code("ambush_verify", "jazzy", run)
+    return cli.run(parser(), _work, arguments)
 
 
-def _parser() -> argparse.ArgumentParser:
-    return parser_of(
-        "ambush_verify",
-        "Plan recorded departures again and compare: do they follow from their inputs?",
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'verify',
+        'Plan recorded departures again and compare: do they follow from their inputs?',
         EPILOG,
     )
+    cli.add_recordings(made)
+    made.add_argument(
+        '--expect', type=_hash, metavar='HASH',
+        help='the SHA-256 of a recording that was noted elsewhere: it must be among these',
+    )
+    return made
 
 
-if __name__ == "__main__":
+def verify_files(
+    paths: Sequence[Path], console: cli.Console
+) -> list[Verdict]:
+    """Verify files one after the other, with progress."""
+    solves: list[Path] = []
+    with Verifier(solves.append) as verifier:
+        verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
+    console.say(f'planned {cli.count(len(solves), "time")}')
+    return verdicts
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> int:
+    paths = recordings_in(options.recordings)
+    console.say(f'verifying {cli.count(len(paths), "recording")}')
+    verdicts = verify_files(paths, console)
+    folder = None
+    for verdict in verdicts:
+        if verdict.path.parent != folder:
+            folder = verdict.path.parent
+            console.line(f'in {cli.place(folder)}:')
+        _tell(verdict, console)
+    # Of a file alone, nothing says which other ones should be there.
+    faults, notes = together(verdicts, options.expect or '') if options.recordings.is_dir() or (
+        options.expect) else ([], [])
+    notes += _gaps(verdicts)
+    for fault in faults:
+        console.line(console.marked('FAILS', False))
+        console.item(fault)
+    for note in notes:
+        console.item(f'({note})')
+    failed = sum(not verdict.holds for verdict in verdicts)
+    code = _exit_code(verdicts, faults)
+    _conclude(verdicts, faults, failed, console)
+    console.result = {
+        'verdict': code.name.lower(), 'departures': [*map(_as_json, verdicts)],
+        'findings': faults, 'notes': notes, 'newest_sha256': verdicts[-1].sha256,
+    }
+    return code
+
+
+def _exit_code(verdicts: Iterable[Verdict], faults: list[str]) -> cli.Exit:
+    failing = [verdict for verdict in verdicts if not verdict.holds]
+    if faults or any(verdict.readable for verdict in failing):
+        return cli.Exit.FINDING
+    return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS
+
+
+def _tell(verdict: Verdict, console: cli.Console) -> None:
+    mark = console.marked('holds' if verdict.holds else 'FAILS', verdict.holds)
+    said = f'departure {verdict.number}' if verdict.readable else ''
+    if verdict.nodes:
+        said += f', {verdict.nodes} nodes, value {verdict.value:.6g}'
+    console.line(f'{mark}  {shown(verdict.path.name)}' + (f': {said}' if said else ''))
+    for problem in verdict.problems:
+        console.item(problem)
+    for note in verdict.notes:
+        console.item(f'({note})')
+
+
+def _conclude(
+    verdicts: list[Verdict], faults: list[str], failed: int, console: cli.Console
+) -> None:
+    departures = cli.count(len(verdicts), 'departure')
+    if failed:
+        console.line(f'{failed} of {departures}: not consistent')
+    else:
+        console.line(f'{departures}: {"each holds, but not together" if faults else "all hold"}')
+    if verdicts[-1].sha256:
+        console.line(f'SHA-256 of the newest: {verdicts[-1].sha256}')
+
+
+def _as_json(verdict: Verdict) -> dict[str, Any]:
+    return {
+        'file': cli.place(verdict.path),
+        'sha256': verdict.sha256,
+        'number': verdict.number,
+        'holds': verdict.holds,
+        'value': verdict.value if math.isfinite(verdict.value) else None,
+        'problems': verdict.problems,
+        'notes': verdict.notes,
+    }
+
+
+def _gaps(verdicts: Iterable[Verdict]) -> list[str]:
+    """Which departures of a run of the node were not recorded, a line for each such place."""
+    numbers: dict[Path, set[int]] = {}
+    for verdict in verdicts:
+        if verdict.number:
+            numbers.setdefault(verdict.path.parent, set()).add(verdict.number)
+    return [
+        f'{cli.place(folder)}: departures {before + 1} to {after - 1} have no recording; recording '
+        'was off, it failed, or they are missing'
+        for folder, found in numbers.items()
+        for before, after in pairwise(sorted(found)) if after > before + 1
+    ]
+
+
+def _hash(text: str) -> str:
+    if not re.fullmatch(r'[0-9a-fA-F]{64}', text):
+        raise argparse.ArgumentTypeError('must be a SHA-256, 64 hexadecimal digits')
+    return text.lower()
+
+
+if __name__ == '__main__':
     sys.exit(main())

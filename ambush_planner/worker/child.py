@@ -16,7 +16,7 @@ from contextlib import suppress
 from io import BufferedRWPair
 from pathlib import Path
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, TimeLimit
 from ..core.planner import Plan, PlanRequest, plan_from_request
 from .errors import WorkerFailed, unexpected
 
@@ -30,10 +30,14 @@ _FIRST_OUT_OF_MEMORY = '500'
 def main() -> None:
     """Serve on the socket whose descriptor is the first argument, until it is closed."""
     _be_a_worker()
-    with socket.socket(fileno=int(sys.argv[1])) as connection, connection.makefile('rwb') as stream:
-        # The other side may be gone at any time; then there is nobody left to work for.
-        with suppress(EOFError, ConnectionError):
-            serve(stream)
+    # The other side may be gone at any time, also when the stream is flushed as it is closed; then
+    # there is nobody left to work for.
+    with (
+        suppress(EOFError, ConnectionError),
+        socket.socket(fileno=int(sys.argv[1])) as connection,
+        connection.makefile('rwb') as stream,
+    ):
+        serve(stream)
 
 
 def serve(stream: BufferedRWPair) -> None:
@@ -46,6 +50,8 @@ def serve(stream: BufferedRWPair) -> None:
 def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
     try:
         return plan_from_request(request)
+    except TimeLimit as late:
+        return TimeLimit(str(late))  # what was reached is of no use, and large
     except AmbushPlannerError as error:
         return error
     except MemoryError:

@@ -11,6 +11,10 @@ class SolveCancelled(AmbushPlannerError):
     """Somebody ended the solve, or the planner was closed."""
 
 
+class QueueFull(AmbushPlannerError):
+    """So many solves wait that no other one is taken."""
+
+
 class WorkerFailed(AmbushPlannerError):
     """The worker process ended, or could not be started."""
 

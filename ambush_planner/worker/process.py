@@ -19,6 +19,8 @@ from .errors import WorkerFailed
 
 # Importing numpy and scipy from a cold disk takes its time.
 _START_LIMIT = 60.0
+# What a solve may take over its time limit: it ends by itself, with what was reached by then.
+_GRACE, _MARGIN = 1.2, 2.0  # of the limit, s
 # The node is on the other cores; the solver's own code gains nothing from more threads.
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
 
@@ -60,7 +62,7 @@ class WorkerProcess:
         return not self._killed and self._process.poll() is None
 
     def solve(self, request: PlanRequest) -> Plan:
-        """Have a plan worked out, in the strategy's ``time_limit`` of wall clock time at most.
+        """Have a plan worked out, in little more than the strategy's ``time_limit``.
 
         Raises
         ------
@@ -81,7 +83,7 @@ class WorkerProcess:
             with self._killed_after(_START_LIMIT, slow):
                 pickle.load(self._stream)
             self._ready = True
-        with self._killed_after(limit, late):
+        with self._killed_after(_GRACE * limit + _MARGIN, late):
             pickle.dump(request, self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
             answer: Any = pickle.load(self._stream)

@@ -1,39 +1,52 @@
-"""Solves one after the other: equal ones shared, the running one ended on request."""
+"""Solves one after the other: equal ones shared, as many as may wait, ended on request."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import time
+from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Condition, Thread
+from typing import Generic, TypeVar
 
 from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan, PlanRequest
-from .errors import SolveCancelled, WorkerFailed, forget_frames, unexpected
+from .errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames, unexpected
 from .process import WorkerProcess
 
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
+_SUPERSEDED = 'a later map has taken the place of this one'
+
+_Outcome = TypeVar('_Outcome')
 
 
 @dataclass(eq=False)
-class _Solve:
-    """A solve that somebody waits for; ``cancelled`` says why, once it is."""
+class _Solve(Generic[_Outcome]):
+    """A solve that waits or runs; ``cancelled`` says why, once it is.
+
+    Nobody waits for one in the background.
+    """
 
     key: Hashable
     request: PlanRequest
-    plan: Future[Plan] = field(default_factory=Future)
+    finish: Callable[[Plan], _Outcome]
+    background: bool
+    outcome: Future[_Outcome] = field(default_factory=Future)
+    begin: float = 0.0
     cancelled: str = ''
 
 
-class SolveQueue:
+class SolveQueue(Generic[_Outcome]):
     """Hands solves to one worker process, and replaces the process when it has died."""
 
     def __init__(self) -> None:
         self._condition = Condition()
-        self._waiting: dict[Hashable, _Solve] = {}
-        self._running: _Solve | None = None
+        self._waiting: dict[Hashable, _Solve[_Outcome]] = {}
+        self._running: _Solve[_Outcome] | None = None
+        # Its outcome is being told: it can still be shared, but no longer be ended.
+        self._finished: _Solve[_Outcome] | None = None
         self._worker: WorkerProcess | None = None
         self._closed = False
         # A daemon only in case nobody calls close.
@@ -46,38 +59,65 @@ class SolveQueue:
         with self._condition:
             return self._running is not None or bool(self._waiting)
 
-    def submit(self, key: Hashable, request: PlanRequest) -> Future[Plan]:
+    def submit(
+        self,
+        key: Hashable,
+        request: PlanRequest,
+        finish: Callable[[Plan], _Outcome],
+        size: int,
+        background: bool = False,
+    ) -> Future[_Outcome]:
         """Queue a solve; where one with the same key waits or runs, its outcome is this one's too.
 
         The future raises what ``WorkerProcess.solve`` raises, or SolveCancelled.
+
+        Parameters
+        ----------
+        finish
+            Makes the outcome of the plan, in the thread of the queue.
+        size
+            How many solves may wait, beside the one that runs.
+        background
+            Nobody waits for it: it is put behind those that somebody waits for, and takes the
+            place of others in the background that have not begun.
 
         Raises
         ------
         SolveCancelled
             The queue is closed.
+        QueueFull
+            As many solves wait as may.
         """
         with self._condition:
             if self._closed:
                 raise SolveCancelled(_CLOSING)
-            running = self._running
-            if running is not None and running.key == key and not running.cancelled:
-                return running.plan
-            solve = self._waiting.setdefault(key, _Solve(key, request))
+            solve = self._same(key)
+            if solve is not None:
+                solve.background = solve.background and background
+                return solve.outcome
+            superseded = self._drop_background() if background else []
+            if sum(not each.background for each in self._waiting.values()) >= size:
+                raise QueueFull(self._what_is_busy(size))
+            solve = _Solve(key, request, finish, background)
+            self._waiting[key] = solve
             self._condition.notify()
-            return solve.plan
+        _end(superseded, _SUPERSEDED)
+        return solve.outcome
 
-    def cancel(self) -> bool:
-        """End the solve whose turn it is; return whether there was one. Those behind it go on."""
+    def withdraw_background(self) -> None:
+        """Withdraw the solves in the background that have not begun."""
         with self._condition:
-            if self._running is not None:
-                self._end_running(_CANCELLED)
-                return True
-            # Nothing that was submitted is out of reach, also before it has begun.
-            if not self._waiting:
-                return False
-            solve = self._waiting.pop(next(iter(self._waiting)))
-        solve.plan.set_exception(SolveCancelled(_CANCELLED))
-        return True
+            withdrawn = self._drop_background()
+        _end(withdrawn, _SUPERSEDED)
+
+    def cancel(self) -> int:
+        """End the solve that runs and all that wait; return how many there were."""
+        with self._condition:
+            waiting, self._waiting = list(self._waiting.values()), {}
+            running = self._running is not None and not self._running.cancelled
+            self._end_running(_CANCELLED)
+        _end(waiting, _CANCELLED)
+        return len(waiting) + running
 
     def close(self) -> None:
         """End all solves, and the worker process with them."""
@@ -86,13 +126,32 @@ class SolveQueue:
             self._end_running(_CLOSING)
             waiting, self._waiting = list(self._waiting.values()), {}
             self._condition.notify()
-        for solve in waiting:
-            solve.plan.set_exception(SolveCancelled(_CLOSING))
+        _end(waiting, _CLOSING)
         self._thread.join()
+
+    def _same(self, key: Hashable) -> _Solve[_Outcome] | None:
+        for solve in (self._running, self._finished, self._waiting.get(key)):
+            if solve is not None and solve.key == key and not solve.cancelled:
+                return solve
+        return None
+
+    def _drop_background(self) -> list[_Solve[_Outcome]]:
+        dropped = [solve for solve in self._waiting.values() if solve.background]
+        for solve in dropped:
+            del self._waiting[solve.key]
+        return dropped
+
+    def _what_is_busy(self, size: int) -> str:
+        running = self._running
+        since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
+        return (
+            f'a solve runs{since} and {size} others wait, the most that may (queue.size); ask '
+            'again later, or call cancel'
+        )
 
     def _end_running(self, why: str) -> None:
         if self._running is not None:
-            self._running.cancelled = why
+            self._running.cancelled = self._running.cancelled or why
             if self._worker is not None:
                 self._worker.kill()
 
@@ -102,6 +161,7 @@ class SolveQueue:
             self._warm_up()
             while (solve := self._next()) is not None:
                 self._answer(solve)
+                del solve  # with its map, until the next one comes
                 self._warm_up()
         finally:
             if self._worker is not None:
@@ -114,37 +174,42 @@ class SolveQueue:
             with suppress(WorkerFailed):
                 self._living_worker()
 
-    def _next(self) -> _Solve | None:
+    def _next(self) -> _Solve[_Outcome] | None:
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self._closed)
             if self._closed:
                 return None
-            self._running = self._waiting.pop(next(iter(self._waiting)))
+            key = min(self._waiting, key=lambda key: self._waiting[key].background)
+            self._running = self._waiting.pop(key)
+            self._running.begin = time.monotonic()
             return self._running
 
-    def _answer(self, solve: _Solve) -> None:
+    def _answer(self, solve: _Solve[_Outcome]) -> None:
+        result: _Outcome | None = None
+        error: AmbushPlannerError | None = None
         try:
-            outcome: Plan | AmbushPlannerError = self._solve(solve)
-        except AmbushPlannerError as error:
-            outcome = error
-        except Exception as error:
+            result = solve.finish(self._solve(solve))
+        except AmbushPlannerError as known:
+            error = known
+        except Exception as unknown:
             # Say, no memory for the plan here. Whatever it is: somebody waits for the outcome.
-            outcome = unexpected(error)
-            forget_frames(error)
+            error = unexpected(unknown)
+            forget_frames(unknown)
             if self._worker is not None:
                 self._worker.kill()
+        forget_frames(error)
         with self._condition:
-            self._running = None
-        if isinstance(outcome, AmbushPlannerError):
-            forget_frames(outcome)
+            self._running, self._finished = None, solve
         if solve.cancelled:
-            solve.plan.set_exception(SolveCancelled(solve.cancelled))
-        elif isinstance(outcome, AmbushPlannerError):
-            solve.plan.set_exception(outcome)
+            solve.outcome.set_exception(SolveCancelled(solve.cancelled))
+        elif error is not None:
+            solve.outcome.set_exception(error)
         else:
-            solve.plan.set_result(outcome)
+            solve.outcome.set_result(result)  # type: ignore[arg-type]
+        with self._condition:
+            self._finished = None
 
-    def _solve(self, solve: _Solve) -> Plan:
+    def _solve(self, solve: _Solve[_Outcome]) -> Plan:
         worker = self._living_worker()
         # Cancelled before the worker was there to be killed.
         if solve.cancelled:
@@ -162,3 +227,8 @@ class SolveQueue:
             with self._condition:
                 self._worker = worker
         return self._worker
+
+
+def _end(solves: list[_Solve[_Outcome]], why: str) -> None:
+    for solve in solves:
+        solve.outcome.set_exception(SolveCancelled(why))

@@ -1,0 +1,292 @@
+"""Departures tested together, each under its own strategy: do they follow it, show patterns?
+
+Under the hypothesis that all is well, each departure is an independent draw of a Markov chain on
+the acyclic network of its own strategy: from node i the next edge is (i, j) with probability
+p_ij / x_i. Four statistics of all departures are each compared with what such departures give:
+B times, one route is drawn for each departure from its strategy. The p-values are exact for any
+number of departures and strategies, (1 + #{T* >= T}) / (B + 1); seed and B are fixed. Holm's
+method holds the chance of any false finding, over all four tests, to the stated rate. A start
+that moves a little makes new strategies, not new ground: edges and squares count by place.
+
+``frequency``
+    ``T = sum_e (N_e - E_e)^2 / (V_e + 1)`` over the places of edges, with N_e passages where the
+    strategies expect E_e with the variance V_e: Pearson's statistic of counts that are dependent,
+    so that it has no chi-square law here. The 1 keeps edges that hardly anybody drives from
+    ruling the sum. T grows without bound whenever any place's frequency is off.
+``surprise``
+    ``T = |sum_r (-ln P(r) - H)|``: the routes' surprise against the route entropies. Finds
+    routes that are all too likely, or all too unlikely, long before single edges show it.
+``order``
+    Shared ground of departures k apart, k = 1..14: by how much its mean c_k differs from the mean
+    over all k, standardised with the draws; the largest over k. Finds habit, rotation, and the
+    avoidance of yesterday's ground.
+``repeats``
+    Number of pairs of departures on the very same route between the ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from ..core.arrays import FloatArray, IndexArray, frozen_array
+from ..core.errors import InvalidOption
+from ..core.strategy import Strategy
+from .draws import ManyRoutes, NotAuditable
+from .learning import Learning, learning_from
+from .places import Ground, ground_of
+from .tallies import Order, Tallies, identical_pairs
+
+# With fewer, hardly anything but one route driven again and again would be found.
+FEWEST_DEPARTURES = 5
+FALSE_ALARM_RATE = 0.01
+TESTS = ('frequency', 'surprise', 'order', 'repeats')
+SEED = 1
+# Resamples B, with few strategies and with many (each is a draw of its own); both can give a
+# finding at the default rate.
+RESAMPLES, RESAMPLES_OF_MANY, MANY, MANY_PLACES = 3999, 999, 25, 25_000
+# More take minutes; a rate that needs more cannot be held, see ``Audit.blind``.
+MOST_RESAMPLES = 99_999
+# Rounding: statistics this near to each other, relative or a departure, are equal.
+TIE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A departure as the audit takes it: the strategy and the route (K,) drawn from it."""
+
+    strategy: Strategy
+    route: IndexArray
+
+
+@dataclass(frozen=True)
+class Test:
+    """One statistic: as recorded, its mean over the draws, p-value, and whether it is found.
+
+    ``finding``: the p-value is too small for chance, by Holm's method over all tests.
+    """
+
+    observed: float
+    expected: float
+    p_value: float
+    finding: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """What departures show together.
+
+    Attributes
+    ----------
+    departures, strategies, different : int
+        How many there are, of how many strategies, and how many different routes among them.
+    impossible : int
+        Steps and ends of routes that their strategies cannot have drawn; over 0 is a finding that
+        needs no test.
+    tests : mapping of name to Test
+        By the names ``TESTS``.
+    segments, passages, expected : (C, 2, 2), (C,), (C,)
+        Each place of an edge: from where to where [m], how often it was driven, and how often
+        that is expected.
+    mean_surprise, mean_entropy : float
+        Mean of -ln P(r) of the recorded routes, and what it should be [nats].
+    false_alarm_rate : float
+        Chance that departures which do follow their strategies lead to any finding, at most.
+    resamples : int
+        B.
+    order : Order
+    learning : Learning
+    """
+
+    departures: int
+    strategies: int
+    different: int
+    impossible: int
+    tests: Mapping[str, Test]
+    segments: FloatArray
+    passages: IndexArray
+    expected: FloatArray
+    mean_surprise: float
+    mean_entropy: float
+    false_alarm_rate: float
+    resamples: int
+    order: Order
+    learning: Learning
+
+    @property
+    def blind(self) -> bool:
+        """Whether the rate is so low that ``MOST_RESAMPLES`` cannot give any test a finding."""
+        return 1.0 / (self.resamples + 1) > self.false_alarm_rate / len(TESTS)
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """Names of the tests that found something, 'impossible' first; empty: nothing."""
+        certain = ('impossible',) if self.impossible else ()
+        return certain + tuple(name for name, test in self.tests.items() if test.finding)
+
+
+def audit(
+    departures: Sequence[Driven],
+    false_alarm_rate: float = FALSE_ALARM_RATE,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Audit:
+    """Test departures against the strategies that they were drawn from.
+
+    Parameters
+    ----------
+    departures
+        At least 5, in the order of time; those of one strategy share the object.
+    false_alarm_rate
+        Chance of any finding when all is well, at most. Below 4e-5, 100 000 draws are too few
+        for a finding by the tests (``Audit.blind``).
+    progress
+        Called with how much is done, 0..1.
+
+    Raises
+    ------
+    NotAuditable
+        A strategy has cycles, or there are fewer than ``FEWEST_DEPARTURES`` departures.
+    InvalidOption
+        The rate is not over 0 and at most 0.5.
+    """
+    if not 0.0 < false_alarm_rate <= 0.5:
+        raise InvalidOption(
+            f'the false alarm rate must be over 0 and at most 0.5, got {false_alarm_rate}'
+        )
+    if len(departures) < FEWEST_DEPARTURES:
+        raise NotAuditable(
+            f'{len(departures)} departures are too few to tell; at least {FEWEST_DEPARTURES} are '
+            'needed'
+        )
+    groups = _groups(departures)
+    ground = ground_of(
+        [group.many for group in groups],
+        float(np.mean([each.strategy.expected_length for each in departures])),
+    )
+    resamples = _resamples(false_alarm_rate, len(groups), len(ground.segments))
+    # Set 0 is the recorded one, the others are drawn.
+    tallies = Tallies(len(departures), resamples + 1, ground)
+    rng = np.random.default_rng(SEED)
+    impossible, steps = 0, []
+    for k, group in enumerate(groups):
+        recorded, wrong = group.many.recorded([departures[i].route for i in group.members])
+        impossible += wrong
+        steps.append(recorded)
+        tallies.add(k, group.many, group.members, slice(0, 1), recorded)
+        for sets, drawn in group.many.draw_sets(len(group.members), resamples, rng):
+            behind = slice(sets.start + 1, sets.stop + 1)
+            tallies.add(k, group.many, group.members, behind, drawn)
+            progress((k + sets.stop / resamples) / len(groups))
+    expected, variance = _expected(groups, ground)
+    by_lag, deviations = tallies.order()
+    n = len(departures)
+    found = {
+        'frequency': _compared(tallies.frequency(expected, variance), n),
+        'surprise': _compared(np.abs(tallies.surprise), n),
+        'order': _compared(np.abs(deviations.standard).max(axis=1), n),
+        'repeats': _compared(identical_pairs(tallies.known.T), n),
+    }
+    entropy = float(np.mean([groups[k].many.entropy for k in _owners(groups, n)]))
+    return Audit(
+        departures=n,
+        strategies=len(groups),
+        different=len(np.unique(tallies.known[:, 0])),
+        impossible=impossible,
+        tests=_judged(found, false_alarm_rate),
+        segments=frozen_array(ground.segments, np.float64),
+        passages=frozen_array(tallies.passages[0], np.int64),
+        expected=frozen_array(expected, np.float64),
+        mean_surprise=float(tallies.surprise[0]) / n + entropy,
+        mean_entropy=entropy,
+        false_alarm_rate=false_alarm_rate,
+        resamples=resamples,
+        order=Order(
+            frozen_array(by_lag[0], np.float64),
+            frozen_array(by_lag[1:].mean(axis=0), np.float64),
+            frozen_array(deviations.band, np.float64),
+            float(by_lag[0].mean()),
+            ground.square,
+        ),
+        learning=learning_from(
+            [(group.many, departures[group.members[0]].strategy) for group in groups],
+            _owners(groups, n), steps, [group.members for group in groups],
+        ),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """The departures of one strategy, by their places in the order of time."""
+
+    many: ManyRoutes
+    members: IndexArray
+
+
+def _groups(departures: Sequence[Driven]) -> list[_Group]:
+    members: dict[int, list[int]] = {}
+    for number, each in enumerate(departures):
+        members.setdefault(id(each.strategy), []).append(number)
+    return [
+        _Group(_many(departures[numbers[0]].strategy), np.array(numbers))
+        for numbers in members.values()
+    ]
+
+
+def _many(strategy: Strategy) -> ManyRoutes:
+    return ManyRoutes(strategy.network, strategy.edge_probability)
+
+
+def _owners(groups: Sequence[_Group], count: int) -> IndexArray:
+    """Which group each departure (n,) belongs to."""
+    owner = np.empty(count, np.int64)
+    for k, group in enumerate(groups):
+        owner[group.members] = k
+    return owner
+
+
+def _expected(groups: Sequence[_Group], ground: Ground) -> tuple[FloatArray, FloatArray]:
+    """Expected passages and their variance at each place of an edge (C,)."""
+    expected, variance = np.zeros(len(ground.segments)), np.zeros(len(ground.segments))
+    for group, place in zip(groups, ground.of_edge, strict=True):
+        used, n = group.many.used, len(group.members)
+        p = group.many.p[used]
+        np.add.at(expected, place[used], n * p)
+        # Rounding may leave a p a little over 1.
+        np.add.at(variance, place[used], n * np.maximum(p * (1.0 - p), 0.0))
+    return expected, variance
+
+
+def _resamples(rate: float, strategies: int, places: int) -> int:
+    """Enough that the smallest p-value possible is a finding, up to ``MOST_RESAMPLES``."""
+    if rate * (MOST_RESAMPLES + 1) <= len(TESTS):
+        return MOST_RESAMPLES
+    many = strategies > MANY or places > MANY_PLACES
+    least = RESAMPLES_OF_MANY if many else RESAMPLES
+    return max(least, math.ceil(len(TESTS) / rate) - 1)
+
+
+def _compared(statistics: FloatArray, n: int) -> tuple[float, float, float]:
+    """The statistic as recorded (first), its mean otherwise, and the chance of at least that.
+
+    The chance is exact under the hypothesis, as the recorded set is exchangeable with the others.
+    """
+    recorded, drawn = float(statistics[0]), statistics[1:]
+    reached = int((drawn >= recorded - TIE * max(abs(recorded), n)).sum())
+    return recorded, float(drawn.mean()), (1 + reached) / (1 + len(drawn))
+
+
+def _judged(found: Mapping[str, tuple[float, float, float]], rate: float) -> Mapping[str, Test]:
+    """Holm: the k-th smallest p-value (k = 0, 1, ...) is held against rate / (tests - k)."""
+    names = sorted(found, key=lambda name: found[name][2])
+    findings = set()
+    for k, name in enumerate(names):
+        if found[name][2] > rate / (len(names) - k):
+            break
+        findings.add(name)
+    return MappingProxyType({
+        name: Test(*compared, name in findings) for name, compared in found.items()
+    })

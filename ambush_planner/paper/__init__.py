@@ -1,0 +1,1 @@
+"""The paper, reproduced: E. Boidot and E. Feron, Planning random path distributions ..."""

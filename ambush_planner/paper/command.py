@@ -1,0 +1,142 @@
+"""``ambush_paper``: the paper's tables and figures, repeated on an environment that is stated.
+
+E. Boidot and E. Feron, *Planning Random path distributions for ambush games in unstructured
+environments*. See ``paper.environment`` for the environment and docs/paper.md for the result.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import scipy
+
+from ..core.errors import AmbushPlannerError
+from . import environment as environment
+from .report import Comparison, compare, report
+from .results import DRAWS, Results, Say, compute
+
+EPILOG = """\
+The folder then holds results.json, tables.md and the figures 2 to 7 of the paper with one of our
+own strategy. The paper's numbers stand beside ours; on its 8-node network they can be compared
+themselves, on the map, which it does not publish, only their order can. Takes about a minute.
+Exit code: 0; 1 if a comparison fails or something went wrong.
+"""
+BEGIN, END = '<!-- ambush_paper: begin -->', '<!-- ambush_paper: end -->'
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Repeat the paper and return the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        # Here, so that --help and the message below need no matplotlib.
+        from .figures import draw_all
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition('.')[0]
+        return _fail(f"{package} is not installed; try: pip install 'ambush_planner[figures]'")
+    begin = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f'{time.monotonic() - begin:5.1f} s  {text}', flush=True)
+
+    try:
+        options.output.mkdir(parents=True, exist_ok=True)
+        results, comparisons = _compute(options.output, options.docs, say)
+        draw_all(results, options.output, say)
+    except (AmbushPlannerError, OSError, ValueError) as error:
+        return _fail(str(error))
+    except KeyboardInterrupt:
+        return _fail('interrupted')
+    say('done')
+    print(f'\n{report(results)}\n{options.output}: results.json, tables.md and the figures')
+    failed = [comparison.statement for comparison in comparisons if not comparison.holds]
+    return _fail(f"does not hold: {'; '.join(failed)}") if failed else 0
+
+
+def _compute(folder: Path, docs: Path | None, say: Say) -> tuple[Results, list[Comparison]]:
+    """Run the experiments and write the numbers."""
+    if docs is not None:
+        with_tables(docs.read_text(), '')  # fails now, not when all is done
+    results = compute(environment.make_risk_map(), say)
+    comparisons = compare(results)
+    (folder / 'results.json').write_text(_as_json(results, comparisons))
+    tables = report(results)
+    (folder / 'tables.md').write_text(tables)
+    if docs is not None:
+        docs.write_text(with_tables(docs.read_text(), tables))
+    return results, comparisons
+
+
+def with_tables(document: str, tables: str) -> str:
+    """Put the tables between the marks of a document.
+
+    Raises
+    ------
+    ValueError
+        The document does not hold both marks, one after the other.
+    """
+    before, begin, rest = document.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise ValueError(f'the document needs the lines {BEGIN} and {END}')
+    return f'{before}{BEGIN}\n\n{tables}\n{END}{after}'
+
+
+def _as_json(results: Results, comparisons: Sequence[Comparison]) -> str:
+    stated = {
+        name.lower(): getattr(environment, name)
+        for name in dir(environment)
+        if name.isupper()
+    }
+    content = {
+        'environment': stated,
+        'draws': DRAWS,
+        'versions': {
+            'python': platform.python_version(),
+            'numpy': np.__version__,
+            'scipy': scipy.__version__,
+        },
+        **results.rows(),
+        'comparisons': [asdict(comparison) for comparison in comparisons],
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + '\n'
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='ambush_paper',
+        description="Repeat the paper's tables and figures on an environment that is stated.",
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument(
+        '-o',
+        '--output',
+        type=Path,
+        default=Path('out/paper'),
+        metavar='FOLDER',
+        help='where the results go; made if missing (default: %(default)s)',
+    )
+    parser.add_argument(
+        '--docs',
+        type=Path,
+        metavar='FILE',
+        help='also renew the tables in this Markdown file, between its marks',
+    )
+    return parser
+
+
+def _fail(message: str) -> int:
+    print(f'ambush_paper: {message}', file=sys.stderr)
+    return 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,274 @@
+"""What ``ambush_paper`` prints: tables, and the paper's statements beside what came out here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from .environment import EXAMPLE, HIGH_ALPHA, METHODS, THRESHOLDS
+from .results import (
+    DETOURS,
+    DRAWS,
+    METHOD_3,
+    SAFEST,
+    SHORTEST,
+    SOLVERS,
+    STOCHASTIC,
+    WEIGHTED,
+    Results,
+    Spread,
+)
+
+NAMES = dict(zip(SOLVERS, ('interior point (LP)', 'simplex (LP)', 'max_entropy (ours)'),
+                 strict=True))
+# Where on the optimal face an interior point method stops depends on its scaling and its steps.
+NEAR = 0.01
+# Values of one game by several solvers agree to this, relative.
+SAME_VALUE = 2e-6
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A statement of the paper, or of ours about it: both sides as printed, and whether it holds.
+
+    ``exact``: the number itself can be compared; otherwise the map differs and only the order can.
+    """
+
+    statement: str
+    paper: str
+    here: str
+    holds: bool
+    exact: bool = False
+
+
+def compare(results: Results) -> list[Comparison]:
+    """Hold everything that the paper states against the results."""
+    return [
+        *_example(results),
+        *_table_2(results),
+        *_table_3(results),
+        *_secondary_objectives(results),
+        *_ours(results),
+    ]
+
+
+def _example(results: Results) -> Iterable[Comparison]:
+    """The 8-node network is published: its numbers can be compared one by one."""
+    centre, vertex = (results.spread(EXAMPLE, solver) for solver in SOLVERS[:2])
+    for row in (centre, vertex):
+        paper = float(row.paper_edge_entropy or 0.0)
+        yield Comparison(
+            f'{EXAMPLE}: edge entropy, {NAMES[row.solver]}',
+            f'{paper:.2f}',
+            f'{row.edge_entropy:.2f}',
+            abs(row.edge_entropy - paper) <= NEAR,
+            exact=True,
+        )
+    for row, routes in ((centre, 7), (vertex, 3)):
+        yield Comparison(
+            f'{EXAMPLE}: routes, {NAMES[row.solver]}',
+            f'{routes}',
+            f'{row.routes}',
+            row.routes == routes,
+            exact=True,
+        )
+    used = vertex.edges_used / vertex.edges
+    yield Comparison(
+        f"{EXAMPLE}: edges used, {NAMES['simplex']}",
+        '70 %',
+        f'{vertex.edges_used} of {vertex.edges}, {used:.0%}',
+        0.65 <= used < 0.75,
+        exact=True,
+    )
+
+
+def _table_2(results: Results) -> Iterable[Comparison]:
+    for network in METHODS:
+        centre, vertex = (results.spread(network, solver) for solver in SOLVERS[:2])
+        yield Comparison(
+            f'{network}: edge entropy, interior point over simplex',
+            f'{centre.paper_edge_entropy:.2f} > {vertex.paper_edge_entropy:.2f}',
+            f'{centre.edge_entropy:.2f} > {vertex.edge_entropy:.2f}',
+            centre.edge_entropy > vertex.edge_entropy,
+        )
+
+
+def _table_3(results: Results) -> Iterable[Comparison]:
+    rows = [results.planner(name) for name in (STOCHASTIC, SHORTEST, SAFEST)]
+    random, shortest, safest = rows
+    paper = [row.paper or () for row in rows]
+
+    def order(statement: str, of: Sequence[int], column: int, holds: bool) -> Comparison:
+        fields = ('expected_length', 'p_first', 'p_repeated', 'v_repeated')
+        return Comparison(
+            statement,
+            ' < '.join(f'{paper[k][column]:.2f}' for k in of),
+            ' < '.join(f'{getattr(rows[k], fields[column]):.2f}' for k in of),
+            holds,
+        )
+
+    yield order(
+        'Table III: E, shortest < risk avoiding < stochastic',
+        (1, 2, 0),
+        0,
+        shortest.expected_length < safest.expected_length < random.expected_length,
+    )
+    yield order(
+        'Table III: P_inf, stochastic < fixed route',
+        (0, 1),
+        2,
+        random.p_repeated < shortest.p_repeated == safest.p_repeated == 1.0,
+    )
+    for k in (1, 2):
+        yield order(
+            f'Table III: V_inf, stochastic < {rows[k].planner}',
+            (0, k),
+            3,
+            random.v_repeated < rows[k].v_repeated,
+        )
+    yield Comparison(
+        'Table III: P_inf = P_1 for the stochastic planner',
+        '0.33 = 0.33',
+        f'{random.p_repeated:.2f} = {random.p_first:.2f}',
+        random.p_repeated == random.p_first,
+    )
+
+
+def _secondary_objectives(results: Results) -> Iterable[Comparison]:
+    random, weighted = (results.planner(name) for name in (STOCHASTIC, WEIGHTED))
+    raw, light = results.spread(METHOD_3, 'interior_point'), results.spread(METHOD_3, WEIGHTED)
+    yield Comparison(
+        '0.99 / 0.01: E falls, near to the shortest',
+        '89.57 to 33.14, 1.06 times',
+        f'{random.expected_length:.2f} to {weighted.expected_length:.2f}, '
+        f'{weighted.expected_length / light.shortest_length:.2f} times',
+        weighted.expected_length < min(random.expected_length, 1.2 * light.shortest_length),
+    )
+    yield Comparison(
+        f'0.99 / 0.01: more of the journey at alpha > {HIGH_ALPHA:g}',
+        'more (figure 6)',
+        f'{raw.high_alpha_share:.0%} to {light.high_alpha_share:.0%} of the visits',
+        light.high_alpha_share > raw.high_alpha_share,
+    )
+    values = [random.v_repeated, *(row.value for row in results.table_thresholds)]
+    yield Comparison(
+        f"alpha threshold {', '.join(f'{t:g}' for t in THRESHOLDS)}: the loss never falls",
+        'bottlenecks (figure 7)',
+        ', '.join(f'{value:.2f}' for value in values),
+        all(b >= a * (1.0 - SAME_VALUE) for a, b in pairwise(values)) and values[-1] > values[0],
+    )
+
+
+def _ours(results: Results) -> Iterable[Comparison]:
+    """What the package claims to do better, on the same networks."""
+    networks = list(results.networks)
+
+    def everywhere(statement: str, test: Callable[[Spread, Spread, Spread], bool]) -> Comparison:
+        held = [
+            test(*(results.spread(network, solver) for solver in SOLVERS)) for network in networks
+        ]
+        return Comparison(statement, '-', f'{sum(held)} of {len(held)} networks', all(held))
+
+    yield everywhere(
+        'ours: the same value as both linear programs',
+        lambda centre, vertex, ours: all(
+            abs(row.value - ours.value) <= SAME_VALUE * ours.value for row in (centre, vertex)
+        ),
+    )
+    yield everywhere(
+        'ours: more route entropy than simplex',
+        lambda centre, vertex, ours: ours.route_entropy > vertex.route_entropy,
+    )
+    yield everywhere(
+        f'ours: within {DETOURS[0]:g} times the shortest length',
+        lambda centre, vertex, ours: (
+            ours.expected_length <= DETOURS[0] * ours.shortest_length * (1.0 + 1e-6)
+        ),
+    )
+
+
+def table_2(results: Results) -> str:
+    """Entropy by network and solver, as a Markdown table."""
+    head = ('network', 'solver', 'value', 'edge entropy', "paper's", 'route entropy',
+            'E / shortest', f'routes of {DRAWS}', f'at alpha > {HIGH_ALPHA:g}')
+    return _table(head, [
+        (
+            row.network,
+            NAMES[row.solver],
+            f'{row.value:.3f}',
+            f'{row.edge_entropy:.2f}',
+            _number(row.paper_edge_entropy),
+            f'{row.route_entropy:.2f}',
+            f'{row.expected_length / row.shortest_length:.2f}',
+            f'{row.routes}',
+            '' if row.network == EXAMPLE else f'{row.high_alpha_share:.0%}',
+        )
+        for row in results.table_2
+    ])
+
+
+def table_3(results: Results) -> str:
+    """The planners' measures, as a Markdown table."""
+    head = ('planner', 'E', "paper's", 'P_1', "paper's", 'P_inf', "paper's", 'V_inf', "paper's",
+            'route entropy', f'routes of {DRAWS}')
+    rows = []
+    for row in results.table_3:
+        numbers = (row.expected_length, row.p_first, row.p_repeated, row.v_repeated)
+        paper = row.paper or (None,) * 4
+        cells = [
+            text for ours, theirs in zip(numbers, paper, strict=True)
+            for text in (f'{ours:.2f}', _number(theirs))
+        ]
+        rows.append((row.planner, *cells, *_spread_cells(results, row.planner)))
+    return _table(head, rows)
+
+
+def _spread_cells(results: Results, planner: str) -> tuple[str, str]:
+    if planner in (SHORTEST, SAFEST):
+        return '0.00', '1'
+    row = results.spread(METHOD_3, 'interior_point' if planner == STOCHASTIC else planner)
+    return f'{row.route_entropy:.2f}', f'{row.routes}'
+
+
+def threshold_table(results: Results) -> str:
+    """Value and number of ambush sites as the alpha threshold falls, as a Markdown table."""
+    rows = [
+        (f'{row.alpha_threshold:g}', f'{row.value:.3f}', f'{row.sites}')
+        for row in results.table_thresholds
+    ]
+    return _table(('alpha threshold', 'value', 'ambush sites'), rows)
+
+
+def comparison_table(comparisons: Sequence[Comparison]) -> str:
+    """Statement, paper, here, verdict, as a Markdown table."""
+    head = ('statement', 'paper', 'here', 'compared', '')
+    return _table(head, [
+        (c.statement, c.paper, c.here, 'number' if c.exact else 'order',
+         'ok' if c.holds else 'NOT ok')
+        for c in comparisons
+    ])
+
+
+def report(results: Results) -> str:
+    """All tables, with headings, as Markdown."""
+    parts = (
+        ('Table II: entropy [nats]', table_2(results)),
+        (f'Table III: planners compared on {METHOD_3}', table_3(results)),
+        ('Alpha threshold (figure 7)', threshold_table(results)),
+        ("The paper's statements", comparison_table(compare(results))),
+    )
+    return '\n'.join(f'### {title}\n\n{table}\n' for title, table in parts)
+
+
+def _number(value: float | None) -> str:
+    return '' if value is None else f'{value:.2f}'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = []
+    for row in (head, ['-' * width for width in widths], *rows):
+        cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        lines.append(f"| {' | '.join(cells)} |")
+    return '\n'.join(lines)

@@ -1,0 +1,155 @@
+"""``metadata.yaml``, by which rosbag2 (version 9, Jazzy) takes a folder of files as a bag.
+
+It is written as JSON, which is YAML.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Any
+
+from mcap.exceptions import McapError
+from mcap.reader import SeekingReader
+
+from .qos import fields_from_yaml
+
+FILE_NAME = 'metadata.yaml'
+_ROOT = 'rosbag2_bagfile_information'
+# Some 60 000 files.
+_MOST_BYTES = 2**24
+# Of a file's index, which stands at its end.
+_MOST_INDEX_BYTES = 2**22
+# A line of a metadata.yaml that rosbag2 wrote itself.
+_LISTED = re.compile(r'^ *- *"?([^"\n]+\.mcap)"? *$', re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A topic as one file's channel describes it."""
+
+    name: str
+    type: str
+    qos: str
+    type_hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class BagFile:
+    """One finished MCAP file: its name in the folder, first and last time [ns], and topics."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    counts: tuple[tuple[RecordedTopic, int], ...]
+
+
+def describe_file(name: str, file: bytes | IO[bytes]) -> BagFile:
+    """Describe a finished MCAP file from its own index.
+
+    Raises
+    ------
+    ValueError
+        The file has no whole index.
+    """
+    stream = BytesIO(file) if isinstance(file, bytes) else file
+    try:
+        summary = SeekingReader(stream, record_size_limit=_MOST_INDEX_BYTES).get_summary()
+        times = summary.statistics
+        counts = [
+            (
+                RecordedTopic(
+                    channel.topic, summary.schemas[channel.schema_id].name,
+                    channel.metadata.get('offered_qos_profiles', ''),
+                    channel.metadata.get('topic_type_hash', ''),
+                ),
+                times.channel_message_counts.get(channel.id, 0),
+            )
+            for channel in summary.channels.values()
+        ]
+        return BagFile(name, times.message_start_time, times.message_end_time, tuple(counts))
+    except (McapError, LookupError, AttributeError, OSError, ArithmeticError, EOFError,
+            TypeError, MemoryError) as error:
+        raise ValueError(f'it has no whole index ({type(error).__name__})') from error
+
+
+def bag_text(files: Iterable[BagFile]) -> bytes:
+    """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
+    files = list(files)
+    counts: Counter[RecordedTopic] = Counter()
+    for each in files:
+        counts.update(dict(each.counts))
+    filled = [each for each in files if sum(number for _, number in each.counts)]
+    start = min((each.start_ns for each in filled), default=0)
+    end = max((each.end_ns for each in filled), default=0)
+    document = {
+        'version': 9,
+        'storage_identifier': 'mcap',
+        **_time_span(start, end),
+        'message_count': sum(counts.values()),
+        'compression_format': '',  # chunks are compressed inside MCAP, not by rosbag2
+        'compression_mode': '',
+        'custom_data': {},
+        'ros_distro': os.environ.get('ROS_DISTRO', ''),
+        'topics_with_message_count': [
+            {'topic_metadata': _described(topic), 'message_count': count}
+            for topic, count in counts.items()
+        ],
+        'relative_file_paths': [each.name for each in files],
+        'files': [
+            {
+                'path': each.name, **_time_span(each.start_ns, each.end_ns),
+                'message_count': sum(number for _, number in each.counts),
+            }
+            for each in files
+        ],
+    }
+    return json.dumps({_ROOT: document}, indent=1, ensure_ascii=False).encode()
+
+
+def listed_files(folder: Path) -> list[str] | None:
+    """Return the files that a folder's ``metadata.yaml`` lists; None if it does not say."""
+    path = folder / FILE_NAME
+    try:
+        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+            return None
+        text = path.read_text()
+    except (OSError, ValueError):
+        return None
+    try:
+        names = json.loads(text)[_ROOT]['relative_file_paths']
+    except ValueError:
+        # As rosbag2 writes it: a block of lines, ended by one that is less indented.
+        block = re.search(r'^ *relative_file_paths:\n((?: *- .*\n)*)', text, re.MULTILINE)
+        return _LISTED.findall(block[1]) if block else None
+    except (LookupError, TypeError, RecursionError):
+        return None
+    good = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    return names if good else None
+
+
+def _described(topic: RecordedTopic) -> dict[str, Any]:
+    try:
+        profiles = [fields_from_yaml(topic.qos)]
+    except ValueError:
+        profiles = []
+    return {
+        'name': topic.name,
+        'type': topic.type,
+        'serialization_format': 'cdr',
+        'offered_qos_profiles': profiles,
+        'type_description_hash': topic.type_hash,
+    }
+
+
+def _time_span(start_ns: int, end_ns: int) -> dict[str, Any]:
+    return {
+        'starting_time': {'nanoseconds_since_epoch': start_ns},
+        'duration': {'nanoseconds': end_ns - start_ns},
+    }

@@ -1,0 +1,138 @@
+"""The chain of recordings: each states the SHA-256 of the one before it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..recording.bag_folder import FILE_NAME, listed_files
+from ..recording.errors import shown
+from ..recording.metadata import Link
+from .departures import source_findings
+from .verify import Verdict
+
+
+@dataclass(frozen=True)
+class Linked:
+    """A file that is there, with its own SHA-256 and, if it could be read, its place."""
+
+    path: Path
+    sha256: str
+    link: Link | None
+
+    @property
+    def name(self) -> str:
+        """As the chain names files, whatever their folder is called now."""
+        return self.path.name
+
+
+def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str], list[str]]:
+    """Check files of a folder against each other and the folder: (faults, notes).
+
+    Parameters
+    ----------
+    verdicts
+        Of all files, in their order.
+    expected
+        The SHA-256 of a recording that was noted elsewhere, or ''.
+    """
+    files = [
+        Linked(each.path, each.sha256, each.metadata.link if each.metadata else None)
+        for each in verdicts
+    ]
+    faults, notes = chain_faults(files)
+    faults += folder_faults([each.path for each in verdicts])
+    faults += [
+        f'random source: {each}' for each in source_findings(
+            (each.path.name, each.metadata) for each in verdicts if each.metadata
+        )
+    ]
+    if expected:
+        hashes = [each.sha256 for each in verdicts]
+        if expected not in hashes:
+            faults.append('the recording of the expected hash is not here: it or its hash changed')
+        elif later := len(hashes) - 1 - hashes.index(expected):
+            notes.append(f'{later} recordings are newer than the one of the expected hash')
+    return faults, notes
+
+
+def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:
+    """Follow the chain through files in their order.
+
+    Returns
+    -------
+    (list of str, list of str)
+        What is wrong: files that are missing, exchanged, moved or inserted. And what is no fault:
+        where the chain comes from.
+    """
+    by_hash = {each.sha256: each for each in files}
+    by_name = {each.name: each for each in files}
+    faults, notes = [], []
+    followed: dict[str, list[str]] = {}
+    for number, each in enumerate(files):
+        if each.link is None:
+            continue
+        if each.link.file != each.name:
+            faults.append(
+                f'{_shown(each.name)} is moved: it was recorded as {_shown(each.link.file)}'
+            )
+        if not each.link.follows:
+            earlier = {_session(other.name) for other in files[:number]}
+            if _session(each.name) in earlier:
+                faults.append(f'{_shown(each.name)} is inserted: it follows nothing')
+            elif earlier:
+                notes.append(f'{_shown(each.name)} begins a chain of its own')
+            continue
+        followed.setdefault(each.link.sha256, []).append(each.name)
+        if each.link.sha256 in by_hash:
+            continue
+        what, is_fault = _unfollowed(each, by_name, number)
+        (faults if is_fault else notes).append(what)
+    for names in followed.values():
+        # Two sessions may begin after the same file; in one session nothing has two successors.
+        sessions = list(map(_session, names))
+        if len(set(sessions)) < len(sessions):
+            faults.append(
+                f'{_shown(" and ".join(names))} follow the same file: one of them is inserted'
+            )
+    return faults, notes
+
+
+def _unfollowed(each: Linked, by_name: dict[str, Linked], number: int) -> tuple[str, bool]:
+    """What it means that the file before one is not there, and whether that is a fault."""
+    before = each.link.follows
+    if before in by_name:
+        return f'{_shown(before)} is exchanged: {_shown(each.name)} followed another one', True
+    same_session = _session(before) == _session(each.name)
+    if number == 0 and not same_session:
+        return f'the first, {_shown(each.name)}, follows {_shown(before)}, which is not here', False
+    return f'{_shown(before)} is missing: {_shown(each.name)} followed it', True
+
+
+def folder_faults(paths: Sequence[Path]) -> list[str]:
+    """Check that each folder's ``metadata.yaml`` names exactly the recordings that are there."""
+    faults = []
+    for folder in dict.fromkeys(path.parent for path in paths):
+        present = {name for name in os.listdir(folder) if name.endswith('.mcap')}
+        listed = listed_files(folder)
+        if listed is None:
+            if (folder / FILE_NAME).exists():
+                faults.append(f'{_shown(folder / FILE_NAME)} lists no files')
+            continue
+        for name in sorted(present - set(listed)):
+            faults.append(f'{_shown(folder / name)} is there, but {FILE_NAME} does not name it')
+        for name in sorted(set(listed) - present):
+            faults.append(f'{_shown(folder / name)} is not there, but {FILE_NAME} names it')
+        if len(listed) > len(set(listed)):
+            faults.append(f'{_shown(folder / FILE_NAME)} names a file twice')
+    return faults
+
+
+def _session(name: str) -> str:
+    return name.rpartition('_')[0]
+
+
+def _shown(name: Path | str) -> str:
+    return shown(str(name)[:200])

@@ -1,0 +1,192 @@
+"""A departure as it happened, and what a recording keeps of it."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import scipy
+from builtin_interfaces.msg import Time
+from nav_msgs.srv import GetPlan
+from rclpy.serialization import serialize_message
+from service_msgs.msg import ServiceEventInfo
+
+from ..core.planner import Route
+from ..recording import Attachment, RecordedMessage, type_name
+from ..recording.map_changes import MAP_CHANGES_FILE, map_changes_file
+from ..recording.metadata import metadata_texts
+from ..recording.strategy_file import STRATEGY_FILE
+from .cdr import plan_event_bytes
+from .inputs import Received, Trip
+from .parameters import NodeParameters
+from .paths import DeparturePath
+from .planning import HeldPlan
+from .qos import LATEST
+
+
+@dataclass(frozen=True, eq=False)
+class ServiceCall:
+    """What somebody asked for: a service's type and full name, and the request."""
+
+    kind: Any
+    name: str
+    request: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Departure:
+    """One convoy's departure; times in nanoseconds of the node's clock, the end last.
+
+    Attributes
+    ----------
+    trip
+        What was asked for, on the newest map.
+    held
+        The plan that it left on, perhaps of an older map and a nearby trip.
+    path
+        From the pose asked for, along the route, to the goal.
+    published, others
+        The path, and markers and diagnostics, as they were published.
+    trouble
+        What went wrong with the recordings, if anything did.
+    response
+        What was answered, once it is; at ``end_ns``.
+    """
+
+    id: str
+    number: int
+    call: ServiceCall
+    trip: Trip
+    parameters: NodeParameters
+    held: HeldPlan
+    entropy_source: list[int]
+    route: Route
+    path: DeparturePath
+    published: RecordedMessage
+    others: tuple[RecordedMessage, ...]
+    begin_ns: int
+    end_ns: int
+    trouble: str = ''
+    response: Any = None
+
+
+def recorded_messages(departure: Departure) -> list[RecordedMessage]:
+    """Return inputs, request, publications and answer.
+
+    None is earlier than the request or later than the answer: markers may be of a departure
+    before, and the clock may have been set since.
+    """
+    trip, begin = departure.trip, departure.begin_ns
+    planned_on = departure.held.trip.map.received
+    inputs = [_received(each, begin) for each in (planned_on, trip.start, trip.goal)]
+    published = [
+        replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
+        for each in (*departure.others, departure.published)
+    ]
+    return [*inputs, _request(departure), *published, _response(departure)]
+
+
+def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> dict[str, str]:
+    """Return what is needed to plan and draw the departure again, and hashes of all of it."""
+    trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
+    planned_on = planned.map.received
+    roles: dict[str, Received | RecordedMessage] = {
+        'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
+    }
+    return metadata_texts(
+        inputs={role: each.topic for role, each in roles.items()},
+        contents={
+            **{role: each.data for role, each in roles.items()},
+            'strategy': strategy, 'map_changes': changes,
+        },
+        json_entries={
+            'parameters': dict(departure.parameters.values),
+            'versions': dict(software_versions()),
+            'route_entropy_source': departure.entropy_source,
+            'route': departure.route.nodes.tolist(),
+            'trip': {
+                'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
+                'tolerance': trip.goal_tolerance,
+            },
+            'ends': [*map(list, departure.held.ends(trip))],
+        },
+        texts={
+            'planner_version': planner_version(),
+            'service': departure.call.name.rsplit('/', 1)[-1],
+            'departure': str(departure.number),
+            'departure_id': departure.id,
+            'frame': trip.map.frame,
+        },
+    )
+
+
+def map_changes(departure: Departure) -> bytes:
+    """Return the cells in which the newest map differs from the one that was planned on, if any."""
+    newest, planned = departure.trip.map, departure.held.trip.map
+    return b'' if newest is planned else map_changes_file(planned.values, newest.values)
+
+
+def attachments(strategy: bytes, changes: bytes) -> list[Attachment]:
+    """Return the files of a departure as they stand in its recording."""
+    files = {STRATEGY_FILE: strategy, **({MAP_CHANGES_FILE: changes} if changes else {})}
+    return [Attachment(name, 'application/zip', data) for name, data in files.items()]
+
+
+def _received(received: Received, stamp_ns: int) -> RecordedMessage:
+    return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
+
+
+def _request(departure: Departure) -> RecordedMessage:
+    asked = ServiceEventInfo.REQUEST_RECEIVED
+    return _event(departure, asked, departure.begin_ns, request=[departure.call.request])
+
+
+def _response(departure: Departure) -> RecordedMessage:
+    answered = ServiceEventInfo.RESPONSE_SENT
+    return _event(departure, answered, departure.end_ns, response=[departure.response])
+
+
+def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> RecordedMessage:
+    """Return the message that service introspection would publish, which rosbag2 knows."""
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    info = ServiceEventInfo(
+        event_type=what,
+        stamp=Time(sec=seconds, nanosec=nanoseconds),
+        sequence_number=departure.number,
+    )
+    kind = departure.call.kind.Event
+    topic = f'{departure.call.name}/_service_event'
+    event = kind(info=info, **content)
+    if kind is GetPlan.Event and 'response' in content:
+        data = plan_event_bytes(event, departure.published.data)
+    else:
+        data = serialize_message(event)
+    return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
+
+
+@cache
+def planner_version() -> str:
+    """The version of the planner; it does not change while it runs."""
+    return _version_of('ambush_planner')
+
+
+@cache
+def software_versions() -> Mapping[str, str]:
+    """The versions of what the planner computes with."""
+    return MappingProxyType({
+        'python': platform.python_version(), 'numpy': np.__version__, 'scipy': scipy.__version__,
+        'rclpy': _version_of('rclpy'),
+    })
+
+
+def _version_of(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return 'not installed'

@@ -1,0 +1,316 @@
+"""Dispatches convoys: finds or makes the plan, draws the route, publishes the path."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+from uuid import uuid4
+
+import numpy as np
+from rclpy.clock import Clock
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.time import Time
+from std_msgs.msg import Header
+
+from ..core.errors import AmbushPlannerError
+from ..core.planner import Plan, Route
+from ..recording import RecordedMessage, RecordingFailed
+from ..worker.errors import SolveCancelled, for_the_log
+from . import markers
+from .departure_record import Departure, ServiceCall
+from .errors import GroundChanges
+from .futures import settle
+from .inputs import Asked, Inputs, RobotOptions, Trip
+from .outbox import Outbox
+from .parameters import NodeParameters, RecordingOptions
+from .paths import DeparturePath, path_between
+from .planning import HeldPlan, Plans, route_entropy_source, usable
+from .recordings import Recordings
+from .reporter import Reporter
+
+# Of the two seconds that the node has to end in: from being told to the last recording.
+_LAST_RECORDINGS = 1.0  # s
+# So many solves are waited for where map or robot have moved on each time.
+_MOST_SOLVES = 4
+
+_Outcome = TypeVar('_Outcome')
+
+
+@dataclass(eq=False)
+class _Request:
+    """A departure that somebody waits for."""
+
+    call: ServiceCall
+    asked: Asked
+    parameters: NodeParameters
+    begin_ns: int
+    departure: Future[Departure] = field(default_factory=Future)
+    solves: int = 0
+
+
+class Dispatcher:
+    """One planner's run: its plans and its departures.
+
+    Safe to be used from several threads: departures leave one after the other in a thread of their
+    own, and no thread waits for a solve. Methods and the futures that they return raise the
+    planner's errors, and leave the dispatcher usable.
+    """
+
+    def __init__(
+        self,
+        parameters: NodeParameters,
+        inputs: Inputs,
+        outbox: Outbox,
+        reporter: Reporter,
+        clock: Clock,
+        logger: RcutilsLogger,
+        start_topic: str,
+    ) -> None:
+        self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
+        self._start_topic = start_topic
+        self._reporter, self._clock, self._logger = reporter, clock, logger
+        self._plans = Plans()
+        self._shown: HeldPlan | None = None
+        self._markers: tuple[RecordedMessage, ...] = ()
+        self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
+        self._count = 0
+        self._told_to_end: float | None = None
+        self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
+
+    @property
+    def solving(self) -> bool:
+        """Whether a solve runs or waits."""
+        return self._plans.solving
+
+    def stop_solving(self) -> None:
+        """End all solves: whoever waits for one, or for a departure, is told."""
+        if self._told_to_end is None:
+            self._told_to_end = time.monotonic()
+        self._recordings.hurry()
+        self._plans.close()
+
+    def close(self) -> None:
+        """Answer all who wait, write the last recordings, and end."""
+        self.stop_solving()
+        self._departures.shutdown()
+        told = self._told_to_end or 0.0
+        if left := self._recordings.close(told + _LAST_RECORDINGS - time.monotonic()):
+            self._logger.error(f'recording: {left} departures could not be written before the end')
+
+    def reconfigure(self, parameters: NodeParameters) -> None:
+        """Use other parameters from the next request on."""
+        self._parameters = parameters
+
+    def ground_changed(self) -> None:
+        """See how plans stand on the map that has just come, and solve anew where it is wanted."""
+        self._in_turn(self._review)
+
+    def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
+        """Depart as asked."""
+        request = _Request(call, asked, self._parameters, self._now())
+        self._in_turn(lambda: self._try(request), request.departure)
+        return request.departure
+
+    def record(self, departure: Departure, response: Any) -> None:
+        """Have a departure recorded, once it is answered."""
+        if not departure.parameters.recording.enabled:
+            return
+        end = max(departure.end_ns, self._now())
+        try:
+            self._recordings.record(replace(departure, response=response, end_ns=end))
+        except RecordingFailed as error:
+            self._recorded(departure.parameters.recording, error)
+
+    def replan(self, asked: Asked) -> Future[Plan]:
+        """Solve anew for the map in force."""
+        outcome: Future[Plan] = Future()
+
+        def begin() -> None:
+            parameters = self._parameters
+            trip = self._inputs.locate(asked, self._robot(parameters))
+            self._when_solved(self._plans.solve(trip, parameters), show, outcome)
+
+        def show(held: HeldPlan) -> None:
+            self._show(held)
+            self._review()
+            self._reporter.succeeded()
+            outcome.set_result(held.plan)
+
+        self._in_turn(begin, outcome)
+        return outcome
+
+    def cancel(self) -> int:
+        """End the solve that runs and all that wait; return how many there were."""
+        return self._plans.cancel()
+
+    def _try(self, request: _Request, solved: HeldPlan | None = None) -> None:
+        """Depart on a plan that is there, or have one solved and try again with it."""
+        self._refuse_when_closing()
+        parameters = request.parameters
+        trip = self._inputs.locate(request.asked, self._robot(parameters))
+        good = solved is not None and usable(solved, trip, parameters)
+        held = solved if good else self._plans.find(trip, parameters)
+        if held is None:
+            self._wait(request, self._plans.plan_for(trip, parameters))
+        else:
+            self._leave(held, trip, request)
+
+    def _wait(self, request: _Request, plan: Future[HeldPlan]) -> None:
+        """Try again when the plan is there."""
+        request.solves += 1
+        if request.solves > _MOST_SOLVES:
+            raise GroundChanges(
+                f'{_MOST_SOLVES} solves were out of date before they were done: the map or the '
+                'robot changes too fast; choose a larger network.spacing, route.start_tolerance '
+                'or strategy.max_gap'
+            )
+        self._when_solved(plan, lambda held: self._try(request, held), request.departure)
+
+    def _when_solved(
+        self, solve: Future[HeldPlan], go_on: Callable[[HeldPlan], None], outcome: Future[Any]
+    ) -> None:
+        """Go on in the thread of departures; an error is the outcome."""
+        self._reporter.refresh()
+
+        def solved(done: Future[HeldPlan]) -> None:
+            self._in_turn(lambda: go_on(done.result()), outcome)
+
+        solve.add_done_callback(solved)
+
+    def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
+        """Have work done in the thread of departures; an error is the outcome."""
+
+        def attempt() -> None:
+            self._reporter.refresh()
+            try:
+                work()
+            except Exception as error:
+                if outcome is None:
+                    self._reporter.failed('request', error)
+                else:
+                    outcome.set_exception(error)
+
+        try:
+            self._departures.submit(attempt)
+        except RuntimeError:  # the thread has ended
+            if outcome is not None:
+                settle(outcome, self._refuse_when_closing)
+
+    def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
+        """Draw a route, publish its path, and tell."""
+        self._recordings.wait_for_room()
+        self._refuse_when_closing()
+        if held is not self._shown:
+            self._show(held)
+            if held.trip.map is not trip.map:
+                self._review()
+        parameters = request.parameters
+        departure_id, number = str(uuid4()), self._count + 1
+        source = route_entropy_source(parameters.seed, number)
+        # Within a departure no time is before an earlier one, though the clock may be set.
+        leaving = max(request.begin_ns, self._now())
+        drawn = self._draw(held, trip, source, parameters, leaving)
+        if drawn is None:
+            self._wait(request, self._plans.solve(trip, parameters))
+            return
+        route, path = drawn
+        published = self._outbox.publish('path', path.to_bytes())
+        self._count = number
+        report, trouble = self._reporter.departed(number, departure_id)
+        request.departure.set_result(Departure(
+            departure_id, number, request.call, trip, parameters, held, source, route, path,
+            published, tuple(filter(None, (*self._markers, report))), request.begin_ns,
+            max(leaving, self._now()), trouble,
+        ))
+
+    def _draw(
+        self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
+        stamp_ns: int,
+    ) -> tuple[Route, DeparturePath] | None:
+        """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
+        spacing = parameters.path_spacing or held.plan.spacing
+        drawn = held.ground.draw(np.random.default_rng(source), trip.map, spacing, held.ends(trip))
+        if drawn is None:
+            return None
+        route, rows = drawn
+        poses = trip.start_pose.pose, trip.goal_pose.pose
+        return route, path_between(rows, *poses, self._header(trip, stamp_ns))
+
+    def _refuse_when_closing(self) -> None:
+        if self._told_to_end is not None:
+            raise SolveCancelled('the planner is shutting down')
+
+    def _review(self) -> None:
+        """Tell how the plan that is shown stands on the map in force; solve anew if it is stale."""
+        held, newest, parameters = self._shown, self._inputs.map_in_force(), self._parameters
+        self._plans.keep_ground(newest)
+        if held is None or not newest.same_ground(held.trip.map):
+            self._reporter.stands(None, '')
+            return
+        standing = held.ground.standing(newest)
+        if not standing.stale(held.plan.strategy.value, parameters.replan_tolerance):
+            self._plans.withdraw_background()
+            self._reporter.stands(standing, '')
+            return
+        why = (
+            f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
+            else f'the value has risen to {standing.value:.4g}'
+        )
+        self._reporter.stands(standing, f'the map has changed: {why}; it is being solved anew')
+        trip = replace(held.trip, map=newest)
+        self._solve_in_background(trip, held.parameters, f'the map has changed: {why}')
+
+    def _solve_in_background(self, trip: Trip, parameters: NodeParameters, why: str) -> None:
+        def show(solve: Future[HeldPlan]) -> None:
+            try:
+                self._show(solve.result())
+            except AmbushPlannerError as error:
+                if not isinstance(error, SolveCancelled):
+                    self._reporter.stale(f'{why}, and cannot be solved anew: {error}')
+                return
+            self._review()
+
+        solve = self._plans.solve(trip, parameters, background=True)
+        self._reporter.refresh()
+        solve.add_done_callback(lambda done: self._in_turn(lambda: show(done)))
+
+    def _show(self, held: HeldPlan) -> None:
+        """Publish the markers of the plan that is in force from now on."""
+        plan, strategy = held.plan, held.plan.strategy
+        header = self._header(held.trip, self._now())
+        self._markers = tuple(
+            self._outbox.publish(topic, message)
+            for topic, message in (
+                ('network', markers.network_lines(plan.network, header)),
+                ('edge_probabilities', markers.edge_probabilities(strategy, header)),
+                ('mean_direction', markers.mean_direction(strategy, header)),
+                ('ambush_sites', markers.ambush_sites(strategy, header)),
+            )
+        )
+        self._shown = held
+        newest = self._inputs.map_in_force()
+        same = newest.same_ground(held.trip.map)
+        self._reporter.plan_shown(plan, held.ground.standing(newest) if same else None)
+
+    def _robot(self, parameters: NodeParameters) -> RobotOptions:
+        return RobotOptions(
+            parameters.robot_base_frame, parameters.transform_max_age, self._start_topic
+        )
+
+    def _now(self) -> int:
+        """The time of the node's clock [ns]."""
+        return self._clock.now().nanoseconds
+
+    def _header(self, trip: Trip, stamp_ns: int) -> Header:
+        return Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
+
+    def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
+        """Take note of how the recording of a departure went."""
+        if error is not None:
+            self._logger.error(f'recording: {for_the_log(error)}')
+        if options == self._parameters.recording:  # or others hold by now
+            self._reporter.recorded(error)
+

@@ -1,0 +1,113 @@
+"""The node's diagnostics: what has happened to it, told when it changes and once a second."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from threading import RLock
+
+from rclpy.clock import Clock
+
+from ..core.planner import Plan
+from ..recording import RecordedMessage
+from .diagnostics import Status, status_to_ros
+from .ground import Standing
+from .outbox import Outbox
+
+
+class Reporter:
+    """Publishes the status of the node called ``name``; safe to be used from several threads.
+
+    ``solving`` tells whether a solve runs or waits. What is wrong with a request fades after
+    ``error_hold`` [s]; all else stays as long as it lasts.
+    """
+
+    def __init__(
+        self, name: str, outbox: Outbox, clock: Clock, solving: Callable[[], bool],
+        error_hold: float,
+    ) -> None:
+        self._name, self._outbox, self._clock, self._solving = name, outbox, clock, solving
+        self.error_hold = error_hold
+        self._failed_at = 0.0
+        self._status = Status()
+        self._lock = RLock()
+
+    def report(self) -> RecordedMessage:
+        """Publish the diagnostics as they are."""
+        # Under the lock, or an older status could go out after a newer one.
+        with self._lock:
+            if time.monotonic() - self._failed_at > self.error_hold:
+                self._status = self._status.without_problem('request')
+            self._status = replace(self._status, solving=self._solving())
+            stamp = self._clock.now().to_msg()
+            return self._outbox.publish(
+                '/diagnostics', status_to_ros(self._status, self._name, stamp)
+            )
+
+    def refresh(self) -> None:
+        """Publish the diagnostics if a solve has begun or ended."""
+        self._change(lambda status: status)
+
+    def failed(self, concern: str, error: Exception) -> None:
+        """Tell what is wrong with a request, the map that just came, or the recording."""
+        with self._lock:
+            if concern == 'request':
+                self._failed_at = time.monotonic()
+            self._change(lambda status: status.with_problem(concern, error))
+
+    def succeeded(self) -> None:
+        """Forget what was wrong with a request."""
+        self._change(lambda status: status.without_problem('request'))
+
+    def inputs(self, missing: tuple[str, ...]) -> None:
+        """Tell which inputs are missing."""
+        self._change(lambda status: replace(status, missing=missing))
+
+    def map_accepted(self) -> None:
+        """Forget what was wrong with a map."""
+        self._change(lambda status: status.without_problem('map'))
+
+    def plan_shown(self, plan: Plan, standing: Standing | None) -> None:
+        """Tell the numbers of the plan that is in force."""
+        self._change(lambda status: replace(status, plan=plan, standing=standing, stale=''))
+
+    def stands(self, standing: Standing | None, stale: str) -> None:
+        """Tell how the plan in force stands on the newest map, and why it is stale, if it is."""
+        self._change(lambda status: replace(status, standing=standing, stale=stale))
+
+    def stale(self, why: str) -> None:
+        """Tell that the plan in force is stale, and stays it."""
+        self._change(lambda status: replace(status, stale=why))
+
+    def departed(self, number: int, departure_id: str) -> tuple[RecordedMessage | None, str]:
+        """Tell of a departure; return what was published, and what is wrong with the recording."""
+        with self._lock:
+            report = self._change(lambda status: replace(
+                status.without_problem('request'), departures=number, departure_id=departure_id
+            ))
+            failed = self._status.problems.get('recording')
+            return report, failed.message if failed else ''
+
+    def recording(self, enabled: bool) -> None:
+        """Tell that recording was switched on or off."""
+        self._change(lambda status: replace(
+            status.without_problem('recording'), recording='on' if enabled else 'off'
+        ))
+
+    def recorded(self, error: Exception | None) -> None:
+        """Tell how the recording of a departure went."""
+        if error is None:
+            self.recording(True)
+        else:
+            failed = error
+            self._change(lambda status: replace(
+                status.with_problem('recording', failed), recording='failed'
+            ))
+
+    def _change(self, change: Callable[[Status], Status]) -> RecordedMessage | None:
+        """Change the status, and publish it if it is another one then."""
+        with self._lock:
+            before = self._status
+            self._status = replace(change(before), solving=self._solving())
+            return self.report() if self._status != before else None

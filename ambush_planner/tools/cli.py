@@ -1,0 +1,295 @@
+"""What the commands share: one entry, options, output, exit codes, files that are written.
+
+Each command is a module with ``parser()`` and ``main(arguments)``. The program's own name chooses
+it (``ambush_verify``), or the first argument (``ambush verify``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from enum import IntEnum
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from textwrap import fill
+from typing import Any, TypeVar
+
+from ..core.errors import AmbushPlannerError
+from ..recording.durable import make_private_folders, write_durably
+from ..recording.errors import shown
+
+COMMANDS = {
+    'audit': ('tools.audit', 'do departures follow their strategies, do they show patterns?'),
+    'demo': ('tools.demo', 'departures on real ground, through the real node'),
+    'frontier': ('tools.frontier', 'what a longer way, or a little more risk, buys'),
+    'paper': ('paper.command', "the paper's tables and figures"),
+    'recover': ('tools.recover', 'save what is whole in broken recordings'),
+    'replay': ('tools.replay', 'publish recorded departures again'),
+    'report': ('tools.report', 'recorded departures on one page for any browser'),
+    'table': ('tools.table', 'what it costs to drive between all depots and all customers'),
+    'terrain': ('tools.terrain', 'a risk map from an elevation model'),
+    'verify': ('tools.verify', 'do recorded departures follow from their inputs?'),
+}
+EXIT_CODES = (
+    'Exit code: 0 all holds; 1 a finding; 2 wrong usage; 3 something cannot be read or written;\n'
+    '4 not enough to tell. A finding goes before the others.'
+)
+WIDTH = 99
+_PATIENCE = 2.0  # s
+_BROKEN_PIPE, _INTERRUPTED = 141, 130  # as shells report these signals
+_GREEN, _RED, _PLAIN = '\033[32m', '\033[31m', '\033[0m'
+_Item = TypeVar('_Item')
+
+
+class Exit(IntEnum):
+    """What a command's exit code says."""
+
+    HOLDS = 0
+    FINDING = 1
+    USAGE = 2
+    UNREADABLE = 3
+    TOO_FEW = 4
+
+
+class UsageError(AmbushPlannerError):
+    """The command cannot be run as it was asked for."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command that the program's name or the first argument says."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    name = Path(sys.argv[0]).stem.removeprefix('ambush_')
+    if arguments is None and name in COMMANDS:
+        return _run(name, given)
+    parser = _entry_parser()
+    _complete(parser)
+    options = parser.parse_args(given[:1])
+    return _run(options.command, given[1:])
+
+
+def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return a command's parser with what all have; the text of ``epilog`` stands as it is."""
+    parser = argparse.ArgumentParser(
+        prog=f'ambush_{command}',
+        description=description,
+        epilog=epilog,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('--version', action='version', version=f'ambush_planner {_version()}')
+    parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
+    parser.add_argument('-q', '--quiet', action='store_true', help='print nothing but errors')
+    return parser
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Let a command take recordings."""
+    parser.add_argument(
+        'recordings',
+        type=Path,
+        metavar='FILE_OR_FOLDER',
+        help='a recording, a session folder, or the recording.directory with all of them',
+    )
+
+
+def add_output(parser: argparse.ArgumentParser, what: str) -> None:
+    """Let a command write into a folder."""
+    parser.add_argument(
+        '-o', '--output', type=Path, metavar='DIR', help=f'where {what} goes; made if missing'
+    )
+    parser.add_argument(
+        '--replace', action='store_true', help='replace files that DIR holds already'
+    )
+
+
+class Console:
+    """How a command talks: results on standard output, progress and trouble on standard error."""
+
+    def __init__(self, command: str, *, as_json: bool, quiet: bool) -> None:
+        self._command, self._json, self._quiet = command, as_json, quiet
+        self._colour = sys.stdout.isatty() and 'NO_COLOR' not in os.environ
+        self.result: dict[str, Any] = {}
+
+    def line(self, text: str = '') -> None:
+        """Print a line of the result."""
+        if not (self._json or self._quiet):
+            print(text, flush=True)
+
+    def item(self, text: str) -> None:
+        """Print what belongs to the line before it, indented and wrapped."""
+        self.line(fill(text, WIDTH, initial_indent=' ' * 7, subsequent_indent=' ' * 9,
+                       break_long_words=False, break_on_hyphens=False))
+
+    def paragraph(self, text: str) -> None:
+        """Print a paragraph, wrapped."""
+        self.line(fill(text, WIDTH, break_long_words=False, break_on_hyphens=False))
+
+    def marked(self, mark: str, good: bool) -> str:
+        """Return a word in green or red where a terminal shows it."""
+        colour = _GREEN if good else _RED
+        return f'{colour}{mark}{_PLAIN}' if self._colour else mark
+
+    def say(self, text: str) -> None:
+        """Tell the progress."""
+        if not self._quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def error(self, text: object) -> None:
+        """Tell what is wrong, on standard error, also when quiet."""
+        print(f'ambush_{self._command}: {text}', file=sys.stderr, flush=True)
+
+    def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
+        """Yield the items, with a bar from two seconds on where a terminal shows it."""
+        bar = self.bar(what)
+        for number, item in enumerate(items):
+            yield item
+            bar((number + 1) / len(items))
+
+    def bar(self, what: str) -> Callable[[float], None]:
+        """Return what shows how much is done, 0..1, from two seconds on."""
+        begin, told, shown_bar = time.monotonic(), 0.0, sys.stderr.isatty() and not self._quiet
+
+        def show(share: float) -> None:
+            nonlocal told
+            now = time.monotonic() - begin
+            if told and share >= 1.0 and shown_bar:
+                print('\r' + ' ' * WIDTH + '\r', end='', file=sys.stderr, flush=True)
+            elif now > max(_PATIENCE, told + (0.1 if shown_bar else 10.0)):
+                told = now
+                if shown_bar:
+                    text = f'\r[{"#" * int(30 * share):30}] {share:4.0%} {what}'
+                    print(text, end='', file=sys.stderr, flush=True)
+                else:
+                    self.say(f'{what}: {share:.0%}')
+
+        return show
+
+    def finish(self) -> None:
+        """Print the result as JSON where that was asked for."""
+        if self._json:
+            print(json.dumps(self.result, indent=1, default=str), flush=True)
+        sys.stdout.flush()
+
+
+def run(
+    parser: argparse.ArgumentParser,
+    work: Callable[[argparse.Namespace, Console], int],
+    arguments: Sequence[str] | None = None,
+) -> int:
+    """Parse the arguments, do the work, and return the exit code, with the reason told."""
+    _complete(parser)
+    options = parser.parse_args(arguments)
+    console = Console(
+        parser.prog.removeprefix('ambush_'), as_json=options.json, quiet=options.quiet
+    )
+    try:
+        code = work(options, console)
+        console.finish()
+        return int(code)
+    except UsageError as error:
+        parser.error(str(error))
+    except BrokenPipeError:
+        # Nobody reads on; what Python still holds back must not raise once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _BROKEN_PIPE
+    except (AmbushPlannerError, OSError) as error:
+        console.error(error)
+        return Exit.UNREADABLE
+    except KeyboardInterrupt:
+        console.error('interrupted')
+        return _INTERRUPTED
+
+
+def place(path: Path) -> str:
+    """Return a file's name as short as it can be, fit for a terminal."""
+    absolute = Path(os.path.abspath(path))
+    here = Path.cwd()
+    return shown(absolute.relative_to(here) if absolute.is_relative_to(here) else absolute)
+
+
+def count(number: int, what: str) -> str:
+    """Return a number of things, as ``3 recordings``."""
+    return f'{number} {what}{"s" * (number != 1)}'
+
+
+def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
+    """Check, before the work is done, that no file would be lost.
+
+    Raises
+    ------
+    UsageError
+        A file of one of the ``names`` exists in the folder, and ``replace`` is False.
+    """
+    existing = [name for name in names if os.path.lexists(folder / name)]
+    if existing and not replace:
+        raise UsageError(
+            f'{place(folder / existing[0])} exists already; add --replace, or name another folder '
+            'with -o'
+        )
+
+
+def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files (mode 0600) to the folder, which is made with mode 0700 if missing."""
+    make_private_folders(Path(os.path.abspath(folder)))
+    for name, data in files.items():
+        write_durably(folder / name, data)
+
+
+def _entry_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='ambush', description='Random routes that an ambusher cannot foresee: the commands.',
+        epilog='ambush COMMAND --help says more. ' + EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument('--version', action='version', version=f'ambush_planner {_version()}')
+    commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
+    wanted = os.environ.get('COMP_LINE', '').split()
+    for name, (_, summary) in COMMANDS.items():
+        more = [_module(name).parser()] if name in wanted[1:2] else []
+        for each in more:
+            each.conflict_handler = 'resolve'
+        commands.add_parser(name, help=summary, parents=more, add_help=not more)
+    return parser
+
+
+def _run(command: str, arguments: Sequence[str]) -> int:
+    try:
+        module = _module(command)
+    except ModuleNotFoundError as error:
+        package = str(error.name).partition('.')[0]
+        print(
+            f"ambush_{command}: {package} is not installed; try: pip install "
+            "'ambush_planner[jazzy,figures]'", file=sys.stderr,
+        )
+        return Exit.UNREADABLE
+    return module.main(arguments)
+
+
+def _module(command: str) -> Any:
+    package = __package__.rpartition('.')[0]
+    return importlib.import_module(f'{package}.{COMMANDS[command][0]}')
+
+
+def _complete(parser: argparse.ArgumentParser) -> None:
+    """Complete a line of the shell, where argcomplete is installed."""
+    if '_ARGCOMPLETE' in os.environ:
+        try:
+            import argcomplete
+        except ModuleNotFoundError:
+            return
+        argcomplete.autocomplete(parser)
+
+
+def _version() -> str:
+    try:
+        return version('ambush_planner')
+    except PackageNotFoundError:
+        return 'not installed'
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,162 @@
+"""Departures while the map changes every second, and while the goal moves a little.
+
+The node is a process of its own and gets the whole map each time; times are the caller's, from the
+request to the answer read, in milliseconds. Exit code 1 if a target is missed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
+from node_rig import (
+    FAILURES,
+    FRAME,
+    Caller,
+    field,
+    percentiles,
+    pose,
+    resident,
+    running_node,
+    say,
+    scratch,
+)
+from node_timings import stopwatch
+from report import RESULTS, conditions, table, write_block
+from std_msgs.msg import Header
+
+from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
+
+CELLS, RESOLUTION = 4000, 0.5
+START, GOAL = pose(100.0, 1000.0), pose(1900.0, 1000.0)
+PARAMETERS = {"network.target_nodes": 10_000, "recording.enabled": False}
+SIDE = 3  # cells, of an obstacle that is somewhere else each second
+PERIOD = 0.2  # s, of departures and goals
+MEDIAN, SELDOM = 100.0, 500.0  # ms, targets
+
+
+@dataclass(frozen=True)
+class Found:
+    """Times of departures [ms], how many solves there were, and the node's memory [MB]."""
+
+    times: list[float]
+    solves: int
+    maps: int
+    memory: tuple[float, float]
+
+
+def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]) -> Found:
+    """Depart every ``PERIOD``; ``change`` is called before each with the time passed [s]."""
+    solved = {caller.status["solve_seconds"]}
+    begin, times, maps, before = time.monotonic(), [], 0, resident(pid)
+    for k in range(int(seconds / PERIOD)):
+        caller.idle_until(begin + k * PERIOD)
+        maps += change(time.monotonic() - begin)
+        times.append(stopwatch(caller.new_route))
+        solved.add(caller.status["solve_seconds"])
+    return Found(times, len(solved) - 1, maps, (before, resident(pid)))
+
+
+def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
+    """Publish the map once a second; each time an obstacle of 3 x 3 cells is somewhere else."""
+    rng, published = np.random.default_rng(7), [0]
+    publisher = caller.publisher(OccupancyGrid, "/alpha_map")
+
+    def change(passed: float) -> int:
+        if passed < published[0]:
+            return 0
+        published[0] += 1
+        row, column = rng.integers(0, CELLS - SIDE, 2)
+        current = values.copy()
+        current[row:row + SIDE, column:column + SIDE] = 100
+        header = Header(frame_id=FRAME, stamp=caller.node.get_clock().now().to_msg())
+        publisher.publish(occupancy_to_ros(current, RESOLUTION, (0.0, 0.0, 0.0), header))
+        return 1
+
+    return change
+
+
+def moving_goal(caller: Caller) -> Callable[[float], int]:
+    """Publish a goal up to a metre from the planned one: nodes are 20 m apart."""
+    rng = np.random.default_rng(8)
+    publisher = caller.publisher(PoseStamped, "/goal_pose")
+
+    def change(_: float) -> int:
+        x, y = rng.uniform(-0.7, 0.7, 2)
+        publisher.publish(pose(GOAL.pose.position.x + x, GOAL.pose.position.y + y))
+        return 0
+
+    return change
+
+
+def measure(seconds: float) -> dict[str, Found]:
+    """Both cases, on one node."""
+    grid = field(CELLS, RESOLUTION)
+    with (
+        scratch() as folder,
+        running_node(folder, PARAMETERS) as rig,
+        Caller(rig.domain, rig.process.check) as caller,
+    ):
+        caller.give(grid, START, GOAL)
+        say("the first solve")
+        caller.new_route()
+        found = {}
+        for name, change in (
+            (f"the goal moves within the tolerance, every {PERIOD:g} s", moving_goal(caller)),
+            (f"an obstacle of {SIDE} x {SIDE} cells jumps, once a second",
+             changing_map(caller, occupancy_from_ros(grid)[0])),
+        ):
+            say(f"{name}, for {seconds:g} s")
+            found[name] = run(caller, rig.process.pid, seconds, change)
+        return found
+
+
+def result(found: dict[str, Found]) -> tuple[str, bool]:
+    """The table, and whether the targets are met."""
+    rows, every = [], []
+    for name, each in found.items():
+        median, seldom, largest = percentiles(each.times)
+        every.append(median < MEDIAN and seldom < SELDOM)
+        rows.append([
+            name, str(len(each.times)), f"{median:.3g} / {seldom:.3g} / {largest:.3g}",
+            f"< {MEDIAN:g} / {SELDOM:g}", "yes" if every[-1] else "**no**", str(each.maps),
+            str(each.solves), f"{each.memory[0]:.0f} -> {each.memory[1]:.0f}",
+        ])
+    head = ("meanwhile", "departures", "`new_route` answered: median / 99 % / largest [ms]",
+            "target", "met", "maps", "solves", "memory [MB]")
+    text = (
+        f"A map of {CELLS} x {CELLS} cells, published whole each time, 10 000 nodes; a departure "
+        f"every {PERIOD:g} s.\n\n{table(head, rows)}"
+    )
+    return text, all(every)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each case")
+    parser.add_argument(
+        "--results", type=Path, default=RESULTS, help="file whose block `node_ground` is replaced"
+    )
+    options = parser.parse_args()
+    try:
+        text, met = result(measure(options.seconds))
+    except FAILURES as error:
+        say(f"node_ground: {error}")
+        return 2
+    text = f"{conditions('ros-jazzy-rclpy')}.\n\n{text}"
+    print(text)
+    write_block(options.results, "node_ground", text)
+    return int(not met)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

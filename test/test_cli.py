@@ -1,0 +1,128 @@
+"""What all commands share: one entry, options, exit codes, output fit for terminals and pipes."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from recording_samples import file_of, small_departure
+
+from ambush_planner.tools import cli
+
+READERS = ('audit', 'recover', 'replay', 'report', 'verify')
+
+
+def ambush(*arguments, **more):
+    return subprocess.run(
+        [sys.executable, '-m', 'ambush_planner.tools.cli', *map(str, arguments)],
+        capture_output=True, text=True, timeout=60, check=False, **more,
+    )
+
+
+def test_the_entry_lists_all_commands(capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main(['--help'])
+    assert stop.value.code == 0
+    told = capsys.readouterr().out
+    assert all(f'    {name} ' in told for name in cli.COMMANDS)
+    for arguments in ([], ['unheard']):
+        with pytest.raises(SystemExit) as stop:
+            cli.main(arguments)
+        assert stop.value.code == 2
+
+
+@pytest.mark.parametrize('name', [*READERS, 'demo'])
+def test_every_command_has_the_options_that_all_have(name, capsys):
+    with pytest.raises(SystemExit) as stop:
+        cli.main([name, '--help'])
+    assert stop.value.code == 0
+    told = capsys.readouterr().out
+    for option in ('--version', '--json', '--quiet'):
+        assert option in told
+    assert 'Exit code: 0 all holds; 1 ' in told and '--json: {' in told
+    assert max(map(len, told.splitlines())) < 100
+    with pytest.raises(SystemExit) as stop:
+        cli.main([name, '--version'])
+    assert stop.value.code == 0 and re.match(r'ambush_planner \d', capsys.readouterr().out)
+
+
+@pytest.mark.parametrize('name', READERS)
+def test_what_is_not_there_exits_3_also_when_quiet(name, tmp_path, capsys):
+    arguments = [name, '--quiet', str(tmp_path / 'none')]
+    more = ['-o', str(tmp_path / 'out')] if name == 'report' else []
+    assert cli.main([*arguments, *more]) == 3
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith(f'ambush_{name}: ') and err.count('\n') == 1
+
+
+def test_the_name_of_the_program_says_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['/usr/bin/ambush_recover', str(tmp_path / 'none')])
+    assert cli.main() == 3
+    assert capsys.readouterr().err.startswith('ambush_recover: ')
+
+
+def test_a_missing_package_is_named():
+    code = (
+        'import sys\nsys.modules["rclpy"] = None\n'
+        'from ambush_planner.tools import cli\nsys.exit(cli.main(["verify", "x"]))'
+    )
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3 and 'rclpy is not installed; try: pip install' in done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_a_broken_pipe_is_silent(tmp_path):
+    for k in range(30):
+        (tmp_path / f'x_{k}.mcap').write_bytes(file_of(small_departure())[:-k - 1])
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'recover', str(tmp_path), '-q'],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )
+    process.stdout.close()
+    assert 'Traceback' not in process.stderr.read()
+    process.wait(60)
+    command = f'{sys.executable} -m ambush_planner.tools.cli verify {tmp_path} | head -n 1'
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
+    assert len(done.stdout.splitlines()) == 1
+    assert 'Traceback' not in done.stderr and 'BrokenPipe' not in done.stderr
+
+
+def test_json_is_one_object_and_nothing_else(tmp_path):
+    (tmp_path / 'x.mcap').write_bytes(file_of(small_departure())[:-9])
+    done = ambush('recover', tmp_path / 'x.mcap', '--json')
+    assert done.returncode == 1
+    result = json.loads(done.stdout)
+    assert result['verdict'] == 'finding' and result['files'][0]['messages'] == 4
+
+
+def test_names_are_relative_where_that_is_shorter(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.place(tmp_path / 'a' / 'b.mcap') == os.path.join('a', 'b.mcap')
+    assert cli.place(tmp_path.parent) == str(tmp_path.parent)
+    assert cli.place(tmp_path / 'a\x1b[2J\udcff') == 'a\\x1b[2J\\udcff'
+
+
+def test_colours_only_on_a_terminal(monkeypatch, capsys):
+    assert cli.Console('x', as_json=False, quiet=False).marked('FAILS', False) == 'FAILS'
+    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
+    monkeypatch.delenv('NO_COLOR', raising=False)
+    assert '\x1b[31m' in cli.Console('x', as_json=False, quiet=False).marked('FAILS', False)
+    monkeypatch.setenv('NO_COLOR', '1')
+    assert cli.Console('x', as_json=False, quiet=False).marked('FAILS', False) == 'FAILS'
+
+
+@pytest.mark.parametrize(('line', 'word'), [
+    ('ambush ver', 'verify'), ('ambush verify --exp', '--expect'),
+    ('ambush audit --fal', '--false'),
+])
+def test_words_are_completed(line, word, tmp_path):
+    pytest.importorskip('argcomplete', reason='optional')
+    found = tmp_path / 'found'
+    done = ambush(env={
+        **os.environ, '_ARGCOMPLETE': '1', 'COMP_LINE': line, 'COMP_POINT': str(len(line)),
+        '_ARGCOMPLETE_STDOUT_FILENAME': str(found), '_ARGCOMPLETE_IFS': '\n',
+    })
+    assert 'Traceback' not in done.stderr
+    assert any(each.startswith(word) for each in found.read_text().split())

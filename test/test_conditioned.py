@@ -1,0 +1,72 @@
+"""A strategy on condition that routes avoid some edges, against all routes one by one."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner.ros.conditioned import Conditioned
+
+
+def strategy_on(count, edges, flows, source=0, target=None):
+    edges = np.array(edges, dtype=np.int64).reshape(-1, 2)
+    network = SimpleNamespace(
+        points=np.zeros((count, 2)), edges=edges, tails=edges[:, 0], heads=edges[:, 1],
+        source=source, target=count - 1 if target is None else target)
+    return SimpleNamespace(network=network, edge_probability=np.array(flows, dtype=float))
+
+
+@st.composite
+def strategies(draw):
+    """A strategy on all edges forward between some nodes, in a drawn numbering."""
+    count = draw(st.integers(2, 6))
+    rng = np.random.default_rng(draw(st.integers(0, 10**6)))
+    names = rng.permutation(count)
+    p, edges, visits = [], [], np.eye(count)[0]
+    for tail in range(count - 1):
+        heads = [h for h in range(tail + 1, count) if h == count - 1 or rng.random() < 0.6]
+        shares = rng.dirichlet(np.ones(len(heads)))
+        for head, share in zip(heads, shares, strict=True):
+            edges.append((names[tail], names[head]))
+            p.append(visits[tail] * share)
+            visits[head] += p[-1]
+    order = rng.permutation(len(edges))
+    made = strategy_on(
+        count, np.array(edges)[order], np.array(p)[order], names[0], names[-1])
+    lost = draw(st.lists(st.booleans(), min_size=len(edges), max_size=len(edges)))
+    return made, np.array(lost)
+
+
+def routes_of(strategy):
+    """Each route as its edges, with its chance."""
+    network, p = strategy.network, strategy.edge_probability
+    found, open_ends = [], [([], network.source, 1.0)]
+    while open_ends:
+        route, node, chance = open_ends.pop()
+        if node == network.target:
+            found.append((route, chance))
+            continue
+        out = [e for e in range(len(p)) if network.tails[e] == node and p[e] > 0.0]
+        total = sum(p[e] for e in out)
+        open_ends += [([*route, e], network.heads[e], chance * p[e] / total) for e in out]
+    return found
+
+
+@given(strategies())
+def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
+    strategy, lost = drawn
+    left = [(route, chance) for route, chance in routes_of(strategy) if not lost[route].any()]
+    share, p = Conditioned(strategy).avoiding(lost)
+    assert share == pytest.approx(sum(chance for _, chance in left), abs=1e-12)
+    wanted = np.zeros(len(lost))
+    for route, chance in left:
+        wanted[route] += chance / share
+    np.testing.assert_allclose(p, wanted, atol=1e-9)
+
+
+def test_a_strategy_with_circles_has_no_condition():
+    circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
+    share, p = Conditioned(circle).avoiding(np.zeros(4, bool))
+    assert share == 0.0 and not p.any()

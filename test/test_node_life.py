@@ -1,0 +1,222 @@
+"""How the node lives in other hands: other executors, half a start, no end, slow disks."""
+
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.srv import GetPlan
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from recording_samples import read_with_rosbags
+from ros_harness import (
+    Client,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    spinning,
+    stage,
+    wait_until,
+)
+from waiting import TIMEOUT
+
+from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.recording import Recorder
+from ambush_planner.ros import dispatcher, planning
+from ambush_planner.ros.diagnostics import Status, status_to_ros
+from ambush_planner.ros.errors import NoMap
+from ambush_planner.ros.ground import Ground
+from ambush_planner.ros.planner_node import PlannerNode
+from ambush_planner.worker.errors import SolveCancelled
+
+START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
+SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]
+
+
+def test_one_thread_is_enough():
+    """No callback waits: with a single-threaded executor all is answered, a solve or not."""
+    with free_domain() as domain, ros_context(domain) as own, ros_context(domain) as other:
+        planner = PlannerNode(context=own, parameter_overrides=SMALL)
+        node = Node('client', context=other)
+        with spinning(planner, SingleThreadedExecutor(context=own)):
+            client = Client(node)
+            with spinning(node, SingleThreadedExecutor(context=other)):
+                client.publish('alpha_map', risk_grid())
+                client.publish('start_pose', START)
+                client.publish('goal_pose', GOAL)
+                client.diagnostics(state='ready')
+                futures = [client.send('new_route') for _ in range(5)]
+                assert not client.call('cancel').message.startswith('internal')
+                wait_until(lambda: all(each.done() for each in futures), 'the answers')
+                assert client.call('new_route').success
+                assert client.call('replan').success
+
+
+def threads():
+    names = ('solves', 'departures', 'recordings', '_ambush_planner_tf')
+    return [each.name for each in threading.enumerate() if each.name.startswith(names)]
+
+
+@pytest.mark.parametrize('values', [{'map.alpha_min': 20.0}, {'recording.directory': ' '}])
+def test_a_start_that_fails_leaves_nothing(values):
+    before = threads()
+    overrides = [Parameter(name, value=value) for name, value in values.items()]
+    with free_domain() as domain, ros_context(domain) as context:
+        with pytest.raises(InvalidOption):
+            PlannerNode(context=context, parameter_overrides=overrides)
+        assert threads() == before
+
+
+def test_a_start_that_fails_half_way_leaves_nothing(monkeypatch):
+    before = threads()
+
+    def broken(*_):
+        raise RuntimeError('half-way')
+
+    monkeypatch.setattr(PlannerNode, '_serve', broken)
+    with free_domain() as domain, ros_context(domain) as context:
+        with pytest.raises(RuntimeError, match='half-way'):
+            PlannerNode(context=context, parameter_overrides=SMALL)
+        wait_until(lambda: threads() == before, 'the end of the threads')
+
+
+NO_END = """
+import rclpy
+from rclpy.parameter import Parameter
+from ambush_planner.ros.planner_node import PlannerNode
+rclpy.init()
+node = PlannerNode(parameter_overrides=[Parameter('recording.enabled', value=False)])
+print('started', flush=True)
+"""
+
+
+def test_a_program_that_does_not_destroy_the_node_ends_all_the_same():
+    with free_domain() as domain:
+        done = subprocess.run(
+            [sys.executable, '-c', f'import os; os.environ["ROS_DOMAIN_ID"] = "{domain}"{NO_END}'],
+            capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    assert done.stdout == 'started\n'
+    assert done.returncode == 0, done.stderr
+    assert 'Traceback' not in done.stderr
+
+
+def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
+    go_on, record = threading.Event(), Recorder.record_departure
+
+    def slow(*arguments):
+        go_on.wait()
+        return record(*arguments)
+
+    monkeypatch.setattr(Recorder, 'record_departure', slow)
+    with stage(tmp_path) as running:
+        client = running.give()
+        try:
+            assert client.call('new_route').success
+            client.last('path')
+            assert not list(tmp_path.rglob('*.mcap'))
+            # The next one waits before its route is drawn, and so before its path is published.
+            second = client.send('new_route')
+            client.diagnostics(departures='1')
+            time.sleep(0.2)
+            assert not second.done() and len(client.received['path']) == 1
+        finally:
+            go_on.set()
+        wait_until(second.done, 'the second answer')
+        client.last('path', 2)
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 2, 'both recordings')
+    files = sorted(tmp_path.rglob('*.mcap'))
+    assert all(read_with_rosbags(file) for file in files)
+
+
+def test_a_response_is_recorded_as_it_was_sent(tmp_path):
+    with stage(tmp_path) as running:
+        plan = running.give().get_plan(START, GOAL)
+    (file,) = tmp_path.rglob('*.mcap')
+    (sent,) = [
+        message for topic, _, message in read_with_rosbags(file)
+        if topic.endswith('_service_event') and len(message.response)]
+    poses = sent.response[0].plan.poses
+    assert sent.response[0].plan.header.frame_id == plan.header.frame_id
+    assert [(p.pose.position.x, p.pose.position.y, p.pose.orientation.z) for p in poses] == [
+        (p.pose.position.x, p.pose.position.y, p.pose.orientation.z) for p in plan.poses]
+
+
+def test_an_error_of_a_request_fades_and_a_state_stays():
+    with stage(parameters={'diagnostics.error_hold': 0.5}) as running:
+        client = running.client
+        assert not client.call('new_route').success
+        assert client.diagnostics(code='NO_MAP')['level'] == DiagnosticStatus.ERROR
+        report = client.diagnostics(code='NONE')
+        assert report['level'] == DiagnosticStatus.WARN, 'the inputs are still missing'
+        assert report['message'] == 'waiting for alpha_map, start_pose, goal_pose'
+        bad = risk_grid()
+        bad.info.resolution = 0.0
+        client.publish('alpha_map', bad)
+        client.diagnostics(code='INVALID_MAP')
+        seen = len(client.received['/diagnostics'])
+        client.last('/diagnostics', seen + 3)
+        client.diagnostics(code='INVALID_MAP', level=DiagnosticStatus.ERROR)
+        client.publish('alpha_map', risk_grid())
+        client.diagnostics(code='NONE')
+
+
+def test_an_error_is_told_for_as_long_as_it_holds():
+    with stage(parameters={'diagnostics.error_hold': 3600.0}) as running:
+        client = running.client
+        assert not client.call('new_route').success
+        seen = len(client.received['/diagnostics'])
+        client.last('/diagnostics', seen + 3)
+        client.diagnostics(code='NO_MAP')
+
+
+@pytest.mark.parametrize('errors, level, code', [
+    ({'request': SolveCancelled('x')}, DiagnosticStatus.WARN, 'CANCELLED'),
+    ({'request': NoMap('x')}, DiagnosticStatus.ERROR, 'NO_MAP'),
+    ({'request': SolveCancelled('x'), 'map': AmbushPlannerError('y')}, DiagnosticStatus.ERROR,
+     'CANCELLED'),
+    ({}, DiagnosticStatus.OK, 'NONE'),
+])
+def test_the_level_is_that_of_the_worst(errors, level, code):
+    status = Status()
+    for concern, error in errors.items():
+        status = status.with_problem(concern, error)
+    (told,) = status_to_ros(status, 'name', pose(0, 0).header.stamp).status
+    assert told.level == level
+    assert {each.key: each.value for each in told.values}['code'] == code
+
+
+def test_ground_that_changes_too_fast_is_answered(monkeypatch):
+    """Where each plan is out of date before it is there, nobody waits for ever."""
+    for module in (planning, dispatcher):
+        monkeypatch.setattr(module, 'usable', lambda *_: False)
+    with stage() as running:
+        answer = running.give().call('new_route')
+        assert not answer.success
+        assert 'were out of date before they were done' in answer.message
+        running.client.diagnostics(code='NO_VALID_PATH')
+
+
+def test_a_path_that_meets_a_new_obstacle_is_not_published(monkeypatch):
+    found = iter([True, False])
+    monkeypatch.setattr(Ground, 'meets_new_obstacle', lambda *_: next(found))
+    with stage() as running:
+        assert running.give().call('new_route').success
+        assert len(running.client.received['path']) == 1
+
+
+
+def test_more_plans_at_once_than_are_kept(monkeypatch):
+    """Whoever waited for a plan departs on it, kept or not."""
+    monkeypatch.setattr(planning, '_KEPT', 1)
+    with stage(parameters={'queue.size': 20}) as running:
+        client = running.give(risk_grid(np.zeros((20, 20))))
+        requests = [GetPlan.Request(start=START, goal=pose(8.5, 1.5 + k)) for k in range(7)]
+        futures = [client.send('get_plan', each) for each in requests]
+        wait_until(lambda: all(each.done() for each in futures), 'the answers')
+        ends = [each.result().plan.poses[-1].pose for each in futures]
+        assert ends == [each.goal.pose for each in requests]
