@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -61,3 +62,10 @@ class TimeLimit(AmbushPlannerError):
 
 class SolverFailed(AmbushPlannerError):
     """A solver stopped without a strategy whose certificate holds."""
+
+
+def shown(name: Path | str) -> str:
+    """Return a name of a file fit for a terminal: control characters and wrong bytes escaped."""
+    return ''.join(
+        each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
+    )

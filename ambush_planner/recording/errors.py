@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, shown
 
 
 class RecordingFailed(AmbushPlannerError):
@@ -41,13 +41,6 @@ class UnreadableRecording(AmbushPlannerError):
         super().__init__(f'{shown(path)} is not readable as a recording: {reason}')
         self.path = path
         self.reason = reason
-
-
-def shown(name: Path | str) -> str:
-    """Return a name of a file fit for a terminal: control characters and wrong bytes escaped."""
-    return ''.join(
-        each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
-    )
 
 
 @contextmanager

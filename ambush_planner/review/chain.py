@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..core.errors import shown
 from ..recording.bag_folder import FILE_NAME, listed_files
-from ..recording.errors import shown
 from ..recording.metadata import Link
 from .departures import source_findings
 from .verify import Verdict

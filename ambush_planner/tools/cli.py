@@ -19,9 +19,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeVar
 
-from ..core.errors import AmbushPlannerError
-from ..recording.durable import make_private_folders, write_durably
-from ..recording.errors import shown
+from ..core.errors import AmbushPlannerError, shown
 
 COMMANDS = {
     'audit': ('tools.audit', 'do departures follow their strategies, do they show patterns?'),
@@ -234,6 +232,9 @@ def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
 
 def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
     """Write files (mode 0600) to the folder, which is made with mode 0700 if missing."""
+    # Commands that write no recordings' secrets need no ROS, which that package does.
+    from ..recording.durable import make_private_folders, write_durably
+
     make_private_folders(Path(os.path.abspath(folder)))
     for name, data in files.items():
         write_durably(folder / name, data)

@@ -11,8 +11,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from ..core.errors import shown
 from ..recording import recordings_in
-from ..recording.errors import shown
 from ..review.chain import together
 from ..review.verify import Verdict, Verifier
 from . import cli
@@ -23,12 +23,13 @@ drawn again. It holds if network, strategy, value and route are the same (number
 probabilities to 1e-6 where another processor or release of numpy or scipy rounds otherwise), if
 the strategy's certificate closes (where the solve took a fifth of max_planning_time or more, it may
 have been cut short: then certificate and strategy.max_gap count, whatever is found with more time),
-if path, markers, answer and the strategy's numbers in the diagnostics follow from these, if the request came first and the answer last, and if the file is
-laid out as the recorder does it, with nothing else in it. Of a folder it is also checked that each
-file states the SHA-256 of the one before it, so that none is missing, exchanged, moved or
-inserted; that metadata.yaml names just the files that are there; and that no two departures were
-drawn from the same random numbers. The newest recording's hash is told last: note it elsewhere,
-or sign it, and give it with --expect the next time.
+if path, markers, answer and the strategy's numbers in the diagnostics follow from these, if the
+request came first and the answer last, and if the file is laid out as the recorder does it, with
+nothing else in it. Of a folder it is also checked that each file states the SHA-256 of the one
+before it, so that none is missing, exchanged, moved or inserted; that metadata.yaml names just the
+files that are there; and that no two departures were drawn from the same random numbers. The newest
+recording's hash is told last: note it elsewhere, or sign it, and give it with --expect the next
+time.
 
 What is not found, by somebody who corrects checksums and hashes:
 * a recording that was made anew as a whole, from another seed with all that follows, if no later
@@ -36,10 +37,11 @@ What is not found, by somebody who corrects checksums and hashes:
   if the recording that they follow is not here; a whole folder, made anew
 * times: only their order within a departure is checked
 * map cells whose change alters neither an edge (obstacles) nor the loss of a node (others)
-* max_planning_time and the solve's seconds, quality of service, stamps of markers and inputs, versions of software; in the
-  diagnostics the state, the name, the kind of warning, and trouble with a map or with recording,
-  which the answer repeats; names of topics that were remapped; orientation and height of a goal
-  in another frame than the map's; where departures are missing that were not recorded at all
+* max_planning_time and the solve's seconds, quality of service, stamps of markers and inputs,
+  versions of software; in the diagnostics the state, the name, the kind of warning, and trouble
+  with a map or with recording, which the answer repeats; names of topics that were remapped;
+  orientation and height of a goal in another frame than the map's; where departures are missing
+  that were not recorded at all
 
 Output: a line a departure, what does not hold below it; progress on standard error.
 --json: {"verdict", "departures": [{"file", "sha256", "number", "holds", "value", "problems",
