@@ -103,6 +103,15 @@ def test_several_ambushers_by_hand():
     assert risk.q[1] == pytest.approx(1.0, abs=1e-6)
 
 
+def test_more_ambushers_than_sites_with_a_budget():
+    # One site on the short way; the budget lets 3 / 4 pass it, the second ambusher has no use.
+    height = np.sqrt(3.0)
+    points = [[0, 0], [1, 0], [1, height], [2, 0]]
+    network = Network(points, [0, 4, 0, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    risk = solved(network, 1.25, ambushers=2)[2]
+    assert risk.value == pytest.approx(3.0) and risk.bound == pytest.approx(3.0, rel=OPTIMAL)
+
+
 def test_a_corridor_is_held_once_by_each_ambusher():
     network = Network([[k, 0] for k in range(5)], [0, 2, 7, 3, 0],
                       [(k, k + 1) for k in range(4)], 0, 4)

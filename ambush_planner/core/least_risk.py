@@ -259,7 +259,8 @@ class _FlowProgram:
         sites, k = len(self.row), self.game.ambushers
         q = np.zeros(self.game.node_count)
         q[self.game.sites[self.row]] = duals[:sites]
-        total = q.sum() / k
+        # With several, the dual of the sum's row: no q_j is over it, and all may sum to less.
+        total = float(duals[-1]) if self._several else float(q.sum())
         if not total > 0.0:
             raise SolverFailed("the program has no ambusher")
         q = at_most_one(q / total, k)
