@@ -76,13 +76,13 @@ def least_risk(
     chosen = part.playable & _near_budget(part, budgets)
     unit = _unit_of(part)
     best: LeastRisk | None = None
-    first = True
+    first, solver = True, "interior_point"
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
         try:
             if restricted is None:
                 raise SolverFailed("the chosen edges hold no route")
-            found, unit = _solve(game, restricted, budgets, unit, deadline)
+            found, unit = _solve(game, restricted, budgets, unit, solver, deadline)
         except (SolverFailed, BudgetInfeasible):
             if chosen.sum() == game.playable.sum():
                 raise
@@ -97,9 +97,12 @@ def least_risk(
             return best
         through = _route_costs(game, found, budgets)
         added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
-        if not added.any():
+        if not added.any() and solver == "simplex":
             return best
-        if found is best and first:
+        if not added.any():
+            # Nothing is missing but digits.
+            first, solver = True, "simplex"
+        if first:
             chosen = chosen & ((through <= KEPT * found.value) | (found.p > 0.0))
         first = False
         chosen = chosen | added
@@ -186,12 +189,12 @@ def _unit_of(game: Game) -> float:
 
 
 def _solve(
-    game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, deadline: float
+    game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str, deadline: float
 ) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``, in a unit of loss that is brought near the value."""
     for _ in range(6):
         program = _FlowProgram(part, budgets, unit)
-        size, f, duals = program.solve(deadline)
+        size, f, duals = program.solve(solver, deadline)
         if 1.0 / UNIT_RANGE < size < UNIT_RANGE:
             break
         unit = unit / max(size, 1e-9)
@@ -240,10 +243,10 @@ class _FlowProgram:
             np.zeros(conservation.shape[0]),
         )
 
-    def solve(self, deadline: float) -> tuple[float, FloatArray, FloatArray]:
+    def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
         """Return |f|, f (M,) and the duals of the inequalities."""
         try:
-            result = highs.run(self.program, "interior_point", deadline)
+            result = highs.run(self.program, solver, deadline)
         except SolverFailed:
             result = highs.run(self.program, "simplex", deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
