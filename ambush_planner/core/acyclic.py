@@ -13,11 +13,11 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from scipy.sparse import coo_matrix, diags
+from scipy.sparse import coo_matrix, diags, identity
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu, spsolve
+from scipy.sparse.linalg import splu
 
-from .arrays import BoolArray, FloatArray, IndexArray, sums
+from .arrays import FloatArray, IndexArray, sums
 from .game import Game
 from .network import Network
 from .paths import distances_between, edge_matrix
@@ -191,19 +191,19 @@ def conserved(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray 
     flow = np.where(part.playable, flow, 0.0)
     out = sums(network.tails, flow, game.node_count)
     share = np.divide(flow, out[network.tails], out=np.zeros_like(flow), where=flow > 0.0)
-    x = _walk_visits(network, part.playable, share, game.node_count)
+    x = _walk_visits(game, flow, share)
     return np.where(part.playable, x[network.tails] * share, 0.0)
 
 
-def _walk_visits(
-    network: Network, used: BoolArray, share: FloatArray, count: int
-) -> FloatArray:
+def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
     """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
-    edges = network.edges[used]
-    tail, head = edges.T
-    system = diags(np.ones(count), format="csc") - coo_matrix(
-        (share[used], (head, tail)), shape=(count, count)
-    )
-    start = np.zeros(count)
-    start[network.source] = 1.0
-    return np.maximum(spsolve(system.tocsc(), start), 0.0)
+    network, n = game.network, game.node_count + 1
+    # In the order of the flow, the target last, the system is triangular: nothing fills in.
+    rank = rank_around(game, flow, np.zeros(game.node_count))
+    used = np.flatnonzero(flow > 0.0)
+    tail, head = rank[network.tails[used]], rank[network.heads[used]]
+    system = identity(n, format="csc") - coo_matrix((share[used], (head, tail)), shape=(n, n))
+    start = np.zeros(n)
+    start[rank[network.source]] = 1.0
+    factor = splu(system.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    return np.asarray(np.maximum(factor.solve(start), 0.0)[rank])
