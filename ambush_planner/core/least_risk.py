@@ -246,7 +246,7 @@ class _FlowProgram:
     def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
         """Return |f|, f (M,) and the duals of the inequalities."""
         try:
-            result = highs.run(self.program, solver, deadline)
+            result = highs.run(self.program, solver, deadline, presolve=False)
         except SolverFailed:
             result = highs.run(self.program, "simplex", deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
