@@ -251,7 +251,7 @@ class _FlowProgram:
             result = highs.run(self.program, "simplex", deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
         if not size > 1e-12:
-            names = " and ".join(f"max_{b.name}" for b in self.budgets if b.binds)
+            names = " and ".join(b.option for b in self.budgets if b.binds)
             raise BudgetInfeasible(f"no strategy fits all budgets at once; raise {names}")
         f = np.zeros(len(self.game.network.edges))
         f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
