@@ -37,7 +37,7 @@ SECURED_RADIUS = 2000.0
 # Whoever waits can hit what comes within the weapon range that the map's risk is made with.
 AMBUSH_RADIUS = OPTIONS.view.weapon_range
 # Other budgets that the frontier shows, and the time for each of its strategies [s].
-DETOURS, SLACKS, SWEEP_SECONDS = (1.1, 1.2, 1.5), (0.05,), 30.0
+DETOURS, SLACKS, SWEEP_SECONDS = (1.1, 1.2, 1.5), (0.01, 0.1), 30.0
 # The diagnostics give nine digits.
 SAME_VALUE = 1e-6
 EPILOG = """\
