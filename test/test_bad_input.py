@@ -144,7 +144,11 @@ def test_all_unknown():
 
 
 def test_too_little_time():
-    with stage(parameters={'max_planning_time': 0.001, 'network.spacing': 0.2}) as running:
+    # The plain game's value needs no program and is the best at once: a reach takes its time.
+    parameters = {
+        'max_planning_time': 0.001, 'network.spacing': 0.2, 'game.ambush_radius': 1.0}
+    with stage(parameters=parameters) as running:
         answer = running.give().call('new_route')
         assert not answer.success
+        assert 'allow more time' in answer.message
         running.client.diagnostics(code='TIMEOUT')

@@ -227,7 +227,7 @@ ROWS = {
     'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
         ({'map.alpha_min': 20.0}, 'map.alpha_min'),
-        ({'strategy.solver': 'simplex', 'strategy.risk_slack': 0.5}, 'strategy.risk_slack')),
+        ({'strategy.solver': 'simplex', 'strategy.max_exposure': 2.0}, 'strategy.max_exposure')),
     'a parameter out of its range or of another type': refused_parameters(
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
     'a parameter that there is not': unknown_parameter,

@@ -14,7 +14,7 @@ from ros_harness import (
     stage,
 )
 
-from ambush_planner.ros import dispatcher
+from ambush_planner.ros import ground
 from ambush_planner.ros.conversions import path_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
@@ -249,7 +249,7 @@ def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monk
         raise RuntimeError(f'went through ({math.pi}, {math.e})')
 
     with monkeypatch.context() as patch:
-        patch.setattr(dispatcher, 'depart', broken)
+        patch.setattr(ground, 'depart', broken)
         answer = client.call('new_route')
     assert not answer.success
     assert answer.message == 'internal error (RuntimeError); the log says where'

@@ -227,7 +227,7 @@ def test_what_was_submitted_can_be_cancelled_at_once(queue):
 def test_the_time_limit_is_hard(queue):
     submit(queue, 'key', request()).result(TIMEOUT)  # the worker has started
     begin = time.monotonic()
-    with pytest.raises(TimeLimit, match='time is up|no plan after max_planning_time, 0.7 s'):
+    with pytest.raises(TimeLimit, match='no plan after max_planning_time, 0.7 s'):
         submit(queue, 'slow', slow_request(0.7)).result(TIMEOUT)
     assert time.monotonic() - begin >= 0.7
     assert submit(queue, 'key', request()).result(TIMEOUT)

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from ..core.errors import AmbushPlannerError, TimeLimit
 from ..core.planner import Plan, PlanRequest, plan_from_request
-from .errors import WorkerFailed, unexpected
+from .errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
 READY = 'ready'
@@ -51,6 +51,8 @@ def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
     try:
         return plan_from_request(request)
     except TimeLimit as late:
+        if late.strategy is None:
+            return no_plan_in(request.options.strategy.time_limit)
         return TimeLimit(str(late))  # what was reached is of no use, and large
     except AmbushPlannerError as error:
         return error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import traceback
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, TimeLimit
 
 
 class SolveCancelled(AmbushPlannerError):
@@ -31,6 +31,14 @@ class Unexpected(AmbushPlannerError):
 
     def __str__(self) -> str:
         return str(self.args[0])
+
+
+def no_plan_in(seconds: float) -> TimeLimit:
+    """Say what to do where nothing was reached in time."""
+    return TimeLimit(
+        f'no plan after max_planning_time, {seconds:g} s; allow more time, or choose a larger '
+        'network.spacing'
+    )
 
 
 def unexpected(error: Exception) -> Unexpected:

@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from threading import TIMEOUT_MAX, Timer
 from typing import Any
 
-from ..core.errors import AmbushPlannerError, TimeLimit
+from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan, PlanRequest
 from .child import PICKLE_PROTOCOL
-from .errors import WorkerFailed
+from .errors import WorkerFailed, no_plan_in
 
 # Importing numpy and scipy from a cold disk takes its time.
 _START_LIMIT = 60.0
@@ -67,17 +67,14 @@ class WorkerProcess:
         Raises
         ------
         TimeLimit
-            The time passed; the process has been killed.
+            The time passed; where the solve did not end by itself, the process has been killed.
         WorkerFailed
             The process died, or met an error that is not the planner's own.
         AmbushPlannerError
             As ``plan_from_request`` raises them.
         """
         limit = request.options.strategy.time_limit
-        late = TimeLimit(
-            f'no plan after max_planning_time, {limit:g} s; allow more time, or choose a larger '
-            'network.spacing'
-        )
+        late = no_plan_in(limit)
         if not self._ready:
             slow = WorkerFailed(f'the worker process did not start in {_START_LIMIT:g} s')
             with self._killed_after(_START_LIMIT, slow):
