@@ -91,7 +91,7 @@ def test_an_overlong_p_is_refused():
     """What is right for a budget of 2 times the shortest is too long for 1.1 times."""
     game, p, q, _, prices = case(2.0)
     tight = make_budgets(game, StrategyOptions(max_detour=1.1))
-    with pytest.raises(SolverFailed, match=r"detour is .* over the budget"):
+    with pytest.raises(SolverFailed, match=r"length is .* over the budget"):
         certify(game, p, q, tight, prices)
 
 
@@ -156,7 +156,7 @@ def test_the_value_is_the_sum_of_the_worst_sites():
 def test_a_budget_below_the_best_route_is_infeasible():
     game = make_game(paper_example(), GameOptions())
     lengths = game.network.lengths
-    with pytest.raises(BudgetInfeasible, match=r"length 3 .*raise max_length"):
+    with pytest.raises(BudgetInfeasible, match=r"length 3 .*raise max_detour"):
         Budget(game, lengths, 2.9, 3.0, "length", "m")
     assert Budget(game, lengths, 3.0, 3.0, "length", "m").room > 0.0
 

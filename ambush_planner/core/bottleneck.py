@@ -68,7 +68,7 @@ def _least_value(game: Game, strategy: Strategy, deadline: float) -> float:
     """Least value of a game within the budgets of a strategy, by its certificate's bound."""
     network = game.network
     length = Budget(
-        game, network.lengths, strategy.length_budget, strategy.shortest_length, "detour", "m"
+        game, network.lengths, strategy.length_budget, strategy.shortest_length, "length", "m"
     )
     exposure = Budget(
         game, network.edge_exposure, strategy.exposure_budget, strategy.least_exposure,

@@ -64,7 +64,7 @@ class Budget:
         if best > self.limit * (1.0 + ROUNDING):
             raise BudgetInfeasible(
                 f"the best playable route has {self.name} {best:.6g} {self.unit}, more than the "
-                f"budget of {self.limit:.6g} {self.unit}; raise max_{self.name}, or "
+                f"budget of {self.limit:.6g} {self.unit}; raise {self.option}, or "
                 "alpha_threshold"
             )
 
@@ -75,6 +75,11 @@ class Budget:
         return distances_from(
             backwards, self.cost[playable], self.game.node_count, network.target
         )
+
+    @property
+    def option(self) -> str:
+        """The option that sets the limit."""
+        return "max_detour" if self.name == "length" else "max_exposure"
 
     @property
     def binds(self) -> bool:

@@ -33,10 +33,14 @@ class Program:
     rhs: FloatArray
 
 
-def run(program: Program, solver: str, deadline: float) -> OptimizeResult:
+def run(
+    program: Program, solver: str, deadline: float, presolve: bool = True
+) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
-    Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``.
+    ``presolve`` is what the interior point method tries first; without it HiGHS ends in an unknown
+    state less often on flow programs. Returns scipy's result, with status ``OPTIMAL`` or
+    ``INFEASIBLE``.
 
     Raises
     ------
@@ -53,7 +57,7 @@ def run(program: Program, solver: str, deadline: float) -> OptimizeResult:
     if np.isfinite(left):
         options["time_limit"] = left
     if solver == "interior_point":
-        result = _interior_point(program, options)
+        result = _interior_point(program, options, presolve)
     else:
         result = _linprog(program, "highs-ds", options)
     if result.status == LIMIT_REACHED:
@@ -63,14 +67,15 @@ def run(program: Program, solver: str, deadline: float) -> OptimizeResult:
     return result
 
 
-def _interior_point(program: Program, options: dict[str, Any]) -> OptimizeResult:
+def _interior_point(
+    program: Program, options: dict[str, Any], presolve_first: bool
+) -> OptimizeResult:
     """Run without crossover; where HiGHS ends in an unknown state, another tolerance may help.
 
-    Without presolve it ends so less often, and takes about as long: there is nothing to lift the
-    solution back from. HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing.
+    HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing, or nothing feasible.
     """
     options = {**options, "run_crossover": _no_crossover()}
-    for presolve in (False, True):
+    for presolve in (presolve_first, not presolve_first):
         for tolerance in OPTIMALITY:
             tried = {"presolve": presolve, "ipm_optimality_tolerance": tolerance}
             result = _linprog(program, "highs-ipm", options | tried)

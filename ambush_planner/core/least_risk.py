@@ -246,12 +246,12 @@ class _FlowProgram:
     def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
         """Return |f|, f (M,) and the duals of the inequalities."""
         try:
-            result = highs.run(self.program, solver, deadline)
+            result = highs.run(self.program, solver, deadline, presolve=False)
         except SolverFailed:
             result = highs.run(self.program, "simplex", deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
         if not size > 1e-12:
-            names = " and ".join(f"max_{b.name}" for b in self.budgets if b.binds)
+            names = " and ".join(b.option for b in self.budgets if b.binds)
             raise BudgetInfeasible(f"no strategy fits all budgets at once; raise {names}")
         f = np.zeros(len(self.game.network.edges))
         f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)

@@ -227,7 +227,7 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     network = game.network
     costs = (network.lengths, network.edge_exposure)
     factors = (options.max_detour, options.max_exposure)
-    names = (("detour", "m"), ("exposure", "loss x m"))
+    names = (("length", "m"), ("exposure", "loss x m"))
     budgets = []
     for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
         least = float(
