@@ -24,11 +24,10 @@ from ambush_planner.core.construction import chosen_spacing
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.driven_path import different_paths, driven_path
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
+from ambush_planner.tools.demo_figures import FixedRoute, draw_fixed_routes
 from ambush_planner.tools.figures import (
-    FixedRoute,
     draw_ambush_sites,
     draw_ends,
-    draw_fixed_routes,
     draw_risk_map,
     draw_routes,
     frame,

@@ -74,16 +74,18 @@ def test_an_observer_on_a_network_by_hand():
     """Two ways through nodes 1 (loss 2) and 2 (loss 3), driven with 0.6 and 0.4."""
     network = Network([[0, 0], [1, 1], [1, -1], [2, 0]], [0, 2, 3, 0],
                       [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
-    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf, risk_slack=0.0))
     p = strategy.edge_probability
-    np.testing.assert_allclose(p, [0.6, 0.4, 0.6, 0.4], atol=1e-6)
+    # 1e-5 of the value may be left for more entropy.
+    np.testing.assert_allclose(p, [0.6, 0.4, 0.6, 0.4], atol=0.6e-5)
     routes = [np.array([0, node, 3]) for node in (1, 2, 1, 1, 1, 2)]
     learning = learning_of(strategy, routes)
     # He waits at 1, 2 (3 > 2), 1 (4 > 3), 1, 1; the next routes pass 2, 1, 1, 1, 2.
     assert learning.ambusher_loss == pytest.approx((0 + 0 + 2 + 2 + 0) / 5)
     assert learning.ambushes == 2
     assert learning.fixed_loss == pytest.approx((4 * 2 + 2 * 3) / 6)
-    assert learning.value == pytest.approx(1.2) and learning.loss_after == pytest.approx([1.2] * 6)
+    assert learning.value == pytest.approx(1.2, rel=1e-5)
+    assert learning.loss_after == pytest.approx([1.2] * 6, rel=1e-5)
     assert learning.departures_to_learn == 1
     assert learning.departures_to_repeat == 3.0  # 3 pairs x 0.52 > 1, one pair is not
     assert learning.effective_routes == pytest.approx(0.6**-0.6 * 0.4**-0.4, rel=1e-5)

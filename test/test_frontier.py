@@ -137,7 +137,7 @@ def test_the_fields_of_a_risk_map_in_an_npz_file(map_file, tmp_path):
     (tmp_path / 'no.npz').write_bytes(b'no')
     for name, reason in (('half.npz', "no 'obstacles'"), ('no.npz', 'no.npz'), ('not', 'not')):
         done = run(tmp_path / name, *ENDS, '-o', tmp_path / 'f.csv')
-        assert done.returncode == 1 and reason in done.stderr, done.stderr
+        assert done.returncode == 3 and reason in done.stderr, done.stderr
         assert 'Traceback' not in done.stderr
 
 
@@ -156,11 +156,11 @@ def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
 ])
 def test_bad_input_is_told_in_a_line(map_file, tmp_path, arguments, reason):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
-    assert done.returncode == 1 and reason in done.stderr
+    assert done.returncode == 3 and reason in done.stderr
     assert done.stderr.startswith('ambush_frontier: ') and done.stderr.count('\n') == 1
     assert not (tmp_path / 'f.csv').exists()
 
 
 def test_the_picture_may_not_take_the_tables_place(map_file, tmp_path):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.png')
-    assert done.returncode == 1 and 'choose TABLE.csv' in done.stderr
+    assert done.returncode == 3 and 'choose TABLE.csv' in done.stderr

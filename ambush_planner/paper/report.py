@@ -24,8 +24,9 @@ NAMES = dict(zip(SOLVERS, ('interior point (LP)', 'simplex (LP)', 'max_entropy (
                  strict=True))
 # Where on the optimal face an interior point method stops depends on its scaling and its steps.
 NEAR = 0.01
-# Values of one game by several solvers agree to this, relative.
-SAME_VALUE = 2e-6
+# Values of one game by several solvers agree to this, relative: a strategy's certificate closes
+# within it.
+SAME_VALUE = 1e-5
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ SOLVERS = ('interior_point', 'simplex', 'max_entropy')
 # The network of the paper's table III.
 METHOD_3 = 'Method 3'
 LENGTH_WEIGHT = 0.01
-# Budgets of our strategies beside it: the default, and two near to the shortest route.
+# Budgets of our strategies beside it: one that costs no value, and two near to the shortest route.
 DETOURS = (1.5, 1.1, 1.06)
 DRAWS = 2000
 DRAWS_SEED = 1
@@ -155,13 +155,13 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
     network = networks[METHOD_3]
     say(f'{METHOD_3}: length weight {LENGTH_WEIGHT}, budgets, alpha thresholds')
     weighted = solve(network, options=_paper_options('interior_point', LENGTH_WEIGHT))
-    budgeted = {d: solve(network, options=StrategyOptions(max_detour=d)) for d in DETOURS}
+    budgeted = {d: solve(network, options=_our_options(d)) for d in DETOURS}
     thresholds = {
         threshold: solve(network, GameOptions(alpha_threshold=threshold),
                          _paper_options('interior_point'))
         for threshold in THRESHOLDS
     }
-    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS))
+    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options())
     named = {
         WEIGHTED: weighted,
         **{budgeted_name(d): strategy for d, strategy in budgeted.items()},
@@ -183,13 +183,17 @@ def compute(risk_map: RiskMap, say: Say) -> Results:
 
 
 def _solve(network: Network, solver: str) -> Strategy:
-    """The paper's linear programs know no length budget; ours has its default."""
-    if solver == 'max_entropy':
-        return solve(network)
-    return solve(network, options=_paper_options(solver))
+    ours = solver == 'max_entropy'
+    return solve(network, options=_our_options() if ours else _paper_options(solver))
+
+
+def _our_options(max_detour: float = DETOURS[0]) -> StrategyOptions:
+    """Without the default's slack, so that values can be compared: none is given up."""
+    return StrategyOptions(max_detour=max_detour, risk_slack=0.0)
 
 
 def _paper_options(solver: str, length_weight: float = 0.0) -> StrategyOptions:
+    """The paper's linear programs know no length budget."""
     return StrategyOptions(solver, max_detour=np.inf, length_weight=length_weight)
 
 

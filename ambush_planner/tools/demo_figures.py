@@ -54,7 +54,7 @@ def routes_figure(
         'The same route every day\nWhoever has seen it waits where it hurts most',
     )
     draw_routes(left, routes)
-    lines = _draw_fixed_routes(right, fixed)
+    lines = draw_fixed_routes(right, fixed)
     for axes in (left, right):
         risk = draw_risk_map(axes, risk_map)
         _draw_ends(axes, strategy, secured_radius)
@@ -71,7 +71,7 @@ def routes_figure(
     return figure
 
 
-def _draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
+def draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
     """Draw routes that are driven every time, and where the ambusher then waits."""
     lines = []
     for route, (colour, dashes) in zip(routes, FIXED, strict=False):
