@@ -145,7 +145,8 @@ def test_damaged_files_are_refused(seed, departure, tmp_path, domain, capfd):
 
 @pytest.mark.slow
 def test_a_listener_that_stands_still_for_a_while_loses_nothing(departure, tmp_path):
-    path = spread(departure, tmp_path / 'x.mcap', 6.0)
+    for name in ('1.mcap', '2.mcap'):
+        spread(departure, tmp_path / name)
     with free_domain() as domain, ExitStack() as stack:
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
 
@@ -158,12 +159,12 @@ def test_a_listener_that_stands_still_for_a_while_loses_nothing(departure, tmp_p
 
         listener = started('-c', LISTENER, stdout=subprocess.PIPE)
         assert listener.stdout.readline() == 'listening\n'
-        replay = started('-m', 'ambush_planner.tools.replay', str(path), '--', '/goal_pose',
-                         stderr=subprocess.PIPE)
-        # Then it has found the listener.
-        wait_for_line(replay, '1 departure')
+        replay = started('-m', 'ambush_planner.tools.replay', str(tmp_path), '--every', '10',
+                         '--', '/goal_pose', stderr=subprocess.PIPE)
+        assert listener.stdout.readline() == 'received\n'
         listener.send_signal(signal.SIGSTOP)
-        wait_for_line(replay, '1 message')
+        for name in ('1.mcap', '2.mcap'):
+            wait_for_line(replay, f'{name}: 1 message')
         # Longer than it takes to send; the publisher must outlast it.
         time.sleep(3.0)
         assert replay.poll() is None
