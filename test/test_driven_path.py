@@ -40,7 +40,7 @@ def some_route(network, seed):
 
 @st.composite
 def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
-    """A map, a route on it, the corridors and the clearance."""
+    """Corridors, a route in them, and what they were made from."""
     cells = draw(st.integers(6, 14))
     risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.1, draw(st.floats(-4, 4)))
     place = st.tuples(*[st.floats(0.4, cells - 0.4)] * 2)
@@ -56,7 +56,8 @@ def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
         assume(False)
     tube = draw(st.sampled_from(tubes))
     corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
-    return corridors, some_route(network, draw(st.integers(0, 99))), clearance, tube, clear_of_edge
+    route = some_route(network, draw(st.integers(0, 99)))
+    return corridors, route, risk_map, clearance, tube, clear_of_edge
 
 
 def distance_to(points, line):
@@ -78,8 +79,8 @@ def dense(poses, parts=20):
 @examples(250)
 @given(drives())
 def test_the_path_keeps_clear_and_in_its_tube(drive):
-    corridors, route, clearance, tube, clear_of_edge = drive
-    network, risk_map = corridors.network, corridors.risk_map
+    corridors, route, risk_map, clearance, tube, clear_of_edge = drive
+    network = corridors.network
     poses = driven_path(corridors, route, 0.2)
     uv = risk_map.to_map_axes(poses[:, :2])
     field = ObstacleField(risk_map, clear_of_edge)

@@ -21,15 +21,16 @@ EPILOG = """\
 Each departure is planned again from its recorded map, start, goal and parameters, and its route
 drawn again. It holds if network, strategy, value and route are the same (numbers to 1e-9, the
 probabilities to 1e-6 where another processor or release of numpy or scipy rounds otherwise), if
-the strategy's certificate closes (where the solve took a fifth of max_planning_time or more, it may
-have been cut short: then certificate and strategy.max_gap count, whatever is found with more time),
+the strategy's certificate closes (where the solve took a fifth of max_planning_time or more, it
+may have been cut short: then certificate and strategy.max_gap count, whatever is found with more
+time),
 if path, markers, answer and the strategy's numbers in the diagnostics follow from these, if the
 request came first and the answer last, and if the file is laid out as the recorder does it, with
 nothing else in it. Of a folder it is also checked that each file states the SHA-256 of the one
 before it, so that none is missing, exchanged, moved or inserted; that metadata.yaml names just the
-files that are there; and that no two departures were drawn from the same random numbers. The newest
-recording's hash is told last: note it elsewhere, or sign it, and give it with --expect the next
-time.
+files that are there; and that no two departures were drawn from the same random numbers. The
+newest recording's hash is told last: note it elsewhere, or sign it, and give it with --expect the
+next time.
 
 What is not found, by somebody who corrects checksums and hashes:
 * a recording that was made anew as a whole, from another seed with all that follows, if no later
