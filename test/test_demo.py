@@ -93,6 +93,8 @@ def test_routes_lead_from_start_to_goal(recordings):
 def test_routes_are_simple(recordings):
     for recording in recordings:
         route = np.round(positions(recording), 3)
+        # A turn that has no room is several poses at one place.
+        route = route[np.append(True, (np.diff(route, axis=0) != 0.0).any(axis=1))]
         assert len(np.unique(route, axis=0)) == len(route)
 
 

@@ -194,8 +194,8 @@ def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check):
     one, two = (recordings_in(tmp_path / folder)[0] for folder in ('first', 'second'))
     joined = tmp_path / 'runs'
     joined.mkdir()
-    for path in (one, two):
-        shutil.copytree(path.parent, joined / path.parent.name)
+    for name, path in (('first', one), ('second', two)):
+        shutil.copytree(path.parent, joined / name)
     code, found = check(joined)
     assert code == 0 and 'begins a chain of its own' in found['notes'][0]
 
