@@ -49,7 +49,7 @@ def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
     made = plan(risk_map, *risk_map.to_world([START, GOAL]), options)
     on = grid(values, origin)
-    return made, on, Ground(made, on, OCCUPANCY, game, clearance)
+    return made, on, Ground(made, on, OCCUPANCY)
 
 
 def rough(seed):

@@ -20,13 +20,11 @@ from .network import Network
 from .obstacles import nearest_free_cell
 from .options import check_at_least
 from .risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
-from .strategy import Strategy, StrategyOptions, solve
+from .strategy import Strategy, StrategyOptions, open_gap, solve
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
 # Tube with a reach, in distances of nodes.
 DEFAULT_TUBE = 0.35
-# Beside so much of the value a gap is rounding.
-ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
@@ -108,6 +106,8 @@ class PlanRequest:
 class Plan:
     """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took.
 
+    ``options`` are what it was worked out with.
+
     ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
     the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
     was made with, but no less than the map's resolution [m].
@@ -117,7 +117,7 @@ class Plan:
     strategy: Strategy
     bottleneck: Bottleneck
     corridors: Corridors
-    drive: DriveOptions
+    options: PlanningOptions
     spacing: float
     seconds: float
 
@@ -162,7 +162,7 @@ def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Pl
     )
     seconds = time.monotonic() - begin
     return Plan(
-        strategy.network, strategy, bottleneck, corridors, options.drive, spacing, seconds
+        strategy.network, strategy, bottleneck, corridors, options, spacing, seconds
     )
 
 
@@ -174,10 +174,8 @@ def _solved(network: Network, options: PlanningOptions, radius: float) -> Strate
         strategy = late.strategy
         if strategy is None:
             raise
-        # As far as it was not asked for: with a slack, a better strategy is known and not taken.
-        slack = options.strategy.risk_slack if options.strategy.solver == "max_entropy" else 0.0
-        gap = strategy.value / (1.0 + slack) - strategy.lower_bound
-        if gap <= (options.max_gap + ROUNDING) * strategy.value:
+        gap = open_gap(strategy, options.strategy)
+        if gap <= options.max_gap * strategy.value:
             return strategy
         raise TimeLimit(
             f"the strategy that was found in {options.strategy.time_limit:g} s may be "
@@ -261,7 +259,8 @@ def departure_path(
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
-    return driven_path(a_plan.corridors, route.nodes, spacing, a_plan.drive.turning_radius, ends)
+    radius = a_plan.options.drive.turning_radius
+    return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)
 
 
 def departure_paths(
@@ -269,4 +268,4 @@ def departure_paths(
 ) -> list[FloatArray]:
     """Draw ``n`` departures and return their paths, as ``departure_path`` does."""
     routes = a_plan.strategy.sample_routes(n, rng)
-    return driven_paths(a_plan.corridors, routes, spacing, a_plan.drive.turning_radius)
+    return driven_paths(a_plan.corridors, routes, spacing, a_plan.options.drive.turning_radius)

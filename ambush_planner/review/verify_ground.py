@@ -26,10 +26,7 @@ def changed_route_faults(case: Case, plan: Plan) -> list[str]:
         MapInForce(None, cells, resolution, origin)  # what came, and where from, is not looked at
         for cells in (values, after)
     )
-    planning = case.parameters.planning
-    ground = Ground(
-        plan, planned, case.parameters.occupancy, planning.game, planning.network.clearance
-    )
+    ground = Ground(plan, planned, case.parameters.occupancy)
     drawn = ground.draw(
         np.random.default_rng(case.metadata.route_entropy_source), newest,
         case.parameters.path_spacing or plan.spacing, case.metadata.ends,

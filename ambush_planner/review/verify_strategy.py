@@ -11,7 +11,7 @@ import numpy as np
 from ..core.acyclic import is_acyclic
 from ..core.network import Network
 from ..core.planner import PlanningOptions
-from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
+from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy, open_gap
 from ..recording.strategy_file import NUMBERS
 from .case import Case
 from .departures import LEAST_BITS
@@ -53,7 +53,7 @@ def certificate_faults(strategy: Strategy, planning: PlanningOptions) -> list[st
     exposure, budget = strategy.expected_exposure, strategy.exposure_budget
     if not exposure <= budget * (1.0 + CERTIFICATE_TOLERANCE):
         faults.append(f'strategy: its exposure {exposure:.9g} is over its budget of {budget:.9g}')
-    gap = _open_gap(strategy, planning)
+    gap = open_gap(strategy, planning.strategy)
     if gap > planning.max_gap * strategy.value:
         faults.append(f'strategy: its certificate does not close: gap {gap:.3g}')
     return faults
@@ -65,18 +65,7 @@ def was_hurried(strategy: Strategy, planning: PlanningOptions, seconds: float) -
     What it would have found with more time nobody knows; its certificate is checked all the same.
     """
     limit = planning.strategy.time_limit
-    return _open_gap(strategy, planning) > 0.0 or seconds >= _HURRIED * limit
-
-
-def _open_gap(strategy: Strategy, planning: PlanningOptions) -> float:
-    """What the certificate leaves open beyond the slack and rounding; 0 where it closes."""
-    options = planning.strategy
-    # With a length weight it is the weighted sum that is minimal.
-    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
-    gap = strategy.value / (1.0 + slack) - strategy.lower_bound
-    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
-    return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0
+    return open_gap(strategy, planning.strategy) > 0.0 or seconds >= _HURRIED * limit
 
 
 def network_faults(recorded: Network, planned: Network) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -11,13 +11,10 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..core.arrays import FloatArray, IndexArray
-from ..core.certificate import Budget, lower_bound, upper_bound
-from ..core.errors import BudgetInfeasible, NoRoute
-from ..core.game import Game, GameOptions, make_game
 from ..core.obstacles import ObstacleField
 from ..core.planner import Ends, Plan, Route, depart, departure_path
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
-from ..core.strategy import Strategy, StrategyOptions, make_budgets
+from ..core.strategy import revalue
 from .conditioned import Conditioned
 from .inputs import MapInForce
 
@@ -30,7 +27,6 @@ _MOST_DRAWS = 300
 _MOST_LOST = 0.01
 # Where fewer routes than this are left, nobody departs before it is solved anew.
 _LEAST_SHARE = 0.1
-_TINY = np.finfo(float).tiny
 _TOUCH = 1e-6  # of a cell: touching is meeting
 _SIDE_MARGIN = 2  # cells around what a connection can meet
 
@@ -80,22 +76,15 @@ class Ground:
     ----------
     plan, planned_on
         The plan, and the map that it was worked out on.
-    occupancy, game
-        The options that it was worked out with.
-    reach
-        How far from an obstacle its paths have to stay, measured from the drawn route [m].
+    occupancy
+        How cells are read.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        planned_on: MapInForce,
-        occupancy: OccupancyOptions,
-        game: GameOptions,
-        reach: float,
+        self, plan: Plan, planned_on: MapInForce, occupancy: OccupancyOptions
     ) -> None:
-        self._plan, self._planned_on = plan, planned_on
-        self._occupancy, self._game, self._reach = occupancy, game, reach
+        self._plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
+        self._clearance = plan.options.network.clearance
         network = plan.network
         self._uv = _map_axes(planned_on, network.points)
         self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
@@ -149,12 +138,12 @@ class Ground:
             return False
         corner, part = self._part(newest, ends)
         tails, heads = np.split(ends - corner, [len(a)])
-        return bool(ObstacleField(part).clear_segments(tails, heads, self._reach).all())
+        return bool(ObstacleField(part).clear_segments(tails, heads, self._clearance).all())
 
     def _part(self, newest: MapInForce, uv: FloatArray) -> tuple[FloatArray, RiskMap]:
         """The map around some positions, and where its lower left corner lies."""
         step = newest.resolution
-        margin = math.ceil(self._reach / step) + _SIDE_MARGIN
+        margin = math.ceil(self._clearance / step) + _SIDE_MARGIN
         low = np.maximum(np.floor(uv.min(axis=0) / step).astype(np.int64) - margin, 0)
         high = np.floor(uv.max(axis=0) / step).astype(np.int64) + margin + 1
         values = newest.values[low[1]:high[1], low[0]:high[0]]
@@ -180,19 +169,20 @@ class Ground:
         if len(cells) > _MOST_CELLS:
             return _Look(newest, Standing(math.inf, 0.0, 0.0), centres, lost, frozenset())
         lost[self._used[self._segments.met(centres, self._distance(newest))]] = True
-        lost[self._used] |= (alpha > self._game.alpha_threshold)[network.heads[self._used]]
+        forbidden = alpha > self._plan.options.game.alpha_threshold
+        lost[self._used] |= forbidden[network.heads[self._used]]
         share, p = 1.0, strategy.edge_probability
         if lost.any():
             if self._conditioned is None:
                 self._conditioned = Conditioned(strategy)
             share, p = self._conditioned.avoiding(lost)
-        value, bound = revalue(strategy, self._game, alpha, p)
+        known = revalue(strategy, self._plan.options.game, alpha, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return _Look(newest, Standing(value, bound, share), centres, lost, pairs)
+        return _Look(newest, Standing(known.value, known.bound, share), centres, lost, pairs)
 
     def _distance(self, newest: MapInForce) -> float:
         """From a cell's centre, so that what stays further away cannot meet the cell."""
-        return self._reach + (math.sqrt(0.5) + _TOUCH) * newest.resolution
+        return self._clearance + (math.sqrt(0.5) + _TOUCH) * newest.resolution
 
     def _new_obstacles(self, newest: MapInForce) -> _Cells:
         """Cells (K, 2) = (column, row) that are obstacles now and were none."""
@@ -229,38 +219,6 @@ class Ground:
             moved = np.floor(uv[other] + _TOUCH * np.array(shift))
             found[other] = np.clip(moved, 0, last).astype(np.int64)
         return found
-
-
-def revalue(
-    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray
-) -> tuple[float, float]:
-    """Value of the strategy p (M,), and the strategy's lower bound, where losses (N,) are others.
-
-    A strategy without routes, p = 0, has an infinite value. The budget of exposure is as many times
-    the least one as before.
-    """
-    network = replace(strategy.network, alpha=alpha)
-    try:
-        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
-        budgets = _budgets(game, strategy)
-    except (NoRoute, BudgetInfeasible):
-        return math.inf, 0.0
-    value = upper_bound(game, p) if p.any() else math.inf
-    prices = strategy.length_price, strategy.exposure_price
-    return value, min(lower_bound(game, strategy.ambush_probability, budgets, prices), value)
-
-
-def _budgets(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    network, least = game.network, strategy.shortest_length
-    length = Budget(game, network.lengths, strategy.length_budget, least, 'detour', 'm')
-    if not math.isfinite(strategy.exposure_budget):
-        return length, Budget(
-            game, network.edge_exposure, math.inf, strategy.least_exposure, 'exposure', 'loss x m'
-        )
-    options = StrategyOptions(
-        max_exposure=strategy.exposure_budget / max(strategy.least_exposure, _TINY)
-    )
-    return length, make_budgets(game, options)[1]
 
 
 @dataclass(frozen=True, eq=False)

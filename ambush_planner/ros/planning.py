@@ -253,11 +253,7 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    planning = parameters.planning
-    ground = Ground(
-        plan, trip.map, parameters.occupancy, planning.game, planning.network.clearance
-    )
-    return HeldPlan(plan, trip, parameters, ground)
+    return HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
 
 
 def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
