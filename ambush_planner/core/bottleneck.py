@@ -11,8 +11,9 @@ from .arrays import BoolArray, IndexArray, frozen_array
 from .certificate import lower_bound
 from .errors import TimeLimit
 from .game import Game
+from .judged import budgets_in
 from .max_entropy import max_entropy_strategy
-from .strategy import Strategy, budgets_in
+from .strategy import Strategy
 
 # Sites this many median edges from the source or the target are said to hug it.
 NEAR = 2.0

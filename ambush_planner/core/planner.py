@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, IndexArray, frozen_array
 from .bottleneck import Bottleneck, find_bottleneck
@@ -16,11 +17,13 @@ from .cover import with_hiding_places
 from .driven_path import driven_path, driven_paths
 from .errors import TimeLimit
 from .game import GameOptions
+from .judged import open_gap
+from .max_entropy import Law
 from .network import Network
 from .obstacles import nearest_free_cell
 from .options import check_at_least
 from .risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
-from .strategy import Strategy, StrategyOptions, open_gap, solve
+from .strategy import Strategy, StrategyOptions, solve
 
 Ends = tuple[tuple[float, float], tuple[float, float]]
 # Tube with a reach, in distances of nodes.
@@ -75,6 +78,21 @@ class PlanningOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class WarmStart:
+    """The law of a strategy on other ground, and where its nodes (N, 2) are [m]."""
+
+    points: FloatArray
+    law: Law
+
+    def on(self, network: Network) -> Law:
+        """The law with each site's multiplier taken from the node that was nearest."""
+        if np.array_equal(self.points, network.points):
+            return self.law
+        _, nearest = cKDTree(self.points).query(network.points)
+        return Law(frozen_array(self.law.sites[nearest], np.float64), self.law.budgets)
+
+
+@dataclass(frozen=True, eq=False)
 class PlanRequest:
     """Everything that a plan follows from.
 
@@ -90,6 +108,8 @@ class PlanRequest:
         How far a goal in an obstacle may be moved [m].
     options
         Network, game and strategy.
+    warm
+        Where the search for the strategy starts, if anything like it is known.
     """
 
     values: npt.NDArray[np.int8]
@@ -100,6 +120,7 @@ class PlanRequest:
     goal_xy: tuple[float, float]
     goal_tolerance: float
     options: PlanningOptions
+    warm: WarmStart | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,21 +162,25 @@ def plan(
     start_xy: npt.ArrayLike,
     goal_xy: npt.ArrayLike,
     options: PlanningOptions | None = None,
+    warm: WarmStart | None = None,
 ) -> Plan:
     """Build the network and solve the game; raises what ``build_network`` and ``solve`` raise."""
     options = options or PlanningOptions()
     begin = time.monotonic()
     network = build_network(risk_map, start_xy, goal_xy, options.network)
-    return replace(plan_on(risk_map, network, options), seconds=time.monotonic() - begin)
+    return replace(plan_on(risk_map, network, options, warm), seconds=time.monotonic() - begin)
 
 
-def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Plan:
+def plan_on(
+    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
+) -> Plan:
     """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
     begin = time.monotonic()
     spacing = node_spacing(risk_map, options.network)
     tube = _tube(options, spacing)
     network = with_cover(network, risk_map, options)
-    strategy = _solved(network, options, reach(risk_map, options))
+    start = warm.on(network) if warm else None
+    strategy = _solved(network, options, reach(risk_map, options), start)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
     corridors = make_corridors(
         strategy.network, risk_map, options.network.clearance, tube, options.network.clear_of_edge
@@ -166,10 +191,13 @@ def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Pl
     )
 
 
-def _solved(network: Network, options: PlanningOptions, radius: float) -> Strategy:
+def _solved(
+    network: Network, options: PlanningOptions, radius: float, start: Law | None
+) -> Strategy:
     """The strategy for the reach ``radius`` [m], or what was reached if that is good enough."""
+    game = replace(options.game, ambush_radius=radius)
     try:
-        return solve(network, replace(options.game, ambush_radius=radius), options.strategy)
+        return solve(network, game, options.strategy, start)
     except TimeLimit as late:
         strategy = late.strategy
         if strategy is None:
@@ -221,7 +249,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
         The map is malformed. All else as ``plan`` raises it.
     """
     risk_map, goal_xy = read_request(request)
-    return plan(risk_map, request.start_xy, goal_xy, request.options)
+    return plan(risk_map, request.start_xy, goal_xy, request.options, request.warm)
 
 
 def read_request(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from .arrays import FloatArray, IndexArray, frozen_array, sums
-from .certificate import Budget, Certificate, certify, lower_bound, upper_bound
-from .errors import BudgetInfeasible, InvalidNetwork, InvalidOption, NoRoute, TimeLimit
+from .certificate import Budget, Certificate, certify
+from .errors import InvalidNetwork, InvalidOption, TimeLimit
 from .game import Game, GameOptions, make_game
 from .linear_program import linear_program_strategy
 from .max_entropy import Law, Outcome, max_entropy_strategy
@@ -122,8 +122,8 @@ class Strategy:
         Fall of the value per unit that the budget grows.
     iterations : int
         Evaluations of the law, or iterations of the interior point or simplex method.
-    law : Law or None
-        The Gibbs law's multipliers, for a warm start.
+    law, start : Law or None
+        The Gibbs law's multipliers, for a warm start, and those that the search started from.
     """
 
     game: Game
@@ -145,6 +145,7 @@ class Strategy:
     exposure_price: float
     iterations: int
     law: Law | None = field(repr=False)
+    start: Law | None = field(repr=False)
     _sampler: RouteSampler = field(repr=False)
 
     @property
@@ -213,7 +214,7 @@ def solve(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _published(prepared, outcome, budgets, options)
+    return _published(prepared, outcome, budgets, options, warm)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -230,71 +231,14 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     names = (("length", "m"), ("exposure", "loss x m"))
     budgets = []
     for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
-        least = _least(network, cost)
+        least = least_cost(network, cost)
         limit = factor * least if math.isfinite(factor) else math.inf
         budgets.append(Budget(game, cost, limit, least, name, unit))
     return budgets[0], budgets[1]
 
 
-def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    """The strategy's own budgets in another game on its network.
-
-    The budget of exposure is as many times the least one as it was.
-
-    Raises
-    ------
-    BudgetInfeasible
-        The best playable route is over a budget.
-    """
-    network, most = game.network, strategy.exposure_budget
-    length = Budget(
-        game, network.lengths, strategy.length_budget, strategy.shortest_length, "length", "m"
-    )
-    least = strategy.least_exposure
-    if math.isfinite(most) and network is not strategy.network:
-        factor = most / max(least, np.finfo(float).tiny)
-        least = _least(network, network.edge_exposure)
-        most = factor * least
-    return length, Budget(game, network.edge_exposure, most, least, "exposure", "loss x m")
-
-
-def revalue(
-    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray | None = None
-) -> Certificate:
-    """Value and bound of a strategy where the losses of its nodes are ``alpha`` (N,).
-
-    ``options`` are the game's. ``p`` (M,) takes the place of the strategy's own probabilities; 0
-    everywhere has an infinite value. The bound is the strategy's old ambusher's, and infinitely far
-    from the value where no route is left that may be driven, or none within the budgets.
-    """
-    p = strategy.edge_probability if p is None else p
-    network = replace(strategy.network, alpha=alpha)
-    try:
-        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
-        budgets = budgets_in(game, strategy)
-    except (NoRoute, BudgetInfeasible):
-        return Certificate(math.inf, 0.0)
-    value = upper_bound(game, p) if p.any() else math.inf
-    prices = strategy.length_price, strategy.exposure_price
-    bound = lower_bound(game, strategy.ambush_probability, budgets, prices)
-    return Certificate(value, min(bound, value))
-
-
-def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
-    """How much smaller another strategy's value may be, beyond what was asked for with the slack.
-
-    0 where the certificate closes but for rounding; else the solve was cut short.
-    """
-    # With a length weight it is the weighted sum that is minimal.
-    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    slack = options.risk_slack if options.solver == "max_entropy" else 0.0
-    gap = strategy.value / (1.0 + slack) - strategy.lower_bound
-    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
-    return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0
-
-
-def _least(network: Network, cost: FloatArray) -> float:
-    """Cost (M,) of the network's best route."""
+def least_cost(network: Network, cost: FloatArray) -> float:
+    """What the network's best route costs, by the costs (M,) of edges."""
     found = distances_from(network.edges, cost, len(network.points), network.source)
     return float(found[network.target])
 
@@ -311,11 +255,12 @@ def _check_losses(network: Network) -> None:
 
 
 def _published(
-    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions,
+    start: Law | None,
 ) -> Strategy:
     """The strategy as computed from p, q and prices alone; TimeLimit if its gap is too wide."""
     certificate = certify(game, outcome.p, outcome.q, budgets, outcome.prices)
-    strategy = _strategy(game, outcome, budgets, certificate)
+    strategy = _strategy(game, outcome, budgets, certificate, start)
     slack = options.risk_slack if options.solver == "max_entropy" else 0.0
     slack += CERTIFICATE_TOLERANCE
     # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
@@ -331,7 +276,8 @@ def _published(
 
 
 def _strategy(
-    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate,
+    start: Law | None,
 ) -> Strategy:
     network, p = game.network, outcome.p
     leaving = sums(network.tails, p, game.node_count)
@@ -356,6 +302,7 @@ def _strategy(
         exposure_price=outcome.prices[1],
         iterations=outcome.iterations,
         law=outcome.law,
+        start=start,
         _sampler=RouteSampler(network, p),
     )
 

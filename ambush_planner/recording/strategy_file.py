@@ -15,6 +15,7 @@ from ..core.arrays import frozen_array, sums
 from ..core.certificate import Budget, certify
 from ..core.errors import AmbushPlannerError
 from ..core.game import Game, GameOptions, make_game
+from ..core.max_entropy import Law
 from ..core.network import Network
 from ..core.routes import RouteSampler
 from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
@@ -31,7 +32,10 @@ _NODE_INDICES = ('source', 'target')
 # How far an ambush reaches in the game that was solved [m]: with the tube of the driven path.
 _REACH = 'reach'
 _SINGLE = (*NUMBERS, _REACH)
-_NAMES = {*_ARRAYS, *_NODE_INDICES, *_SINGLE}
+# What the search for the law started from, if not from nothing: the multipliers of the sites
+# (N,), then of the budgets.
+_START = 'start'
+_NAMES = {*_ARRAYS, *_NODE_INDICES, *_SINGLE, _START}
 # Lattices join a node with eight others at most, triangulations with six on average.
 _MOST_EDGES_OF_A_NODE = 8
 # What a network of a million nodes takes (the most that network.target_nodes asks for): 224
@@ -49,7 +53,7 @@ class BadStrategy(ValueError):
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file (``numpy.load`` reads it)."""
-    network = strategy.network
+    network, start = strategy.network, strategy.start
     stream = BytesIO()
     np.savez_compressed(
         stream,
@@ -61,6 +65,7 @@ def strategy_file(strategy: Strategy) -> bytes:
         edge_probability=strategy.edge_probability,
         ambush_probability=strategy.ambush_probability,
         reach=strategy.game.ambush_radius,
+        start=np.empty(0) if start is None else np.append(start.sites, start.budgets),
         **{name: getattr(strategy, name) for name in NUMBERS},
     )
     return stream.getvalue()
@@ -148,6 +153,7 @@ def _check_sizes(data: bytes) -> None:
         'points': (nodes, 2), 'alpha': (nodes,), 'ambush_probability': (nodes,),
         'edges': (edges, 2), 'edge_probability': (edges,),
         **dict.fromkeys((*_NODE_INDICES, *_SINGLE), ()),
+        _START: (nodes + len(_BUDGETS) if shapes[_START] != (0,) else 0,),
     }
     for name, shape in expected.items():
         if shapes[name] != shape:
@@ -214,8 +220,15 @@ def _strategy(
         exposure_price=prices[1],
         iterations=0,
         law=None,
+        start=_start(content),
         _sampler=RouteSampler(network, p),
     )
+
+
+def _start(content: dict[str, np.ndarray]) -> Law | None:
+    values = _probabilities(content, _START, len(content[_START]))
+    nodes = len(content['points'])
+    return Law(values[:nodes], tuple(values[nodes:].tolist())) if len(values) else None
 
 
 def _compare(strategy: Strategy, content: dict[str, np.ndarray]) -> None:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import AmbushPlannerError
-from ..core.planner import PlanningOptions, PlanRequest
+from ..core.planner import PlanningOptions, PlanRequest, WarmStart
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording
 from ..recording.metadata import Metadata
@@ -167,9 +167,10 @@ class Verifier:
 
         The game is solved only on the network that was recorded.
         """
-        key = _plan_key(case, trip)
+        start = strategy.start and WarmStart(strategy.network.points, strategy.start)
+        key = (*_plan_key(case, trip), start and _strategy_key(case))
         try:
-            again = self._kept['plan'].get(key, lambda: self._plan(case, trip))
+            again = self._kept['plan'].get(key, lambda: self._plan(case, trip, start))
             if again.goal_xy != case.metadata.trip.goal_xy:
                 check.problems.append(
                     'trip: its goal is not where the goal pose and the tolerance lead to'
@@ -195,7 +196,7 @@ class Verifier:
         check.problems += path_faults(case, used, trip)
         check.notes += notes
 
-    def _plan(self, case: Case, trip: PosedTrip) -> PlannedAgain:
+    def _plan(self, case: Case, trip: PosedTrip, start: WarmStart | None) -> PlannedAgain:
         self._planning(case.path)
         if self._worker is None or not self._worker.alive:
             self._worker = WorkerProcess()
@@ -206,6 +207,7 @@ class Verifier:
             trip.goal_xy,
             case.metadata.trip.tolerance,
             _options(case),
+            start,
         ), self._worker.solve)
 
     def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:
@@ -263,7 +265,7 @@ def _strategy_key(case: Case) -> Hashable:
     return case.metadata.sha256['strategy'], case.parameters.planning.game
 
 
-def _plan_key(case: Case, trip: PosedTrip) -> Hashable:
+def _plan_key(case: Case, trip: PosedTrip) -> tuple[Hashable, ...]:
     return (
         case.metadata.sha256['map'], trip.start_xy, trip.goal_xy, case.metadata.trip.tolerance,
         case.parameters.occupancy, _options(case),

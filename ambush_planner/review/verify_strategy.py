@@ -9,9 +9,10 @@ from io import BytesIO
 import numpy as np
 
 from ..core.acyclic import is_acyclic
+from ..core.judged import open_gap
 from ..core.network import Network
 from ..core.planner import PlanningOptions
-from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy, open_gap
+from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
 from ..recording.strategy_file import NUMBERS
 from .case import Case
 from .departures import LEAST_BITS

@@ -11,8 +11,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from ..core.bottleneck import Bottleneck
+from ..core.judged import open_gap
 from ..core.planner import Plan
-from ..core.strategy import open_gap
 from ..worker.errors import SolveCancelled
 from .errors import OK_CODE, code_of
 from .ground import Standing

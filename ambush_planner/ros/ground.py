@@ -11,10 +11,10 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..core.arrays import FloatArray, IndexArray
+from ..core.judged import revalue
 from ..core.obstacles import ObstacleField
 from ..core.planner import Ends, Plan, Route, depart, departure_path
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
-from ..core.strategy import revalue
 from .conditioned import Conditioned
 from .inputs import MapInForce
 

@@ -11,7 +11,7 @@ from threading import RLock
 
 import numpy as np
 
-from ..core.planner import Plan, PlanRequest
+from ..core.planner import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .futures import done
 from .ground import Ground
@@ -132,7 +132,7 @@ class Plans:
     ) -> Future[HeldPlan]:
         solve = self._solves.submit(
             _key(trip, parameters),
-            _request(trip, parameters),
+            _request(trip, parameters, self._warm_start(trip, parameters)),
             partial(_held, trip, parameters),
             parameters.queue_size,
             background,
@@ -143,6 +143,14 @@ class Plans:
             solve.add_done_callback(self._keep_solved)
         return solve
 
+    def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
+        """The law of a plan that answers the same question on an earlier map, if there is one."""
+        for held in reversed(self._kept):
+            law = held.plan.strategy.law
+            if law is not None and held.trip.map is not trip.map and _asks(held, trip, parameters):
+                return WarmStart(held.plan.network.points, law)
+        return None
+
     def _keep_solved(self, solve: Future[HeldPlan]) -> None:
         with self._lock:
             self._pending = [each for each in self._pending if each.solve is not solve]
@@ -150,7 +158,7 @@ class Plans:
                 self._keep(solve.result())
 
     def _keep(self, held: HeldPlan) -> None:
-        others = [each for each in self._kept if not _supersedes(held, each)]
+        others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]
         self._kept = [*others, held][-_KEPT:]
 
 
@@ -194,12 +202,12 @@ def _tolerance(parameters: NodeParameters, spacing: float) -> float:
     return min(parameters.start_tolerance, 0.5 * spacing)
 
 
-def _supersedes(new: HeldPlan, old: HeldPlan) -> bool:
-    """Whether a plan answers the same question as an older one: of an earlier map, perhaps."""
+def _asks(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
+    """Whether a plan answers the same question: of another map, perhaps."""
     return (
-        old.trip.start_xy == new.trip.start_xy
-        and _goal(old.trip) == _goal(new.trip)
-        and _options(old.parameters) == _options(new.parameters)
+        held.trip.start_xy == trip.start_xy
+        and _goal(held.trip) == _goal(trip)
+        and _options(held.parameters) == _options(parameters)
     )
 
 
@@ -256,7 +264,7 @@ def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
     return HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
 
 
-def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
+def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
     return PlanRequest(
         trip.map.values,
         trip.map.resolution,
@@ -266,4 +274,5 @@ def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
         trip.goal_xy,
         trip.goal_tolerance,
         parameters.planning,
+        warm,
     )
