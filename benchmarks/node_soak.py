@@ -212,8 +212,8 @@ def results(
         f"departures, a plan between other places every {OTHER_PLAN}, a solve anew every {REPLAN}, "
         f"a new map every {NEW_MAP}, and an obstacle of {SIDE} x {SIDE} cells that is somewhere "
         f"else each time. {conditions('ros-jazzy-rclpy')}.\n\n{table(('', ''), rows)}\n"
-        f"\nTarget: no failed call, memory growth < {GROWTH_ALLOWED:g} %, all holds, nothing left behind; "
-        f"{'met' if met else '**missed**'}."
+        f"\nTarget: no failed call, memory growth < {GROWTH_ALLOWED:g} %, all holds, nothing left "
+        f"behind; {'met' if met else '**missed**'}."
     )
     return text, met
 
