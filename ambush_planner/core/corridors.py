@@ -22,7 +22,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidOption
 from .network import Network
 from .risk_map import RiskMap
-from .room import Room, among_nodes, on_the_map
+from .room import on_the_map, whole_room
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,10 +121,7 @@ def make_corridors(
     low, high = np.minimum(*network.edges.T), np.maximum(*network.edges.T)
     pair_keys, pair_of = np.unique(low * len(uv) + high, return_inverse=True)
     pairs = np.stack(np.divmod(pair_keys, len(uv)), axis=1)
-    if tube is None:
-        room = among_nodes(uv, pairs)
-    else:
-        room = Room(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
+    room = whole_room(uv, pairs, tube)
     room = on_the_map(room, uv, pairs, risk_map, clearance, clear_of_edge)
     along = network.tails < network.heads  # else the pair is seen from its end
     widths, beyond = room.widths[pair_of], room.beyond[pair_of]

@@ -143,6 +143,11 @@ class Plan:
     seconds: float
 
     @property
+    def tube(self) -> float | None:
+        """How far paths may leave the drawn route [m]; None: as far as no other node is met."""
+        return _tube(self.options, self.spacing)
+
+    @property
     def goal_xy(self) -> tuple[float, float]:
         """Where the routes end [m]: the goal that was asked for, or where it was moved to."""
         x, y = self.network.points[self.network.target].tolist()
@@ -280,7 +285,7 @@ def departure_path(
 ) -> FloatArray:
     """Poses (L, 3) = (x, y, yaw) of the path that is driven, at most ``spacing`` [m] apart.
 
-    ``ends`` are start and goal [m] where these are somewhat beside the route's.
+    ``ends`` are start and goal [m] where the plan's corridors lead from and to these.
 
     Raises
     ------

@@ -32,6 +32,13 @@ class Room:
     beyond: FloatArray
 
 
+def whole_room(uv: FloatArray, pairs: IndexArray, tube: float | None) -> Room:
+    """As far as the ``tube`` reaches [m]; None: as far as no other node is met."""
+    if tube is None:
+        return among_nodes(uv, pairs)
+    return Room(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
+
+
 def among_nodes(uv: FloatArray, pairs: IndexArray) -> Room:
     """As far as strips and quarters hold no other node; never wider than the edge is long."""
     start, direction, length = _frame(uv, pairs)

@@ -26,7 +26,7 @@ from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
 from .verify_file import file_faults
-from .verify_ground import changed_route_faults
+from .verify_ground import changed_route_faults, ground_then
 from .verify_messages import (
     marker_faults,
     message_faults,
@@ -175,7 +175,8 @@ class Verifier:
                 check.problems.append(
                     'trip: its goal is not where the goal pose and the tolerance lead to'
                 )
-            check.problems += ends_faults(case, again.spacing)
+            apart = ends_faults(case, again.spacing)
+            check.problems += apart
             if faults := again.network_faults(strategy.network):
                 check.problems += faults
                 return
@@ -191,10 +192,14 @@ class Verifier:
         # On the recorded strategy, which may differ by rounding, or where time was up.
         used = replace(plan, strategy=strategy)
         check.problems += [*faults, *status_faults(case, used if hurried else plan, hurried)]
-        if not check.problems and case.recorded.map_changes:
-            check.problems += changed_route_faults(case, used)
-        check.problems += path_faults(case, used, trip)
         check.notes += notes
+        if apart:
+            return
+        ground, newest = ground_then(case, used)
+        if not check.problems and case.recorded.map_changes:
+            check.problems += changed_route_faults(case, ground, newest)
+        fitted = ground.fitted(newest, case.metadata.ends)
+        check.problems += path_faults(case, fitted, trip)
 
     def _plan(self, case: Case, trip: PosedTrip, start: WarmStart | None) -> PlannedAgain:
         self._planning(case.path)

@@ -12,25 +12,29 @@ from ..ros.inputs import MapInForce
 from .case import Case
 
 
-def changed_route_faults(case: Case, plan: Plan) -> list[str]:
-    """Draw the route again as the node does, until it is clear on the newest map.
+def ground_then(case: Case, plan: Plan) -> tuple[Ground, MapInForce]:
+    """The ground as it was planned on, with the recorded strategy, and the newest map.
 
-    ``plan`` has the recorded strategy.
+    Raises
+    ------
+    UnreadableRecording
+        The changes of the map are none.
     """
     values, resolution, origin = occupancy_from_ros(case.message('map'))
-    try:
-        after = changed_map(values, case.recorded.map_changes)
-    except BadMapChanges as error:
-        return [f'map_changes: {error}']
-    planned, newest = (
-        MapInForce(None, cells, resolution, origin)  # what came, and where from, is not looked at
-        for cells in (values, after)
-    )
-    ground = Ground(plan, planned, case.parameters.occupancy)
-    drawn = ground.draw(
-        np.random.default_rng(case.metadata.route_entropy_source), newest,
-        case.parameters.path_spacing or plan.spacing, case.metadata.ends,
-    )
-    if drawn is None or not np.array_equal(drawn[0].nodes, case.metadata.route):
+    # What came, and where from, is not looked at.
+    planned = newest = MapInForce(None, values, resolution, origin)
+    if case.recorded.map_changes:
+        try:
+            after = changed_map(values, case.recorded.map_changes)
+        except BadMapChanges as error:
+            raise case.unreadable(f'map_changes: {error}') from error
+        newest = MapInForce(None, after, resolution, origin)
+    return Ground(plan, planned, case.parameters.occupancy), newest
+
+
+def changed_route_faults(case: Case, ground: Ground, newest: MapInForce) -> list[str]:
+    """Draw the route again as the node does, until it is clear on the newest map."""
+    drawn = ground.draw(np.random.default_rng(case.metadata.route_entropy_source), newest)
+    if drawn is None or not np.array_equal(drawn.nodes, case.metadata.route):
         return ['route: it is not what route_entropy_source draws on the map as it had changed']
     return []

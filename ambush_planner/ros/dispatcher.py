@@ -16,7 +16,7 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 
 from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan, Route
+from ..core.planner import Plan, Route, departure_path
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
@@ -231,11 +231,11 @@ class Dispatcher:
         stamp_ns: int,
     ) -> tuple[Route, DeparturePath] | None:
         """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
-        spacing = parameters.path_spacing or held.plan.spacing
-        drawn = held.ground.draw(np.random.default_rng(source), trip.map, spacing, held.ends(trip))
-        if drawn is None:
+        route = held.ground.draw(np.random.default_rng(source), trip.map)
+        if route is None:
             return None
-        route, rows = drawn
+        spacing, ends = parameters.path_spacing or held.plan.spacing, held.ends(trip)
+        rows = departure_path(held.ground.fitted(trip.map, ends), route, spacing, ends)
         poses = trip.start_pose.pose, trip.goal_pose.pose
         return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
