@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import statistics
 import sys
@@ -41,6 +42,7 @@ TIMEOUT = 30.0
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MEGABYTE = 2.0**20
+TESTS = Path(__file__).resolve().parent.parent / "test"
 
 
 class NodeSilent(Exception):
@@ -79,6 +81,21 @@ def scratch() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="ambush_planner_") as name:
         os.environ["ROS_LOG_DIR"] = str(Path(name, "log"))
         yield Path(name)
+
+
+def give_nodes_map_updates(folder: Path) -> None:
+    """Let nodes started from now on have ``map_msgs``, or a stand-in where there is none."""
+    if importlib.util.find_spec("map_msgs") is not None:
+        return
+    package = folder / "standins" / "map_msgs"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "msg.py").write_text(
+        "from standin_types import standin\n"
+        "OccupancyGridUpdate = standin('map_msgs', 'OccupancyGridUpdate')\n"
+    )
+    added = (str(package.parent), str(TESTS), os.environ.get("PYTHONPATH", ""))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, added))
 
 
 @contextmanager
