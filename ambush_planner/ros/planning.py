@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from threading import RLock
 
-import numpy as np
-
 from ..core.planner import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .futures import done
@@ -238,13 +236,14 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     network, p = held.plan.network, held.plan.strategy.edge_probability
     start, goal = held.ends(trip)
     left = (p > 0.0) & ~held.ground.lost(trip.map)
-    firsts = network.points[network.heads[left & (network.tails == network.source)]]
-    lasts = network.points[network.tails[left & (network.heads == network.target)]]
-    a = np.concatenate((np.broadcast_to(start, firsts.shape), lasts))
-    b = np.concatenate((firsts, np.broadcast_to(goal, lasts.shape)))
-    if left[(network.tails == network.source) & (network.heads == network.target)].any():
-        a, b = np.vstack((a, [start])), np.vstack((b, [goal]))
-    return held.ground.clear(a, b, trip.map)
+    first, last = left & (network.tails == network.source), left & (network.heads == network.target)
+    places = network.points.copy()
+    places[[network.source, network.target]] = start, goal
+    # One after the other: the ground that both lie on may be the whole map.
+    return all(
+        held.ground.clear(places[network.tails[steps]], places[network.heads[steps]], trip.map)
+        for steps in (first, last)
+    )
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:
