@@ -14,6 +14,8 @@ import ambush_planner
 from ambush_planner import RiskMap
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
+# Processes one after the other, each of which may have to wait for a busy machine.
+pytestmark = pytest.mark.timeout(300)
 SECTIONS = (
     "How many times faster",
     "Targets",
@@ -30,7 +32,7 @@ def run(script: str, *arguments) -> str:
     package = Path(ambush_planner.__file__).parent.parent  # the one under test
     path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
     done = subprocess.run(
-        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=100
+        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=280
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
