@@ -116,7 +116,8 @@ def load(rig: Rig, calls: int, clients: int) -> list[Round]:
     with Caller(rig.domain, rig.process.check) as caller:
         caller.give(field(CELLS, RESOLUTION), START, GOAL)
         deep = max(DEPTHS)
-        rounds = [run_round(rig, "`new_route`, nothing solved yet", "new_route", deep, calls, clients)]
+        what = "`new_route`, nothing solved yet"
+        rounds = [run_round(rig, what, "new_route", deep, calls, clients)]
         for service in ("new_route", "get_plan"):
             for depth in DEPTHS:
                 what = f"`{service}`, strategy known"

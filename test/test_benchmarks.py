@@ -14,8 +14,6 @@ import ambush_planner
 from ambush_planner import RiskMap
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
-# Processes one after the other, each of which may have to wait for a busy machine.
-pytestmark = pytest.mark.timeout(300)
 SECTIONS = (
     "How many times faster",
     "Targets",
