@@ -77,7 +77,7 @@ AROUND = [
     (NEW_ROUTE, log('map', 2**62), True, 'times: map, start and goal are not'),
     (NEW_ROUTE, call_at(Trigger.Event, 1, -10), True, 'times: a message is from before'),
     (GET_PLAN, call_at(GetPlan.Event, 0, 10), True, 'times: a message is from before'),
-    (NEW_ROUTE, add_to_the_answer, True, 'response: it does not tell'),
+    (NEW_ROUTE, add_to_the_answer, True, 'response: its message'),
     (NEW_ROUTE, report(lambda status: status.values.insert(0, KeyValue(key='value', value='0.1'))),
      True, 'diagnostics: there are not the values'),
     (GET_PLAN, report(lambda status: status.values.append(KeyValue(key='approved', value='yes'))),

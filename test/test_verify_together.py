@@ -291,17 +291,17 @@ def type_hash(content):
 
 MANIPULATIONS = {
     channel_of_another: 'quality-of-service',
-    channel_metadata: 'channels:',
+    channel_metadata: 'file: it is not laid out',
     quality_of_service_text: "quality of service's text",
     publish_time: 'file: it is not laid out',
     sequence: 'file: it is not laid out',
     attachment_created: 'file: it is not laid out',
     attachment_logged: 'file: it is not laid out',
     attachment_kind: 'file: it is not laid out',
-    more_metadata: 'metadata: there are records beside',
+    more_metadata: 'file: it is not laid out',
     other_profile: 'file: it is not laid out',
     order_of_messages: 'file: it is not laid out',
-    type_hash: 'definition of',
+    type_hash: 'file: it is not laid out',
 }
 
 

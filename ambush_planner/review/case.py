@@ -20,7 +20,8 @@ from ..core.errors import AmbushPlannerError
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from ..recording import RecordedDeparture, RecordedMessage, UnreadableRecording, type_name
-from ..recording.strategy_file import BadStrategy, strategy_from_file
+from ..recording.npz import BadAttachment
+from ..recording.strategy_file import strategy_from_file
 from ..ros.conversions import risk_map_from_ros
 from ..ros.parameters import PARAMETERS, NodeParameters, parameters_from
 
@@ -104,7 +105,7 @@ class Case:
         """
         try:
             return strategy_from_file(self.recorded.strategy, self.parameters.planning.game)
-        except BadStrategy as error:
+        except BadAttachment as error:
             raise self.unreadable(f'the recorded strategy: {error}') from error
 
     def risk_map(self) -> RiskMap:

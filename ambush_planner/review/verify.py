@@ -26,25 +26,25 @@ from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
 from .verify_file import file_faults
-from .verify_ground import changed_route_faults
 from .verify_messages import (
+    call_faults,
+    kind_faults,
     marker_faults,
-    message_faults,
     path_faults,
-    service_faults,
     solve_seconds,
     status_faults,
     time_faults,
 )
-from .verify_plan import PlannedAgain
-from .verify_strategy import (
+from .verify_plan import (
+    PlannedAgain,
     certificate_faults,
+    changed_route_faults,
     route_faults,
     source_faults,
     strategy_faults,
     was_hurried,
 )
-from .verify_trip import PosedTrip, ends_faults, frame_faults, posed_trip
+from .verify_trip import PosedTrip, ends_faults, metadata_faults, posed_trip
 
 # There and back again, as the node keeps plans.
 _KEPT = 4
@@ -140,15 +140,12 @@ class Verifier:
         check.metadata, check.sha256 = recorded.metadata, recorded.sha256
         case = Case(recorded)
         check.problems += file_faults(recorded)
-        check.problems += frame_faults(case, software_versions())
         check.problems += self._copy_faults(case.metadata, check.path)
-        check.problems += message_faults(case)
-        check.problems += service_faults(case)
-        check.problems += time_faults(case)
+        for faults in (metadata_faults, kind_faults, call_faults, time_faults, source_faults):
+            check.problems += faults(case)
         strategy = self._kept['strategy'].get(_strategy_key(case), case.strategy)
         check.nodes, check.value = len(strategy.network.points), strategy.value
         check.problems += self._marker_faults(case, strategy)
-        check.problems += source_faults(case)
         certificate = certificate_faults(strategy, case.parameters.planning)
         check.problems += certificate
         if not certificate and not case.recorded.map_changes:
@@ -185,7 +182,7 @@ class Verifier:
         hurried = was_hurried(strategy, case.parameters.planning, solve_seconds(case))
         faults, notes = self._kept['comparison'].get(
             (key, _strategy_key(case), hurried),
-            lambda: strategy_faults(case.recorded.strategy, strategy, plan.strategy, hurried),
+            lambda: strategy_faults(strategy, plan.strategy, hurried),
         )
         # On the recorded strategy, which may differ by rounding, or where time was up.
         used = replace(plan, strategy=strategy)
@@ -202,7 +199,7 @@ class Verifier:
         return PlannedAgain(PlanRequest(
             *occupancy_from_ros(case.message('map')),
             case.parameters.occupancy,
-            trip.start_xy,
+            case.metadata.trip.start_xy,
             trip.goal_xy,
             case.metadata.trip.tolerance,
             _options(case),
@@ -265,8 +262,8 @@ def _strategy_key(case: Case) -> Hashable:
 
 def _plan_key(case: Case, trip: PosedTrip) -> Hashable:
     return (
-        case.metadata.sha256['map'], trip.start_xy, trip.goal_xy, case.metadata.trip.tolerance,
-        case.parameters.occupancy, _options(case),
+        case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, case.parameters.occupancy,
+        _options(case),
     )
 
 
