@@ -208,7 +208,7 @@ class _Session:
         with recording_to(path):
             write_durably(path, data)
         self._last = Link(path.name, sha256=hashlib.sha256(data).hexdigest())
-        self._list(describe_file(path.name, data))
+        self._list(describe_file(path.name, content))
         return path
 
     def end(self) -> None:
