@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from forgeries_around import AROUND
+from forgeries_hidden import HIDDEN
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, SEEDED_AGAIN, Forger
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
@@ -332,4 +333,5 @@ FORGERIES = [
     (NEW_ROUTE, report_error, True, 'diagnostics: level, code and message'),
     (NEW_ROUTE, lose_attachment, False, "no attachment 'strategy.npz'"),
     *AROUND,
+    *HIDDEN,
 ]

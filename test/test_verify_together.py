@@ -154,7 +154,24 @@ def break_the_middle(files):
     return files[1].name, 'is exchanged'
 
 
+def another_name_of_the_one_before(files):
+    """In the newest file, whose hash no later one states."""
+    forger = Forger(files[-1])
+    forger.set_entry('chain', {**forger.entry('chain'), 'follows': files[0].name})
+    forger.save(files[-1])
+    return files[-1].name, 'states another name of the file before it'
+
+
+def number_of_another(files):
+    """The newest departure under the number of the one before it, in all that tells it."""
+    forger = Forger(files[-1])
+    forger.metadata['departure'] = '1'
+    forger.save(files[-1])
+    return files[-1].name, 'has the number of'
+
+
 @pytest.mark.parametrize('manipulate', [
+    another_name_of_the_one_before, number_of_another,
     delete, delete_the_last_of_a_session, delete_the_first, exchange, swap, rename, insert,
     insert_without_a_predecessor, renumber, copy, break_the_middle,
 ], ids=lambda each: each.__name__)
@@ -214,6 +231,28 @@ def test_metadata_yaml_names_just_the_files_that_are_there(runs, check, change, 
     path.write_text(json.dumps(document))
     code, found = check(runs)
     assert code == 1 and said in found['findings'][0]
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('message_count', 7), ('custom_data', {'by': 'me'}), ('duration', {'nanoseconds': 1}),
+    ('topics_with_message_count', []), ('approved', 'yes'),
+])
+def test_metadata_yaml_says_what_is_in_the_files(runs, check, key, value):
+    path = recordings_in(runs)[0].parent / 'metadata.yaml'
+    document = json.loads(path.read_text())
+    document['rosbag2_bagfile_information'][key] = value
+    path.write_text(json.dumps(document))
+    code, found = check(runs)
+    assert code == 1 and f'{key} is not that of the files' in found['findings'][0]
+
+
+def test_a_folder_that_rosbag2_listed_anew_holds(runs, check):
+    folder = recordings_in(runs)[0].parent
+    names = ''.join(f'    - {path.name}\n' for path in recordings_in(folder))
+    (folder / 'metadata.yaml').write_text(
+        f'rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n{names}  files: []\n'
+    )
+    assert check(runs)[0] == 0
 
 
 def test_a_stuck_random_source_is_found_though_each_file_holds(tmp_path, check, monkeypatch):

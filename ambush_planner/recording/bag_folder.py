@@ -61,7 +61,12 @@ def describe_file(name: str, content: Content) -> BagFile:
 
 
 def bag_text(files: Iterable[BagFile]) -> bytes:
-    """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
+    """Return ``metadata.yaml`` of a folder with these files."""
+    return json.dumps({_ROOT: bag_of(files)}, indent=1, ensure_ascii=False).encode()
+
+
+def bag_of(files: Iterable[BagFile]) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` says of these files; rosbag2 demands every key."""
     files = list(files)
     counts: Counter[RecordedTopic] = Counter()
     for each in files:
@@ -69,7 +74,7 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
     filled = [each for each in files if sum(number for _, number in each.counts)]
     start = min((each.start_ns for each in filled), default=0)
     end = max((each.end_ns for each in filled), default=0)
-    document = {
+    return {
         'version': 9,
         'storage_identifier': 'mcap',
         **_time_span(start, end),
@@ -91,7 +96,6 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
             for each in files
         ],
     }
-    return json.dumps({_ROOT: document}, indent=1, ensure_ascii=False).encode()
 
 
 def listed_files(folder: Path) -> list[str] | None:

@@ -19,6 +19,7 @@ from ..core.errors import AmbushPlannerError
 from ..core.planner import PlanningOptions, PlanRequest
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording
+from ..recording.bag_folder import BagFile, describe_file
 from ..recording.metadata import Metadata
 from ..recording.reader import departure_from, read_bytes
 from ..ros.conversions import occupancy_from_ros
@@ -68,8 +69,8 @@ class Verdict:
         What does not hold; each begins with the part of the recording that it is about.
     notes
         What could not be checked, and how the computers differ.
-    metadata
-        What the file says; None if it could not be read.
+    metadata, file
+        What the file says, and how ``metadata.yaml`` lists it; None if it could not be read.
     """
 
     path: Path
@@ -80,6 +81,7 @@ class Verdict:
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     metadata: Metadata | None = None
+    file: BagFile | None = None
 
     @property
     def holds(self) -> bool:
@@ -138,6 +140,7 @@ class Verifier:
         data = read_bytes(check.path)
         recorded = departure_from(check.path, data)
         check.metadata, check.sha256 = recorded.metadata, recorded.sha256
+        check.file = describe_file(check.path.name, recorded.content)
         case = Case(recorded)
         check.problems += file_faults(recorded)
         check.problems += self._copy_faults(case.metadata, check.path)
@@ -228,6 +231,7 @@ class _Check:
     def __init__(self, path: Path) -> None:
         self.path, self.sha256 = path, ''
         self.metadata: Metadata | None = None
+        self.file: BagFile | None = None
         self.nodes, self.value = 0, math.nan
         self.problems: list[str] = []
         self.notes: list[str] = []
@@ -236,7 +240,7 @@ class _Check:
         number = self.metadata.number if self.metadata else 0
         return Verdict(
             self.path, self.sha256, number, self.nodes, self.value, tuple(self.problems),
-            tuple(self.notes), self.metadata,
+            tuple(self.notes), self.metadata, self.file,
         )
 
 

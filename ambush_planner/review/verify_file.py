@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from io import BytesIO
 
@@ -94,7 +95,7 @@ def _without_offsets(record: object) -> object:
     if isinstance(record, records.SummaryOffset):
         return record.group_opcode
     if isinstance(record, records.Header):
-        return record.profile, record.library.partition('mcap ')[0]
+        return record.profile, re.sub(r'[\d.]+$', '', record.library)
     if isinstance(record, (records.Footer, records.DataEnd)):
         return type(record)
     return record

@@ -174,7 +174,10 @@ def status_faults(case: Case, plan: Plan, hurried: bool) -> list[str]:
     if found.hardware_id:
         faults.append('diagnostics: the node reports no hardware')
     failing = found.level in (DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
-    if failing != (told.get('code') != OK_CODE) or found.message != told.get('message'):
+    warns = found.level != DiagnosticStatus.OK
+    if found.message != told.get('message') or failing != (told.get('code') != OK_CODE) or (
+        warns != (found.message != told.get('state'))
+    ):
         faults.append('diagnostics: level, code and message do not agree')
     believed = _UNFORESEEN | _TIMED if hurried else _UNFORESEEN
     tolerance = PROBABILITY_TOLERANCE * plan.strategy.value
