@@ -108,6 +108,11 @@ def double_status(report_):
     report_.status = [*report_.status, *report_.status]
 
 
+def other_level(status):
+    warns = status.level == DiagnosticStatus.WARN
+    status.level = DiagnosticStatus.OK if warns else DiagnosticStatus.WARN
+
+
 def more_markers(shown):
     shown.markers = [*shown.markers, shown.markers[0]]
 
@@ -140,8 +145,7 @@ HIDDEN = [
     (NEW_ROUTE, edit(MarkerArray, 2, set_to('markers.0.text', 'approved')), True,
      'does not show the recorded strategy'),
     (NEW_ROUTE, edit(DiagnosticArray, 0, double_status), True, 'there is not one status'),
-    (NEW_ROUTE, report(lambda status: setattr(status, 'level', DiagnosticStatus.WARN)), True,
-     'diagnostics: level, code and message'),
+    (NEW_ROUTE, report(other_level), True, 'diagnostics: level, code and message'),
     (SEEDED, edit(DiagnosticArray, 0, set_to('status.0.values.13.value', '9')), True,
      'diagnostics: '),
     (NEW_ROUTE, entry('parameters', lambda text: text.replace(': ', ':  ', 1)), True,

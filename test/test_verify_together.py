@@ -1,8 +1,12 @@
 """What nobody sees in one recording: the chain of all of them, their folder, their sources."""
 
 import json
+import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -202,6 +206,36 @@ def test_the_last_file_is_missed_by_a_hash_noted_elsewhere(runs, check):
     assert check(runs)[0] == 0  # as --help says
     code, found = check(runs, '--expect', noted)
     assert code == 1 and 'expected hash is not here' in found['findings'][0]
+
+
+@pytest.mark.skipif(not shutil.which('ssh-keygen'), reason='ssh-keygen is not installed')
+def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
+    """As they stand there, but for the names of the folder, of the key and of who signs."""
+    root = Path(__file__).resolve().parent.parent
+    texts = [path.read_text() for path in (root / 'README.md', *sorted(root.glob('docs/*.md')))]
+    (block,) = [
+        each for text in texts for each in re.findall(r'```sh\n(.*?)```', text, re.DOTALL)
+        if 'ssh-keygen -Y sign' in each
+    ]
+    key = tmp_path / 'key'
+    subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
+    (tmp_path / 'signers').write_text(f'me {key.with_suffix(".pub").read_text()}')
+    for name, real in (('RUNS', runs), ('~/.ssh/id_ed25519', key), ('-I NAME', '-I me')):
+        assert name in block
+        block = block.replace(name, str(real))
+    shell = f'ambush() {{ "{sys.executable}" -m ambush_planner.tools.cli "$@"; }}\n{block}'
+
+    def run():
+        return subprocess.run(['sh', '-e', '-c', shell], cwd=tmp_path, capture_output=True,
+                              text=True, timeout=110, check=False)
+
+    done = run()
+    assert done.returncode == 0, done.stderr
+    assert 'Good "ambush_planner" signature for me' in done.stdout
+    assert '6 departures: all hold' in done.stdout
+    (tmp_path / 'newest').write_text('0' * 64)  # another hash than was signed
+    shell = shell[shell.index('ssh-keygen -Y verify'):]
+    assert run().returncode != 0
 
 
 def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -80,8 +80,8 @@ class Verdict:
     value: float = math.nan
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    metadata: Metadata | None = None
-    file: BagFile | None = None
+    metadata: Metadata | None = field(default=None, repr=False)
+    file: BagFile | None = field(default=None, repr=False)
 
     @property
     def holds(self) -> bool:
