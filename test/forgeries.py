@@ -326,7 +326,7 @@ FORGERIES = [
     (NEW_ROUTE, swap_roles, True, 'ends: the first one is not'),
     (NEW_ROUTE, move_marker, True, 'does not show the recorded strategy'),
     (NEW_ROUTE, change_report('value', '0.1'), True, 'diagnostics: value is not'),
-    (NEW_ROUTE, retype, True, 'map: it is not a OccupancyGrid'),
+    (NEW_ROUTE, retype, True, 'map: it is not of the type OccupancyGrid'),
     (NEW_ROUTE, other_frame, True, 'path: its poses['),
     (NEW_ROUTE, add_attachment, True, "an attachment 'more' is not known"),
     (NEW_ROUTE, swap_markers, True, 'are on the topic of'),

@@ -29,7 +29,7 @@ def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int
     Raises
     ------
     BadAttachment
-        They are no changes of this map.
+        They are not changes of this map.
     """
     expected = {'cells': (np.int32, ('cells',)), 'values': (np.int8, ('cells',))}
     content = unpacked(data, MAP_CHANGES_FILE, expected, 2 * _HEADER + _CELL * before.size)

@@ -27,7 +27,7 @@ Position = tuple[float, float]
 
 
 class BadMetadata(ValueError):
-    """The entries are none of a departure; the text says why."""
+    """The entries are not those of a departure; the text says why."""
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class Recorder:
     def __init__(self, directory: Path, compression: str = 'zstd') -> None:
         if compression not in COMPRESSIONS:
             names = ', '.join(COMPRESSIONS)
-            raise InvalidOption(f'compression {compression!r} is none of {names}')
+            raise InvalidOption(f'compression {compression!r} is not one of {names}')
         self._directory = Path(directory).expanduser()
         self._compression = compression
         self._session: _Session | None = None

@@ -36,7 +36,7 @@ def posed_trip(case: Case) -> PosedTrip:
     Raises
     ------
     InvalidPose
-        The numbers of a pose are no pose.
+        The numbers of a pose do not make a pose.
     UnreadableRecording
         A message is not a pose.
     """
@@ -77,7 +77,7 @@ def metadata_faults(case: Case) -> list[str]:
     Raises
     ------
     UnreadableRecording
-        The map or the path is none.
+        The map or the path is of another type.
     """
     metadata, trip = case.metadata, case.metadata.trip
     frames = {

@@ -33,7 +33,7 @@ The certificate is computed anew from the recorded probabilities alone, whatever
 had: it proves the value, and that no strategy within the budgets has less than the lower bound. It
 must close up to risk_slack, or, where time was up, up to strategy.max_gap of the value. Where the
 solve took a fifth of max_planning_time or more, that is all: another strategy than the one that
-follows with more time is then told, with both entropies, and is no finding.
+follows with more time is then told, with both entropies, and is not a finding.
 
 What is not found, by somebody who corrects checksums and hashes:
 * a recording that was made anew as a whole, from another seed with all that follows, if no later
