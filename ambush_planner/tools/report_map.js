@@ -207,7 +207,9 @@ class View {
     pen.drawImage(this.layers.risk.checked ? this.ground : this.bare, 0, -rows, columns, rows);
     pen.restore();
     if (this.layers.chances.checked) {
+      pen.globalAlpha = this.layers.routes.checked ? 0.6 : 1;
       for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
+      pen.globalAlpha = 1;
     }
     if (held > 0) {
       pen.setLineDash([6 / scale, 4 / scale]);
@@ -236,9 +238,9 @@ class View {
   }
 
   #drawSites() {
-    const { sites } = this.data;
+    const { sites } = this.data, size = Math.min(1, 0.4 + this.width / 1200) / this.scale;
     for (let k = 0; k < sites.length; k += 3) {
-      const path = disc(sites[k], sites[k + 1], (3 + 5 * Math.sqrt(sites[k + 2])) / this.scale);
+      const path = disc(sites[k], sites[k + 1], (3 + 5 * Math.sqrt(sites[k + 2])) * size);
       this.pen.fillStyle = ORANGE;
       this.pen.fill(path);
       this.#stroke(path, 'white', 1);
@@ -246,22 +248,23 @@ class View {
   }
 
   #drawEnd(x, y, name) {
-    const { pen, scale } = this, path = new Path2D(), half = 6 / scale;
-    path.rect(x - half, y - half, 2 * half, 2 * half);
+    const { pen, scale } = this, half = 6 / scale, path = disc(x, y, name === 'goal' ? half : 0);
+    if (name === 'start') path.rect(x - half, y - half, 2 * half, 2 * half);
     pen.fillStyle = YELLOW;
-    if (name === 'goal') pen.fill(disc(x, y, 1.2 * half));
-    else pen.fill(path);
-    this.#stroke(name === 'goal' ? disc(x, y, 1.2 * half) : path, 'black', 1.2);
-    const [px, py] = [(x - this.x) * scale + this.width / 2, (this.y - y) * scale + this.height / 2];
-    this.#label(name, px, py + 22, 'center');
+    pen.fill(path);
+    this.#stroke(path, 'black', 1.2);
+    const px = (x - this.x) * scale + this.width / 2;
+    const room = px > -6 && px < this.width + 6 ? 22 : Infinity;
+    this.#label(name, Math.min(Math.max(px - 17, 2), this.width - 36),
+      (this.y - y) * scale + this.height / 2 + room);
   }
 
-  #label(text, px, py, align) {
+  #label(text, px, py) {
     const { pen } = this;
     pen.save();
     pen.setTransform(this.fine, 0, 0, this.fine, 0, 0);
-    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', textAlign: align, lineWidth: 3 });
-    Object.assign(pen, { strokeStyle: 'white', fillStyle: BLACK });
+    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', lineWidth: 3,
+      strokeStyle: 'white', fillStyle: BLACK });
     pen.strokeText(text, px, py);
     pen.fillText(text, px, py);
     pen.restore();
@@ -275,7 +278,7 @@ class View {
     path.lineTo(x + metres, y);
     this.#stroke(path, 'white', 6);
     this.#stroke(path, BLACK, 3);
-    this.#label(this.#far(metres), 10, this.height - 18, 'left');
+    this.#label(this.#far(metres), 10, this.height - 18);
   }
 
   #far(metres) { return metres >= 1000 ? `${digits(metres / 1000)} km` : `${digits(metres)} m`; }

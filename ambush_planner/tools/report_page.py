@@ -32,7 +32,8 @@ h3 { font-size: 1.1rem; margin: 1.8rem 0 0.4rem; }
 .tiles b { display: block; font-size: 1.6rem; }
 figure { margin: 1.2rem 0; break-inside: avoid; }
 figcaption { color: #444; max-width: 46rem; }
-.map .controls { display: flex; flex-wrap: wrap; gap: 0.4rem 1.2rem; padding: 0.3rem 0; }
+.map .controls { display: flex; flex-wrap: wrap; align-items: center;
+  gap: 0.4rem 1.2rem; padding: 0.3rem 0; }
 .map label { white-space: nowrap; padding: 0.2rem 0.4rem 0.2rem 0; }
 .map input { width: 1.1rem; height: 1.1rem; vertical-align: -0.15rem; margin-right: 0.25rem; }
 .map button, .map select { font: inherit; min-height: 2rem; min-width: 2rem; max-width: 100%; }
