@@ -35,8 +35,9 @@ figcaption { color: #444; max-width: 46rem; }
 .map .controls { display: flex; flex-wrap: wrap; align-items: center;
   gap: 0.4rem 1.2rem; padding: 0.3rem 0; }
 .map label { white-space: nowrap; padding: 0.2rem 0.4rem 0.2rem 0; }
+.map .controls > label { display: flex; align-items: center; gap: 0.4rem; max-width: 100%; }
 .map input { width: 1.1rem; height: 1.1rem; vertical-align: -0.15rem; margin-right: 0.25rem; }
-.map button, .map select { font: inherit; min-height: 2rem; min-width: 2rem; max-width: 100%; }
+.map button, .map select { font: inherit; min-height: 2rem; min-width: 2rem; }
 .map .canvas { position: relative; overflow: hidden; line-height: 0; }
 .map canvas { width: 100%; touch-action: none; cursor: crosshair; background: #eee; }
 .map canvas:focus-visible { outline: 3px solid #1146b0; outline-offset: -3px; }
@@ -49,6 +50,7 @@ figcaption { color: #444; max-width: 46rem; }
 .legend i { display: inline-block; width: 1rem; height: 1rem; margin-right: 0.4rem;
   vertical-align: -0.15rem; box-sizing: border-box; outline: 1px solid #999; }
 .wide { overflow-x: auto; }
+.tall { overflow-y: auto; max-height: 36rem; }
 table { border-collapse: collapse; font-size: 0.93rem; min-width: 60%; }
 th, td { text-align: left; padding: 0.3rem 0.7rem 0.3rem 0; border-bottom: 1px solid #ddd;
   vertical-align: top; }
@@ -57,7 +59,7 @@ tbody th { font-weight: normal; }
 .better td, .better th { font-weight: bold; }
 .small td, .small th { font-size: 0.85rem; }
 @media print { body { font-size: 10.5pt; max-width: none; padding: 0; }
-  h2, h3 { break-after: avoid; } tr { break-inside: avoid; } .wide { overflow: visible; }
+  h2, h3 { break-after: avoid; } tr { break-inside: avoid; } .wide { overflow: visible; max-height: none; }
   .map .controls, .map .readout { display: none; }
   section { break-before: page; } section:first-of-type { break-before: auto; } }
 """
@@ -194,7 +196,7 @@ def _departures(section: Section) -> str:
         lines.append(f'<tr><th scope="row">{escape(name)}{dot}</th>{data}</tr>')
     content = '\n'.join(lines)
     return (
-        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>\n'
+        f'<div class="wide tall" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
         f'<tbody>{content}</tbody></table></div>'
     )
 
