@@ -218,15 +218,15 @@ def test_a_tube_that_cannot_be_is_refused(tube):
 def test_nodes_that_need_not_be_visited_are_left_out_only_without_a_tube():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     network = corridors.network
-    edges = {tuple(edge) for edge in network.edges.tolist()}
+    links = {tuple(link) for link in corridors.links.tolist()}
     left_out = 0
     for seed in range(20):
         route = some_route(network, seed)
         shorter = corridors.shortened(route)
         assert set(shorter.tolist()) <= set(route.tolist())
         assert shorter[[0, -1]].tolist() == route[[0, -1]].tolist()
-        assert {*itertools.pairwise(shorter.tolist())} <= edges
-        assert not any((shorter[k], shorter[k + 2]) in edges for k in range(len(shorter) - 2)
+        assert {*itertools.pairwise(shorter.tolist())} <= links
+        assert not any((shorter[k], shorter[k + 2]) in links for k in range(len(shorter) - 2)
                        if longer(network, shorter[k : k + 3]))
         left_out += len(route) - len(shorter)
     assert left_out > 0

@@ -18,7 +18,7 @@ WIDE = 1e6
 
 def directions(corridors, edge):
     """Tail, head, and the unit directions along and to the left of an edge."""
-    tail, head = corridors.uv[corridors.network.edges[edge]]
+    tail, head = corridors.uv[corridors.links[edge]]
     along = (head - tail) / np.hypot(*(head - tail))
     return tail, head, along, np.array([-along[1], along[0]])
 
@@ -44,10 +44,10 @@ def test_strips_and_quarters_are_clear(drive, seed):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
     rng = np.random.default_rng(seed)
     field = ObstacleField(risk_map, clear_of_edge)
-    for edge in rng.integers(len(corridors.network.edges), size=12):
+    for edge in rng.integers(len(corridors.links), size=12):
         points = pieces(corridors, edge, rng)
         assert field.clear_points(points, clearance).all()
-        ends = corridors.network.edges[edge]
+        ends = corridors.links[edge]
         others = np.delete(corridors.uv, ends, axis=0)
         if tube is None and len(others):
             assert np.linalg.norm(points[:, None] - others, axis=2).min() > 1e-4

@@ -6,8 +6,8 @@ lies a *quarter* of a disc round the node, between the strip's end and the edge'
 and no quarter comes nearer to an obstacle than the clearance, and either
 
 * none of them holds another node (``tube`` None): what stays in a route's strips and quarters
-  meets no node but the route's own, so the game on the network is the game that is driven, and a
-  path may even leave nodes of its route out; or
+  meets no node but the route's own, so the game on the network is the game that is driven. A path
+  may even leave nodes of its route out, also by *shortcuts*, which are no edges of the network; or
 * no point of them is further than ``tube`` from the edge or node: an ambush with reach r that hits
   what is driven would hit the drawn route with reach r + tube.
 """
@@ -21,8 +21,14 @@ import numpy as np
 from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidOption
 from .network import Network
+from .obstacles import ObstacleField
 from .risk_map import RiskMap
-from .room import on_the_map, whole_room
+from .room import among_nodes, on_the_map, whole_room
+
+# Cosine of the least turn that a shortcut may leave out; and how far at least it stays from other
+# nodes [lengths].
+SHARP = 0.5
+PAST = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,53 +43,52 @@ class Corridors:
         (x, y, yaw) of the map's axes [m, rad].
     uv : (N, 2) float
         The network's nodes in map axes [m].
-    left, right : (M,) float
-        Widths of the strips beside each edge, seen along it [m].
-    beyond : (M, 2, 2) float
+    links : (L, 2) int
+        Tails and heads of the edges, and of shortcuts if there is no tube; sorted.
+    left, right : (L,) float
+        Widths of the strips beside each link, seen along it [m].
+    beyond : (L, 2, 2) float
         Radii of the quarters beyond tail and head, to the left and to the right [m]; none is wider
         than its strip.
-    shortcut : (M,) bool
-        Edges by which a path may leave out nodes of its route: all of them without a tube.
+    shortcut : (L,) bool
+        Links by which a path may leave out nodes of its route: all of them without a tube.
     """
 
     network: Network
     origin: tuple[float, float, float]
     uv: FloatArray
+    links: IndexArray
     left: FloatArray
     right: FloatArray
     beyond: FloatArray
     shortcut: BoolArray
     _keys: IndexArray
-    _order: IndexArray
 
-    def edges_along(self, route: IndexArray) -> IndexArray:
-        """Indices (K - 1,) of the edges that join the nodes of a route (K,)."""
-        at = np.searchsorted(self._keys, route[:-1] * len(self.uv) + route[1:])
-        edges: IndexArray = self._order[at]
-        return edges
+    def links_along(self, route: IndexArray) -> IndexArray:
+        """Indices (K - 1,) of the links that join the nodes of a route (K,)."""
+        return np.searchsorted(self._keys, _keys(route[:-1], route[1:], len(self.uv)))
 
     def shortened(self, route: IndexArray) -> IndexArray:
-        """The shortest route along edges that lead forward from node to node of a route (K,).
+        """The shortest route along links that lead forward from node to node of a route (K,).
 
         It leaves nodes out and takes in none, so no ambush at a node hits it more often. Where a
         tube is to be kept, the route comes back as it is.
         """
         if not self.shortcut.any():
             return route
-        first = np.searchsorted(self._keys, route * len(self.uv))
-        count = np.searchsorted(self._keys, (route + 1) * len(self.uv)) - first
+        first, end = np.searchsorted(self._keys, np.stack((route, route + 1)) * len(self.uv))
+        count = end - first
         step = np.repeat(np.arange(len(route)), count)
-        edge = self._order[np.arange(len(step)) - (np.cumsum(count) - count - first)[step]]
+        link = np.arange(len(step)) - (np.cumsum(count) - count - first)[step]
         place = np.full(len(self.uv), -1)
         place[route] = np.arange(len(route))
-        ahead = place[self.network.heads[edge]]
-        forward = (ahead == step + 1) | ((ahead > step) & self.shortcut[edge])
+        ahead = place[self.links[link, 1]]
+        forward = (ahead == step + 1) | ((ahead > step) & self.shortcut[link])
+        step, ahead = step[forward], ahead[forward]
+        gaps = np.hypot(*(self.uv[route[ahead]] - self.uv[route[step]]).T)
         length, before = [np.inf] * len(route), [0] * len(route)
         length[0] = 0.0
-        for tail, head, gone in zip(
-            step[forward].tolist(), ahead[forward].tolist(),
-            self.network.lengths[edge[forward]].tolist(), strict=True,
-        ):
+        for tail, head, gone in zip(step.tolist(), ahead.tolist(), gaps.tolist(), strict=True):
             if length[tail] + gone < length[head]:
                 length[head], before[head] = length[tail] + gone, tail
         kept = [len(route) - 1]
@@ -116,24 +121,54 @@ def make_corridors(
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f"tube must be finite and >= 0 [m], got {tube}")
     uv = risk_map.to_map_axes(network.points)
-    keys = network.tails * len(uv) + network.heads
-    order = np.argsort(keys, kind="stable")
-    low, high = np.minimum(*network.edges.T), np.maximum(*network.edges.T)
-    pair_keys, pair_of = np.unique(low * len(uv) + high, return_inverse=True)
+    links = network.edges
+    if tube is None:
+        more = _shortcuts(uv, links, ObstacleField(risk_map, clear_of_edge), clearance)
+        links = np.concatenate((links, more, more[:, ::-1]))
+    links = links[np.lexsort(links.T[::-1])]
+    low, high = np.sort(links, axis=1).T
+    pair_keys, pair_of = np.unique(_keys(low, high, len(uv)), return_inverse=True)
     pairs = np.stack(np.divmod(pair_keys, len(uv)), axis=1)
     room = whole_room(uv, pairs, tube)
     room = on_the_map(room, uv, pairs, risk_map, clearance, clear_of_edge)
-    along = network.tails < network.heads  # else the pair is seen from its end
+    along = links[:, 0] < links[:, 1]  # else the pair is seen from its end
     widths, beyond = room.widths[pair_of], room.beyond[pair_of]
     widths[~along], beyond[~along] = widths[~along, ::-1], beyond[~along, ::-1, ::-1]
     return Corridors(
         network,
         risk_map.origin,
         frozen_array(uv, np.float64),
+        frozen_array(links, np.int64),
         frozen_array(widths[:, 0], np.float64),
         frozen_array(widths[:, 1], np.float64),
         frozen_array(beyond, np.float64),
-        frozen_array(np.full(len(network.edges), tube is None), np.bool_),
-        frozen_array(keys[order], np.int64),
-        frozen_array(order, np.int64),
+        frozen_array(np.full(len(links), tube is None), np.bool_),
+        frozen_array(_keys(links[:, 0], links[:, 1], len(uv)), np.int64),
     )
+
+
+def _keys(tails: IndexArray, heads: IndexArray, count: int) -> IndexArray:
+    keys: IndexArray = tails * count + heads
+    return keys
+
+
+def _shortcuts(
+    uv: FloatArray, edges: IndexArray, field: ObstacleField, clearance: float
+) -> IndexArray:
+    """Pairs (S, 2), lower number first, whose ends are joined by two edges that turn by more than
+    ``SHARP``, by none, and on free ground by a straight line past all other nodes."""
+    both = np.concatenate((edges, edges[:, ::-1]))
+    joined = np.unique(_keys(both[:, 0], both[:, 1], len(uv)))
+    middle, other = np.divmod(joined, len(uv))
+    found = []
+    for k in range(1, int(np.bincount(middle).max(initial=0))):
+        same = np.flatnonzero(middle[k:] == middle[:-k])
+        a, b, c = other[same], middle[same], other[same + k]
+        to_a, to_c = uv[a] - uv[b], uv[c] - uv[b]
+        sharp = (to_a * to_c).sum(axis=1) > -SHARP * np.hypot(*to_a.T) * np.hypot(*to_c.T)
+        found.append(_keys(a[sharp], c[sharp], len(uv)))
+    new = np.setdiff1d(np.concatenate([*found, joined[:0]]), joined)
+    pairs = np.stack(np.divmod(new, len(uv)), axis=1)
+    pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], clearance)]
+    length = np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
+    return pairs[among_nodes(uv, pairs).widths.min(axis=1) > PAST * length]

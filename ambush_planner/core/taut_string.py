@@ -44,7 +44,7 @@ class Portals:
 def portals_along(corridors: Corridors, route: IndexArray) -> Portals:
     """The portals at the nodes of a route (K,)."""
     nodes = corridors.uv[route]
-    edges = corridors.edges_along(route)
+    links = corridors.links_along(route)
     step = np.diff(nodes, axis=0)
     length = np.hypot(*step.T)
     unit = step / length[:, None]
@@ -55,7 +55,7 @@ def portals_along(corridors: Corridors, route: IndexArray) -> Portals:
     along = np.sqrt(np.maximum(1.0 - off**2, 0.0))
     leftward = np.stack((-halves[:, 1], halves[:, 0]), axis=1) / np.maximum(size, 1e-9)[:, None]
     limit = ALONG * np.minimum(length[:-1], length[1:]) / np.maximum(along, 1e-9)
-    before, after = edges[:-1], edges[1:]
+    before, after = links[:-1], links[1:]
     inner, outer = [], []
     for side, width in enumerate((corridors.left, corridors.right)):
         inner.append(np.minimum(np.minimum(width[before], width[after]) / off, limit))

@@ -151,18 +151,17 @@ class Ground:
         look = self._look(newest)
         if look.corridors is None:
             look.corridors = among_new_obstacles(
-                self._plan.corridors, look.new_obstacles, look.lost, self._clearance,
-                newest.resolution,
+                self._plan.corridors, look.new_obstacles, self._clearance, newest.resolution
             ) if len(look.new_obstacles) else self._plan.corridors
         return look.corridors
 
     def _around(
         self, newest: MapInForce, node: int, place: tuple[float, float]
     ) -> tuple[FloatArray, RiskMap]:
-        """The map around the edges of a node that is at another place, as far as paths may go."""
-        network = self._plan.network
-        at = (network.tails == node) | (network.heads == node)
-        uv = np.vstack((self._uv[network.edges[at].ravel()], _map_axes(newest, np.array([place]))))
+        """The map around the links of a node that is at another place, as far as paths may go."""
+        links = self._plan.corridors.links
+        at = links[(links == node).any(axis=1)].ravel()
+        uv = np.vstack((self._uv[at], _map_axes(newest, np.array([place]))))
         wide = self._plan.tube
         if wide is None:
             wide = float(np.hypot(*(uv - uv[-1]).T).max())
