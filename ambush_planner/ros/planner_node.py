@@ -75,7 +75,7 @@ class PlannerNode(Node):
 
     def _build(self) -> None:
         self._guard_own_services()
-        self._settings = declare_parameters(self, self._reconfigure)
+        self._settings = declare_parameters(self, self._reconfigure, self._contradicted)
         if self._settings.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
@@ -125,10 +125,17 @@ class PlannerNode(Node):
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
         self._reporter.error_hold = parameters.error_hold
+        self._reporter.warn('parameters', '')
         self._dispatcher.reconfigure(parameters)
         if parameters.recording != before.recording:
             self._reporter.recording(parameters.recording.enabled)
         self._tell_missing()
+
+    def _contradicted(self, error: InvalidOption) -> None:
+        self._dispatcher.refuse(error)
+        self._reporter.warn(
+            'parameters', f'parameters contradict each other, and requests are refused: {error}'
+        )
 
     def _tell_missing(self) -> None:
         self._reporter.inputs(self._inputs.missing(self._robot()))
@@ -241,6 +248,7 @@ class PlannerNode(Node):
         return _failure(error) if kind is Trigger else kind.Response()
 
     def _on_timer(self) -> None:
+        self._reporter.warn('alpha_map', self._listening.unheard_maps())
         self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 
