@@ -15,13 +15,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 # What the entries mean; another number where that changes.
-FORMAT = '4'
+FORMAT = '5'
 ROLES = ('map', 'start', 'goal', 'path')
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
 KEYS = frozenset({
     'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
-    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'ends', 'sha256', 'chain',
+    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'ends', 'call', 'sha256',
+    'chain',
 })
 # More than any node writes; reports and messages repeat what is below these.
 _LONGEST_NAME, _LONGEST_VALUE, _LONGEST_ENTRY, _MOST_VALUES = 255, 4096, 2**22, 1000
@@ -40,6 +41,21 @@ class RecordedTrip:
     start_xy: Position
     goal_xy: Position
     tolerance: float
+
+
+@dataclass(frozen=True)
+class RecordedCall:
+    """A request and its answer: the service, its type, the times [ns], and the messages' fields.
+
+    A path that was answered is left out: it is the one that is recorded.
+    """
+
+    service: str
+    type: str
+    request_ns: int
+    response_ns: int
+    request: Mapping[str, Any]
+    response: Mapping[str, Any] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -78,6 +94,8 @@ class Metadata:
         From where to where was planned.
     ends
         Where the path begins and ends [m]: at the trip's ends, or somewhat beside them.
+    call
+        What was asked for and answered.
     route
         Node indices, at least 2.
     route_entropy_source
@@ -100,6 +118,7 @@ class Metadata:
     parameters: Mapping[str, Any]
     trip: RecordedTrip
     ends: tuple[Position, Position]
+    call: RecordedCall
     route: list[int] = field(repr=False)
     route_entropy_source: list[int] = field(repr=False)
     sha256: Mapping[str, str] = field(repr=False)
@@ -123,7 +142,8 @@ def metadata_texts(
     contents
         The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
-        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends`` and ``versions``.
+        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends``, ``versions`` and
+        ``call``, the fields of a ``RecordedCall``.
     texts
         The other entries.
     """
@@ -169,6 +189,7 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         parameters=_scalars(texts, 'parameters'),
         trip=_trip(texts),
         ends=_ends(texts),
+        call=_call(texts),
         route=_wholes(texts, 'route', 2, 63),
         route_entropy_source=_wholes(texts, 'route_entropy_source', 1, 4096),
         sha256=_names(texts, 'sha256', (*ROLES, *_HASHED, *_FILES)),
@@ -273,6 +294,17 @@ def _trip(texts: Mapping[str, str]) -> RecordedTrip:
 
 def _ends(texts: Mapping[str, str]) -> tuple[Position, Position]:
     return _places('ends', _json(texts, 'ends'))
+
+
+def _call(texts: Mapping[str, str]) -> RecordedCall:
+    call = _mapping(texts, 'call')
+    kinds = {
+        'service': str, 'type': str, 'request_ns': int, 'response_ns': int, 'request': dict,
+        'response': dict,
+    }
+    if {name: type(value) for name, value in call.items()} != kinds:
+        raise BadMetadata(f'the recorded call does not state just {", ".join(kinds)}')
+    return RecordedCall(**call)
 
 
 def _places(key: str, places: Any) -> tuple[Position, Position]:

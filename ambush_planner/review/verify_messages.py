@@ -26,6 +26,8 @@ from ..core.strategy import Strategy
 from ..recording import type_name
 from ..recording.metadata import ROLES
 from ..ros import markers
+from ..ros.conversions import message_of
+from ..ros.departure_record import INPUTS_LEAD_NS
 from ..ros.diagnostics import Status, status_to_ros
 from ..ros.errors import OK_CODE
 from ..ros.paths import path_between
@@ -37,7 +39,7 @@ from .verify_trip import PosedTrip
 _TOLERANCE = 1e-9
 _MARKERS, _DIAGNOSTICS = type_name(MarkerArray), type_name(DiagnosticArray)
 _SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
-_EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
+_EVENTS = (Trigger.Event, GetPlan.Event)
 # What the diagnostics say beside the strategy and the departure.
 _UNFORESEEN = (
     'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
@@ -51,11 +53,12 @@ def message_faults(case: Case) -> list[str]:
     """Check that there is each message that the node records, and no other."""
     recorded, topics = case.recorded, {case.metadata.inputs[role] for role in ROLES}
     kinds = Counter(
-        'service event' if each.type in _EVENTS else each.type
+        'service event' if each.type in map(type_name, _EVENTS) else each.type
         for each in recorded.messages
         if each.topic not in topics
     )
-    expected = {_MARKERS: 4, _DIAGNOSTICS: 1, 'service event': 2}
+    events = 2 if case.parameters.recording.service_events else 0
+    expected = {_MARKERS: 4, _DIAGNOSTICS: 1, 'service event': events}
     faults = [
         f'messages: there are {kinds[kind]} of the kind {kind}, not {count}'
         for kind, count in expected.items()
@@ -91,26 +94,46 @@ def path_faults(case: Case, plan: Plan, trip: PosedTrip) -> list[str]:
 
 def service_faults(case: Case) -> list[str]:
     """Compare the recorded call, its request and its response, with the departure."""
-    messages = case.of_type(Trigger.Event, GetPlan.Event)
+    call = case.metadata.call
+    if call.type not in _SERVICES:
+        return ['call: it is of no service of this planner']
+    kind, check = _SERVICES[call.type]
+    plan = ('plan',) if kind is GetPlan else ()
+    try:
+        request = message_of(kind.Request, call.request)
+        response = message_of(kind.Response, call.response, but=plan)
+    except ValueError as error:
+        return [f'call: {error}']
+    if plan:
+        response.plan = case.message('path')
+    faults = check(case, request, response)
+    if call.service.rpartition('/')[2] != case.metadata.service:
+        faults.append('service: the recorded call is of another one')
+    return [*faults, *_event_faults(case, kind, request, response)]
+
+
+def _event_faults(case: Case, kind: Any, request: Any, response: Any) -> list[str]:
+    """Compare the messages of the call, where they are recorded, with it."""
+    call, number = case.metadata.call, case.metadata.number
+    content = {
+        ServiceEventInfo.REQUEST_RECEIVED: (call.request_ns, {'request': [request]}),
+        ServiceEventInfo.RESPONSE_SENT: (call.response_ns, {'response': [response]}),
+    }
     faults = []
-    events = {}
-    for message in messages:
+    for message in case.of_type(*_EVENTS):
         event = case.decode(message)
-        if message.topic.split('/')[-2:] != [case.metadata.service, '_service_event']:
-            faults.append('service: the recorded call is of another one')
-        if event.info.sequence_number != case.metadata.number:
-            faults.append('departure: its number is not that of the recorded call')
-        if _nanoseconds(event.info.stamp) != message.stamp_ns:
-            faults.append('service: the recorded call was at another time')
-        events[event.info.event_type] = _EVENTS[message.type], event
-    kind, asked = events.get(ServiceEventInfo.REQUEST_RECEIVED, (None, None))
-    if asked is None or len(asked.request) != 1 or asked.response:
-        return [*faults, 'request: it is missing']
-    answering, answered = events.get(ServiceEventInfo.RESPONSE_SENT, (None, None))
-    if answering is not kind or len(answered.response) != 1 or answered.request:
-        return [*faults, 'response: it is missing']
-    check = _trigger_faults if kind is Trigger else _get_plan_faults
-    return [*faults, *check(case, asked.request[0], answered.response[0])]
+        stamp_ns, parts = content.pop(event.info.event_type, (-1, {}))
+        info = ServiceEventInfo(
+            event_type=event.info.event_type, sequence_number=number, stamp=_time(message.stamp_ns)
+        )
+        right = (
+            stamp_ns == message.stamp_ns
+            and message.topic == f'{call.service}/_service_event'
+            and same(event, kind.Event(info=info, **parts))
+        )
+        if not right:
+            faults.append('service events: one is not of the recorded call')
+    return faults
 
 
 def solve_seconds(case: Case) -> float:
@@ -186,19 +209,14 @@ def time_faults(case: Case) -> list[str]:
     Nodes record it so even where the clock stands still or is set back on the way. That the times
     are right is shown by nothing in a recording.
     """
-    calls = {
-        case.decode(each).info.event_type: each.stamp_ns
-        for each in case.of_type(Trigger.Event, GetPlan.Event)
-    }
-    begin = calls.get(ServiceEventInfo.REQUEST_RECEIVED)
-    end = calls.get(ServiceEventInfo.RESPONSE_SENT)
-    if begin is None or end is None:
-        return []  # that it is missing is found elsewhere
+    begin, end = case.metadata.call.request_ns, case.metadata.call.response_ns
+    inputs = [case.recorded.recorded(role) for role in ('map', 'start', 'goal')]
+    others = [each for each in case.recorded.messages if each not in inputs]
     faults = []
-    if not all(begin <= each.stamp_ns <= end for each in case.recorded.messages):
+    if not all(begin <= each.stamp_ns <= end for each in others):
         faults.append('times: a message is from before the request or after the answer')
-    if any(case.recorded.recorded(role).stamp_ns != begin for role in ('map', 'start', 'goal')):
-        faults.append('times: map, start and goal are not from when the request came')
+    if any(each.stamp_ns != max(0, begin - INPUTS_LEAD_NS) for each in inputs):
+        faults.append('times: map, start and goal are not from half a second before the request')
     if not begin <= _nanoseconds(case.message('path').header.stamp) <= end:
         faults.append('times: the path is stamped before the request or after the answer')
     return faults
@@ -281,6 +299,11 @@ def _at(pose: Pose, xy: tuple[float, float]) -> Pose:
     return moved
 
 
+def _time(stamp_ns: int) -> Time:
+    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+    return Time(sec=seconds, nanosec=nanoseconds)
+
+
 def _nanoseconds(stamp: Time) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
@@ -294,3 +317,8 @@ def _same_text(told: str | None, expected: str, tolerance: float) -> bool:
     except ValueError:
         return False
     return math.isclose(one, other, rel_tol=PROBABILITY_TOLERANCE, abs_tol=tolerance)
+
+
+_SERVICES = {
+    type_name(Trigger): (Trigger, _trigger_faults), type_name(GetPlan): (GetPlan, _get_plan_faults)
+}
