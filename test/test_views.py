@@ -118,7 +118,9 @@ def test_nothing_hides_the_path_where_heights_say_what_is_in_front(size):
     assert heights['ambush_sites'].type == Marker.SPHERE_LIST
     assert max(colour.a for colour in heights['ambush_sites'].colors) < 1.0
     looked_at = scene(size, size, (0.0, 0.0, 0.0))
-    assert panel(looked_at)['topics']['/alpha_map']['alpha'] < 1.0
+    topics = panel(looked_at)['topics']
+    assert topics['/alpha_map']['alpha'] < 1.0
+    assert all(int(colour[-2:], 16) < 255 for colour in topics['/path']['gradient'])
     (path,) = [each for each in rviz(looked_at)['Displays']
                if each['Class'] == 'rviz_default_plugins/Path']
     assert steps[3] < path['Offset']['Z'] < 500.0

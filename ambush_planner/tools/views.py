@@ -2,7 +2,8 @@
 
 The files in config/ are those of the example map of 10 m x 8 m. Heights: the path is at 0, as it is
 driven; markers of lines lie below it and discs above, see ``ros.markers``. Foxglove draws lines
-after all else, the higher ones in front, and a map that is not opaque hides nothing below it.
+that are not opaque after all else, the higher ones in front, and a map that is not opaque hides
+nothing below it.
 """
 
 from __future__ import annotations
@@ -288,7 +289,8 @@ def _scene_panel(scene: Scene) -> dict[str, Any]:
     away = 1.1 * max(scene.size[1], scene.size[0] / _PANEL_ASPECT)
     size = _short(_ARROW * scale)
     arrow = {'visible': True, 'type': 'arrow', 'arrowScale': [size, 0.2 * size, 0.2 * size]}
-    green, red = '#19ff00ff', '#ff5050ff'
+    # Not quite opaque, a line is drawn after map and discs, which would cover it.
+    green, red = '#19ff00fa', '#ff5050ff'
     shown = {name: {'visible': name != 'network'} for name in MARKERS} | {
         # Opaque, it would hide the lines below it.
         'alpha_map': {'visible': True, 'colorMode': 'map', 'alpha': 0.8},
