@@ -280,6 +280,10 @@ def _whole_numbers(least: int, bits: int) -> tuple[str, Callable[[Any], bool]]:
     )
 
 
+_CALL = {
+    'service': str, 'type': str, 'request_ns': int, 'response_ns': int, 'request': dict,
+    'response': dict,
+}
 # The entries that are JSON: what each is, and whether a value is that.
 _SCALARS = 'a text or a number for each name', _are_scalars
 _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
@@ -289,6 +293,9 @@ _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'inputs': _texts_of(*ROLES),
     'sha256': _texts_of(*ROLES, *_HASHED, *_FILES),
     'chain': _texts_of('file', 'follows', 'sha256'),
+    'call': (f'just {", ".join(_CALL)}', lambda value: (
+        isinstance(value, dict) and {name: type(each) for name, each in value.items()} == _CALL
+    )),
     'trip': ('two places and a tolerance in metres', _is_trip),
     'ends': ('two places in metres', lambda value: (
         isinstance(value, list) and len(value) == 2 and all(map(_is_place, value))

@@ -41,7 +41,7 @@ from .verify_trip import PosedTrip
 
 # Of numbers in messages [m, or parts of a unit quaternion]: what rounding can make of them.
 _TOLERANCE = 1e-9
-_SERVICES = {type_name(kind): kind for kind in (Trigger, GetPlan)}
+_SERVICES = {type_name(Trigger): Trigger, type_name(GetPlan): GetPlan}
 _EVENTS = tuple(each.Event for each in _SERVICES.values())
 _DRAWN = {
     'network': lambda strategy, header: markers.network_lines(strategy.network, header),
@@ -65,8 +65,10 @@ def kind_faults(case: Case) -> list[str]:
         'service event' if each.type in map(type_name, _EVENTS) else each.type
         for each in case.recorded.messages if each.topic not in topics
     )
-    events = 2 if case.parameters.recording.service_events else 0
-    expected = {type_name(MarkerArray): 4, type_name(DiagnosticArray): 1, 'service event': events}
+    expected = {
+        type_name(MarkerArray): 4, type_name(DiagnosticArray): 1,
+        'service event': 2 if case.parameters.recording.service_events else 0,
+    }
     return [
         f'messages: there are {kinds[kind]} of the kind {kind[:60]!r}, not {expected.get(kind, 0)}'
         for kind in sorted({*kinds, *expected}) if kinds[kind] != expected.get(kind, 0)
@@ -74,30 +76,29 @@ def kind_faults(case: Case) -> list[str]:
 
 
 def call_faults(case: Case) -> list[str]:
-    """Make request and answer again, and compare; their messages too, where these are recorded."""
-    call = case.metadata.call
-    kind = _SERVICES.get(call.type)
+    """Make request and answer again, and the events of the call where they are recorded."""
+    call, kind = case.metadata.call, _SERVICES.get(case.metadata.call.type)
     if kind is None:
         return [f'call: {call.type[:60]!r} is not a service of the planner']
+    plan = ('plan',) if kind is GetPlan else ()
     try:
         asked = message_of(kind.Request, call.request)
         answered = message_of(kind.Response, call.response, ('plan',) if kind is GetPlan else ())
     except ValueError as error:
         return [f'call: {error}']
-    if kind is GetPlan:
-        answered.plan = case.message('path', PathMessage)
-    faults = [
-        *_unlike('request', asked, _request(case, asked)),
-        *_unlike('response', answered, _response(case, answered)),
-    ]
+    if plan:
+        response.plan = case.message('path', PathMessage)
+    faults = _unlike('request', request, _request(case, request))
+    faults += _unlike('response', response, _response(case, response))
     if call.service.rpartition('/')[2] != case.metadata.service:
         faults.append('service: the recorded call is of another one')
-    return [*faults, *_event_faults(case, kind, asked, answered)]
+    if kind is Trigger and case.metadata.trip.tolerance != 0.0:
+        faults.append('trip: new_route has no tolerance')
+    return faults + _event_faults(case, kind, request, response)
 
 
-def _event_faults(case: Case, kind: Any, asked: Any, answered: Any) -> list[str]:
-    """Make the messages of the call again, where they are recorded, and compare."""
-    call = case.metadata.call
+def _event_faults(case: Case, kind: Any, request: Any, response: Any) -> list[str]:
+    call, number = case.metadata.call, case.metadata.number
     content = {
         ServiceEventInfo.REQUEST_RECEIVED: (call.request_ns, {'request': [asked]}),
         ServiceEventInfo.RESPONSE_SENT: (call.response_ns, {'response': [answered]}),
@@ -108,12 +109,12 @@ def _event_faults(case: Case, kind: Any, asked: Any, answered: Any) -> list[str]
         stamp_ns, parts = content.pop(event.info.event_type, (-1, {}))
         seconds, nanoseconds = divmod(message.stamp_ns, 1_000_000_000)
         info = ServiceEventInfo(
-            event_type=event.info.event_type, stamp=Time(sec=seconds, nanosec=nanoseconds),
-            sequence_number=case.metadata.number,
+            event_type=event.info.event_type, sequence_number=number,
+            stamp=Time(sec=seconds, nanosec=nanoseconds),
         )
-        here = (stamp_ns, f'{call.service}/_service_event') == (message.stamp_ns, message.topic)
-        if not here or difference(event, kind.Event(info=info, **parts)) is not None:
-            faults.append('service events: one is not of the recorded call')
+        if stamp_ns != message.stamp_ns or message.topic != f'{call.service}/_service_event':
+            faults.append('service event: it is not of the recorded call')
+        faults += _unlike('service event', event, kind.Event(info=info, **parts))
     return faults
 
 
@@ -125,9 +126,9 @@ def time_faults(case: Case) -> list[str]:
     """
     begin, end = case.metadata.call.request_ns, case.metadata.call.response_ns
     inputs = [case.recorded.recorded(role) for role in ('map', 'start', 'goal')]
+    others = [each for each in case.recorded.messages if each not in inputs]
     faults = []
-    if not all(begin <= each.stamp_ns <= end for each in case.recorded.messages
-               if each not in inputs):
+    if not all(begin <= each.stamp_ns <= end for each in others):
         faults.append('times: a message is from before the request or after the answer')
     if any(each.stamp_ns != max(0, begin - INPUTS_LEAD_NS) for each in inputs):
         faults.append('times: map, start and goal are not from half a second before the request')
@@ -258,7 +259,7 @@ def _response(case: Case, answered: Any) -> Any:
     """What was answered; only what ``answered`` says of trouble with recordings is believed."""
     metadata = case.metadata
     if isinstance(answered, GetPlan.Response):
-        return answered
+        return GetPlan.Response(plan=case.message('path', PathMessage))
     told = f'departure {metadata.number} ({metadata.id}) is published on {metadata.inputs["path"]}'
     trouble = answered.message.removeprefix(told)
     status = _status(case)

@@ -82,8 +82,8 @@ class Dispatcher:
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
         self._count = 0
         self._told_to_end: float | None = None
-        self._contradiction: InvalidOption | None = None
         self._paused = True
+        self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
     @property

@@ -159,6 +159,8 @@ class PlannerNode(LifecycleNode):
                 self.get_logger(), self.resolve_topic_name('start_pose'),
             )
             made.callback(self._dispatcher.close)
+            if self._contradiction is not None:
+                self._dispatcher.refuse(self._contradiction)
             self._listening = Subscriptions(
                 self, self._inputs, self._guard, self._tell_missing, self._map_accepted
             )
@@ -180,8 +182,8 @@ class PlannerNode(LifecycleNode):
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
         self._reporter.error_hold = parameters.error_hold
-        self._contradiction = None
         self._reporter.warn('parameters', '')
+        self._contradiction = None
         if self._dispatcher is not None:
             self._dispatcher.reconfigure(parameters)
         if parameters.recording != before.recording:
@@ -226,8 +228,8 @@ class PlannerNode(LifecycleNode):
             return response
 
     def _on_timer(self) -> None:
-        listening = self._listening
-        self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
+        if self._listening is not None:
+            self._reporter.warn('alpha_map', self._listening.unheard_maps())
         self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 

@@ -44,9 +44,9 @@ class Subscriptions:
         map_accepted: Callable[[], None],
     ) -> None:
         self._node, self._guard = node, guard
+        self._all: list[Subscription] = []
         self._map_topic = node.resolve_topic_name('alpha_map')
         self._map: MapInForce | None = None  # the last one that was told
-        self._all: list[Subscription] = []
 
         def accept_map(got: Received) -> None:
             self._tell_map(inputs.accept_map(got))
