@@ -40,18 +40,6 @@ class RecordedTrip:
 
 
 @dataclass(frozen=True)
-class Link:
-    """A file's place in the chain: its name, and name and SHA-256 of the one before it.
-
-    Names begin with that of the session; the very first recording follows nothing ('').
-    """
-
-    file: str = ''
-    follows: str = ''
-    sha256: str = ''
-
-
-@dataclass(frozen=True, eq=False)
 class RecordedCall:
     """A request and its answer: the service, its type, the times [ns], and the messages' fields.
 
@@ -64,6 +52,18 @@ class RecordedCall:
     response_ns: int
     request: Mapping[str, Any]
     response: Mapping[str, Any] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A file's place in the chain: its name, and name and SHA-256 of the one before it.
+
+    Names begin with that of the session; the very first recording follows nothing ('').
+    """
+
+    file: str = ''
+    follows: str = ''
+    sha256: str = ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,14 +243,6 @@ def _is_trip(value: Any) -> bool:
     )
 
 
-def _is_call(value: Any) -> bool:
-    kinds = {
-        'service': str, 'type': str, 'request_ns': int, 'response_ns': int, 'request': dict,
-        'response': dict,
-    }
-    return isinstance(value, dict) and kinds == {name: type(each) for name, each in value.items()}
-
-
 def _is_scalar(value: Any) -> bool:
     if isinstance(value, str):
         return len(value) <= _LONGEST_VALUE
@@ -300,7 +292,6 @@ _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'ends': ('two places in metres', lambda value: (
         isinstance(value, list) and len(value) == 2 and all(map(_is_place, value))
     )),
-    'call': ('a request and its answer', _is_call),
     'route': _whole_numbers(2, 63),
     'route_entropy_source': _whole_numbers(1, 4096),
 }

@@ -82,8 +82,8 @@ def call_faults(case: Case) -> list[str]:
         return [f'call: {call.type[:60]!r} is not a service of the planner']
     plan = ('plan',) if kind is GetPlan else ()
     try:
-        asked = message_of(kind.Request, call.request)
-        answered = message_of(kind.Response, call.response, ('plan',) if kind is GetPlan else ())
+        request = message_of(kind.Request, call.request)
+        response = message_of(kind.Response, call.response, but=plan)
     except ValueError as error:
         return [f'call: {error}']
     if plan:
@@ -100,8 +100,8 @@ def call_faults(case: Case) -> list[str]:
 def _event_faults(case: Case, kind: Any, request: Any, response: Any) -> list[str]:
     call, number = case.metadata.call, case.metadata.number
     content = {
-        ServiceEventInfo.REQUEST_RECEIVED: (call.request_ns, {'request': [asked]}),
-        ServiceEventInfo.RESPONSE_SENT: (call.response_ns, {'response': [answered]}),
+        ServiceEventInfo.REQUEST_RECEIVED: (call.request_ns, {'request': [request]}),
+        ServiceEventInfo.RESPONSE_SENT: (call.response_ns, {'response': [response]}),
     }
     faults = []
     for message in case.of_type(*_EVENTS):

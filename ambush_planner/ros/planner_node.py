@@ -145,8 +145,6 @@ class PlannerNode(LifecycleNode):
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
-        if self._contradiction is not None:
-            raise self._contradiction
         with ExitStack() as made:
             made.callback(self._forget)
             outbox = Outbox(self, PLANS)
@@ -228,8 +226,8 @@ class PlannerNode(LifecycleNode):
             return response
 
     def _on_timer(self) -> None:
-        if self._listening is not None:
-            self._reporter.warn('alpha_map', self._listening.unheard_maps())
+        listening = self._listening
+        self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
         self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 
