@@ -186,7 +186,7 @@ def test_an_answer_that_tells_of_trouble_with_the_recording(tmp_path, capsys):
         lambda event: setattr(event.response[0], 'message', answer.message + ' again'),
     )
     code, lines = verified(forger.save(tmp_path / 'x.mcap'), capsys)
-    assert code == 1 and 'response: it does not tell' in ' '.join(lines)
+    assert code == 1 and 'response: its message' in ' '.join(lines)
 
 
 def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
@@ -252,8 +252,10 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
     forger, recorded = Forger(files[GET_PLAN]), read_departure(files[GET_PLAN])
     case = Case(recorded)
     strategy = case.strategy()
-    route = strategy.sample_route(np.random.default_rng([2**255 + 99]))
-    assert not np.array_equal(route, recorded.metadata.route)
+    for source in itertools.count(2**255):
+        route = strategy.sample_route(np.random.default_rng([source]))
+        if not np.array_equal(route, recorded.metadata.route):
+            break
     old = case.message('path')
     planning, risk_map = case.parameters.planning, case.risk_map()
     network = build_network(risk_map, *case.metadata.ends, planning.network)
@@ -268,7 +270,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
         lambda event: setattr(event.response[0], 'plan', again.to_message()),
     )
     forger.set_entry('route', route.tolist())
-    forger.set_entry('route_entropy_source', [2**255 + 99])
+    forger.set_entry('route_entropy_source', [source])
     forger.correct()
     assert verified(forger.save(tmp_path / 'forged.mcap'), capsys)[0] == 0
 
