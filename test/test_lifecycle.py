@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 
 import pytest
 from lifecycle_msgs.msg import Transition
@@ -10,6 +11,7 @@ from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
 from test_node_life import threads
+from waiting import TIMEOUT
 
 from ambush_planner.core.errors import AmbushPlannerError
 from ambush_planner.ros import planner_node
@@ -26,11 +28,23 @@ class Manager:
     def __init__(self, client):
         self.client = client
         self._change, self._state = (
-            client.node.create_client(kind, f'{client.name}/{name}')
+            client.node.create_client(kind, f'/{client.name}/{name}')
             for kind, name in ((ChangeState, 'change_state'), (GetState, 'get_state')))
+        nothing = Transition(label='no such transition')
+        self._meet(self._change, ChangeState.Request(transition=nothing))
+        self._meet(self._state, GetState.Request())
+
+    def _meet(self, client, request):
+        """Ask until there is an answer: until the node knows the client, answers are lost."""
+        wait_until(client.service_is_ready, client.srv_name)
+        for _ in range(int(TIMEOUT)):
+            asked = client.call_async(request)
+            with suppress(AssertionError):
+                wait_until(asked.done, 'an answer', timeout=1.0)
+                return
+        raise AssertionError(f'no answer of {client.srv_name}')
 
     def call(self, client, request):
-        wait_until(client.service_is_ready, client.srv_name)
         asked = client.call_async(request)
         wait_until(asked.done, f'an answer of {client.srv_name}')
         return asked.result()
