@@ -211,8 +211,9 @@ def test_what_cannot_be_configured_stays_unconfigured_and_says_why(monkeypatch):
         assert running.give().call('new_route').success
 
 
+@pytest.mark.slow
 def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path):
-    """Twenty lives of the node, with requests under way through all of them."""
+    """Three lives of the node, with requests under way through all of them."""
     with stage(tmp_path, WAITING) as running:
         client, manager, stop = running.client, Manager(running.client), threading.Event()
         asked, answered = [], []
@@ -229,7 +230,7 @@ def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path)
         thread = threading.Thread(target=ask)
         thread.start()
         try:
-            for _ in range(20):
+            for _ in range(3):
                 manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive')
                 manager.go(activate='active')
                 count = len(client.received['path'])
