@@ -67,6 +67,14 @@ class Reporter:
         """Forget what was wrong with a request."""
         self._change(lambda status: status.without_problem('request'))
 
+    def warn(self, concern: str, text: str) -> None:
+        """Warn of something as long as it lasts; '' when it is over."""
+        def change(status: Status) -> Status:
+            rest = {key: value for key, value in status.warnings.items() if key != concern}
+            return replace(status, warnings=rest | ({concern: text} if text else {}))
+
+        self._change(change)
+
     def inputs(self, missing: tuple[str, ...]) -> None:
         """Tell which inputs are missing."""
         self._change(lambda status: replace(status, missing=missing))
