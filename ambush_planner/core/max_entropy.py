@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from .acyclic import forward_part, order_potential, rank_around, rank_by
 from .arrays import FloatArray, IndexArray
-from .certificate import Budget, lower_bound, upper_bound
+from .certificate import ROUNDING, Budget, lower_bound, upper_bound
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
 from .game import Game
@@ -30,7 +30,8 @@ from .routes import always, shortest_route
 LEAST_SLACK = 9e-6
 # The law aims at these shares of its limits, so that it may end a little over its aim.
 AIM, BUDGET_AIM, ROUGHNESS = 0.95, 0.999, 0.04
-# Budgets count as kept within this, relative; the share of a mixture is found in so many halvings.
+# A program's strategy keeps its budgets within this, relative, and a mixture as well as that one;
+# its share is found in so many halvings.
 FITS, HALVINGS = 5e-7, 30
 # Sites where an ambush costs this many times the value are driven past only if nothing else is
 # left: a strategy may use them so little that rounding alone would break the limit.
@@ -196,18 +197,23 @@ class _Search:
         law = None if found.infeasible else limits.law(found.multipliers)
         return Outcome(p, q, (0.0,) * len(self.budgets), self.evaluations, law)
 
-    def _within(self, found: Outcome, partner: FloatArray | None, bound: float) -> Outcome | None:
+    def _within(self, found: Outcome, partner: FloatArray, bound: float) -> Outcome | None:
         """Mix in just so much of ``partner`` that value and budgets hold; None if none does."""
         limit = bound * (1.0 + self.slack)
-        priced = list(zip(found.prices, self.budgets, strict=True))
+        fits = self._fits(partner)
 
         def holds(p: FloatArray) -> bool:
-            over = sum(price * budget.overrun(p) for price, budget in priced if price > 0.0)
-            return upper_bound(self.game, p) + over <= limit and self._fits(p)
+            value = upper_bound(self.game, p)
+            for budget, price in zip(self.budgets, found.prices, strict=True):
+                most = budget.limit * (1.0 + ROUNDING)
+                if budget.mean(p) > (max(most, budget.mean(partner)) if fits else most):
+                    return False
+                value += price * budget.overrun(p) if price > 0.0 else 0.0
+            return value <= limit
 
         if found.law is not None and holds(found.p):
             return found
-        if partner is None or not holds(partner):
+        if not holds(partner):
             return None
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):

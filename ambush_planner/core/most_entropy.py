@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import fmin_l_bfgs_b
 from scipy.sparse import csr_matrix
 
 from .arrays import FloatArray, IndexArray
@@ -125,13 +125,9 @@ class _Search:
         return value, 1.0 - used + self.softness * total
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
-        options = {
-            "maxcor": CORRECTIONS, "maxiter": evaluations, "maxfun": evaluations, "ftol": 1e-15,
-            "gtol": 1e-12,
-        }
-        minimize(
-            self, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
-            options=options,
+        fmin_l_bfgs_b(
+            self, start, bounds=[(0.0, None)] * len(start), m=CORRECTIONS, factr=5.0, pgtol=1e-12,
+            maxfun=evaluations, maxiter=evaluations,
         )
 
     def newton(self) -> None:
