@@ -1,7 +1,7 @@
 """A ROS interface built from its definition, as a ROS machine has it installed.
 
-PyPI has no ``nav2_msgs``. But rclpy's wheels bring rosidl's generators, and the headers and libraries
-that their code needs: with a C++ compiler that is all there has to be.
+PyPI has no ``nav2_msgs``. But rclpy's wheels bring rosidl's generators, and the headers and
+libraries that their code needs: with a C++ compiler that is all there has to be.
 """
 
 import json

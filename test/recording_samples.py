@@ -139,6 +139,15 @@ def small_strategy():
 STRATEGY = small_strategy()
 
 
+def new_route_call(stamp_ns):
+    """What the metadata of a departure says of the call."""
+    return {
+        'service': '/planner/new_route', 'type': 'std_srvs/srv/Trigger',
+        'request_ns': stamp_ns, 'response_ns': stamp_ns,
+        'request': {}, 'response': {'success': True, 'message': 'route 1'},
+    }
+
+
 def metadata_for(messages, strategy=STRATEGY, compression='zstd', **texts):
     """All entries that a recorder is given with these messages; ``texts`` replace some."""
     entries = metadata_texts(
@@ -154,6 +163,7 @@ def metadata_for(messages, strategy=STRATEGY, compression='zstd', **texts):
             'route_entropy_source': [2**255 + 1],
             'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'tolerance': 0.0},
             'ends': [[1.5, 2.5], [3.0, 4.0]],
+            'call': new_route_call(START_NS),
         },
         texts={
             'planner_version': '0.1.0', 'service': 'new_route', 'departure': '1',

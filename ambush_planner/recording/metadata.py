@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 # What the entries mean; another number where that changes.
-FORMAT = '4'
+FORMAT = '5'
 ROLES = ('map', 'start', 'goal', 'path')
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
@@ -37,6 +37,21 @@ class RecordedTrip:
     start_xy: Position
     goal_xy: Position
     tolerance: float
+
+
+@dataclass(frozen=True)
+class RecordedCall:
+    """A request and its answer: the service, its type, the times [ns], and the messages' fields.
+
+    A path that was answered is left out: it is the one that is recorded.
+    """
+
+    service: str
+    type: str
+    request_ns: int
+    response_ns: int
+    request: Mapping[str, Any]
+    response: Mapping[str, Any] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -75,6 +90,8 @@ class Metadata:
         From where to where was planned.
     ends
         Where the path begins and ends [m]: at the trip's ends, or somewhat beside them.
+    call
+        What was asked for and answered.
     route
         Node indices, at least 2.
     route_entropy_source
@@ -97,6 +114,7 @@ class Metadata:
     parameters: Mapping[str, Any]
     trip: RecordedTrip
     ends: tuple[Position, Position]
+    call: RecordedCall
     route: list[int] = field(repr=False)
     route_entropy_source: list[int] = field(repr=False)
     sha256: Mapping[str, str] = field(repr=False)
@@ -120,7 +138,8 @@ def metadata_texts(
     contents
         The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
-        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends`` and ``versions``.
+        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends``, ``versions`` and
+        ``call``, the fields of a ``RecordedCall``.
     texts
         The other entries.
     """
@@ -170,6 +189,7 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
             _position(trip['start']), _position(trip['goal']), float(trip['tolerance'])
         ),
         ends=(_position(ends[0]), _position(ends[1])),
+        call=RecordedCall(**read['call']),
         link=Link(**read['chain']),
         texts=dict(texts),
     )
@@ -252,6 +272,10 @@ def _whole_numbers(least: int, bits: int) -> tuple[str, Callable[[Any], bool]]:
     )
 
 
+_CALL = {
+    'service': str, 'type': str, 'request_ns': int, 'response_ns': int, 'request': dict,
+    'response': dict,
+}
 # The entries that are JSON: what each is, and whether a value is that.
 _SCALARS = 'a text or a number for each name', _are_scalars
 _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
@@ -261,6 +285,9 @@ _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'inputs': _texts_of(*ROLES),
     'sha256': _texts_of(*ROLES, *_HASHED, *_FILES),
     'chain': _texts_of('file', 'follows', 'sha256'),
+    'call': (f'just {", ".join(_CALL)}', lambda value: (
+        isinstance(value, dict) and {name: type(each) for name, each in value.items()} == _CALL
+    )),
     'trip': ('two places and a tolerance in metres', _is_trip),
     'ends': ('two places in metres', lambda value: (
         isinstance(value, list) and len(value) == 2 and all(map(_is_place, value))

@@ -27,9 +27,11 @@ from visualization_msgs.msg import MarkerArray
 
 from ..core.planner import Plan, Route, departure_path
 from ..core.strategy import Strategy
-from ..recording import RecordedMessage, type_name
+from ..recording import type_name
 from ..recording.metadata import ROLES
 from ..ros import markers
+from ..ros.conversions import message_of
+from ..ros.departure_record import INPUTS_LEAD_NS
 from ..ros.diagnostics import Status, status_to_ros
 from ..ros.errors import OK_CODE
 from ..ros.paths import path_between
@@ -39,7 +41,7 @@ from .verify_trip import PosedTrip
 
 # Of numbers in messages [m, or parts of a unit quaternion]: what rounding can make of them.
 _TOLERANCE = 1e-9
-_SERVICES = {'new_route': Trigger, 'get_plan': GetPlan}
+_SERVICES = {type_name(Trigger): Trigger, type_name(GetPlan): GetPlan}
 _EVENTS = tuple(each.Event for each in _SERVICES.values())
 _DRAWN = {
     'network': lambda strategy, header: markers.network_lines(strategy.network, header),
@@ -63,7 +65,10 @@ def kind_faults(case: Case) -> list[str]:
         'service event' if each.type in map(type_name, _EVENTS) else each.type
         for each in case.recorded.messages if each.topic not in topics
     )
-    expected = {type_name(MarkerArray): 4, type_name(DiagnosticArray): 1, 'service event': 2}
+    expected = {
+        type_name(MarkerArray): 4, type_name(DiagnosticArray): 1,
+        'service event': 2 if case.parameters.recording.service_events else 0,
+    }
     return [
         f'messages: there are {kinds[kind]} of the kind {kind[:60]!r}, not {expected.get(kind, 0)}'
         for kind in sorted({*kinds, *expected}) if kinds[kind] != expected.get(kind, 0)
@@ -71,29 +76,45 @@ def kind_faults(case: Case) -> list[str]:
 
 
 def call_faults(case: Case) -> list[str]:
-    """Make request and answer again as service introspection shows them, and compare."""
-    metadata, kind = case.metadata, _SERVICES.get(case.metadata.service)
-    calls = _calls(case)
+    """Make request and answer again, and the events of the call where they are recorded."""
+    call, kind = case.metadata.call, _SERVICES.get(case.metadata.call.type)
     if kind is None:
-        return [f'service: {metadata.service[:60]!r} is not one of the planner']
+        return [f'call: {call.type[:60]!r} is not a service of the planner']
+    plan = ('plan',) if kind is GetPlan else ()
+    try:
+        request = message_of(kind.Request, call.request)
+        response = message_of(kind.Response, call.response, but=plan)
+    except ValueError as error:
+        return [f'call: {error}']
+    if plan:
+        response.plan = case.message('path', PathMessage)
+    faults = _unlike('request', request, _request(case, request))
+    faults += _unlike('response', response, _response(case, response))
+    if call.service.rpartition('/')[2] != case.metadata.service:
+        faults.append('service: the recorded call is of another one')
+    if kind is Trigger and case.metadata.trip.tolerance != 0.0:
+        faults.append('trip: new_route has no tolerance')
+    return faults + _event_faults(case, kind, request, response)
+
+
+def _event_faults(case: Case, kind: Any, request: Any, response: Any) -> list[str]:
+    call, number = case.metadata.call, case.metadata.number
+    content = {
+        ServiceEventInfo.REQUEST_RECEIVED: (call.request_ns, {'request': [request]}),
+        ServiceEventInfo.RESPONSE_SENT: (call.response_ns, {'response': [response]}),
+    }
     faults = []
-    for what, name, content in (
-        (ServiceEventInfo.REQUEST_RECEIVED, 'request', _request),
-        (ServiceEventInfo.RESPONSE_SENT, 'response', _response),
-    ):
-        recorded, event = calls.get(what, (None, None))
-        if not isinstance(event, kind.Event) or len(getattr(event, name)) != 1:
-            faults.append(f'{name}: it is missing, or not of {metadata.service}')
-            continue
-        if recorded.topic.split('/')[-2:] != [metadata.service, '_service_event']:
-            faults.append(f'{name}: it is on the topic of another service')
-        seconds, nanoseconds = divmod(recorded.stamp_ns, 1_000_000_000)
+    for message in case.of_type(*_EVENTS):
+        event = case.decode(message)
+        stamp_ns, parts = content.pop(event.info.event_type, (-1, {}))
+        seconds, nanoseconds = divmod(message.stamp_ns, 1_000_000_000)
         info = ServiceEventInfo(
-            event_type=what, stamp=Time(sec=seconds, nanosec=nanoseconds),
-            sequence_number=metadata.number,
+            event_type=event.info.event_type, sequence_number=number,
+            stamp=Time(sec=seconds, nanosec=nanoseconds),
         )
-        again = kind.Event(info=info, **{name: [content(case, getattr(event, name)[0])]})
-        faults += _unlike(name, event, again)
+        if stamp_ns != message.stamp_ns or message.topic != f'{call.service}/_service_event':
+            faults.append('service event: it is not of the recorded call')
+        faults += _unlike('service event', event, kind.Event(info=info, **parts))
     return faults
 
 
@@ -103,16 +124,14 @@ def time_faults(case: Case) -> list[str]:
     Nodes record it so even where the clock stands still or is set back on the way. That the times
     are right is shown by nothing in a recording.
     """
-    calls = _calls(case)
-    if not {ServiceEventInfo.REQUEST_RECEIVED, ServiceEventInfo.RESPONSE_SENT} <= set(calls):
-        return []  # that it is missing is found elsewhere
-    begin = calls[ServiceEventInfo.REQUEST_RECEIVED][0].stamp_ns
-    end = calls[ServiceEventInfo.RESPONSE_SENT][0].stamp_ns
+    begin, end = case.metadata.call.request_ns, case.metadata.call.response_ns
+    inputs = [case.recorded.recorded(role) for role in ('map', 'start', 'goal')]
+    others = [each for each in case.recorded.messages if each not in inputs]
     faults = []
-    if not all(begin <= each.stamp_ns <= end for each in case.recorded.messages):
+    if not all(begin <= each.stamp_ns <= end for each in others):
         faults.append('times: a message is from before the request or after the answer')
-    if any(case.recorded.recorded(role).stamp_ns != begin for role in ('map', 'start', 'goal')):
-        faults.append('times: map, start and goal are not from when the request came')
+    if any(each.stamp_ns != max(0, begin - INPUTS_LEAD_NS) for each in inputs):
+        faults.append('times: map, start and goal are not from half a second before the request')
     stamp = case.message('path').header.stamp
     if not begin <= stamp.sec * 1_000_000_000 + stamp.nanosec <= end:
         faults.append('times: the path is stamped before the request or after the answer')
@@ -224,16 +243,10 @@ def _unlike(name: str, one: Any, other: Any) -> list[str]:
     return [f'{name}: its {field} is not what follows from the rest']
 
 
-def _calls(case: Case) -> dict[int, tuple[RecordedMessage, Any]]:
-    """Request and answer as they are recorded, by the kind of the event."""
-    found = ((each, case.decode(each)) for each in case.of_type(*_EVENTS))
-    return {event.info.event_type: (each, event) for each, event in found}
-
-
 def _request(case: Case, asked: Any) -> Any:
     """What was asked for; ``asked`` may leave the start to where the robot is."""
-    if case.metadata.service == 'new_route':
-        return Trigger.Request()
+    if isinstance(asked, Trigger.Request):
+        return asked
     from_robot = case.parameters.robot_base_frame and not asked.start.header.frame_id
     start = asked.start if from_robot else case.message('start')
     return GetPlan.Request(
@@ -245,7 +258,7 @@ def _request(case: Case, asked: Any) -> Any:
 def _response(case: Case, answered: Any) -> Any:
     """What was answered; only what ``answered`` says of trouble with recordings is believed."""
     metadata = case.metadata
-    if metadata.service == 'get_plan':
+    if isinstance(answered, GetPlan.Response):
         return GetPlan.Response(plan=case.message('path', PathMessage))
     told = f'departure {metadata.number} ({metadata.id}) is published on {metadata.inputs["path"]}'
     trouble = answered.message.removeprefix(told)

@@ -10,12 +10,14 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 import numpy as np
+from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, Route, departure_path
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
@@ -74,13 +76,14 @@ class Dispatcher:
         self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
         self._start_topic = start_topic
         self._reporter, self._clock, self._logger = reporter, clock, logger
-        self._plans = Plans()
+        self._plans = Plans(self._tell_solved)
         self._shown: HeldPlan | None = None
         self._markers: tuple[RecordedMessage, ...] = ()
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
         self._count = 0
         self._told_to_end: float | None = None
         self._paused = True
+        self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
     @property
@@ -117,14 +120,29 @@ class Dispatcher:
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
-        self._parameters = parameters
+        if self._parameters.publish_path and not parameters.publish_path:
+            self._in_turn(self._withdraw_path)
+        self._parameters, self._contradiction = parameters, None
+
+    def refuse(self, error: InvalidOption) -> None:
+        """Refuse requests for this reason until there are parameters that can be used."""
+        self._contradiction = error
 
     def ground_changed(self) -> None:
         """See how plans stand on the map that has just come, and solve anew where it is wanted."""
         self._in_turn(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
-        """Depart as asked, unless the future that is returned is cancelled before."""
+        """Depart as asked, unless the future that is returned is cancelled before.
+
+        Where paths are not published, a request must have them answered.
+        """
+        self._refuse_contradictions()
+        if call.kind is Trigger and not self._parameters.publish_path:
+            raise InvalidOption(
+                'path.publish is false, so that new_route, whose answer has no room for a path, '
+                'would leave nobody with it: call get_plan'
+            )
         request = _Request(call, asked, self._parameters, self._now())
         self._in_turn(lambda: self._try(request), request.departure)
         return request.departure
@@ -141,6 +159,7 @@ class Dispatcher:
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
+        self._refuse_contradictions()
         outcome: Future[Plan] = Future()
 
         def begin() -> None:
@@ -240,14 +259,32 @@ class Dispatcher:
         if not request.departure.set_running_or_notify_cancel():
             return
         route, path = drawn
-        published = self._outbox.publish('path', path.to_bytes())
+        published = self._path_out(path, request)
         self._count = number
+        self._logger.info(f'departure {number} ({departure_id})')
         report, trouble = self._reporter.departed(number, departure_id)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
             published, tuple(filter(None, (*self._markers, report))), request.begin_ns,
             max(leaving, self._now()), trouble,
         ))
+
+    def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:
+        """Publish the path, if it may be; return what the recording keeps of it."""
+        if request.parameters.publish_path:
+            return self._outbox.publish('path', path.to_bytes())
+        return self._outbox.as_recorded('path', path.to_bytes(), f'{request.call.name}/path')
+
+    def _tell_solved(self, plan: Plan) -> None:
+        self._logger.info(
+            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
+            f'{len(plan.network.points)} nodes'
+        )
+
+    def _withdraw_path(self) -> None:
+        """Put an empty path where late joiners would get the last one."""
+        if self._count:
+            self._outbox.publish('path', Path())
 
     def _draw(
         self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
@@ -261,6 +298,12 @@ class Dispatcher:
         rows = departure_path(held.ground.fitted(trip.map, ends), route, spacing, ends)
         poses = trip.start_pose.pose, trip.goal_pose.pose
         return route, path_between(rows, *poses, self._header(trip, stamp_ns))
+
+    def _refuse_contradictions(self) -> None:
+        if self._contradiction is not None:
+            raise InvalidOption(
+                f'parameters contradict each other: {self._contradiction}'
+            ) from self._contradiction
 
     def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:

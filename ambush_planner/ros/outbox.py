@@ -43,12 +43,17 @@ class Outbox:
 
         ``message`` may be serialised already; it is serialised once in any case.
         """
-        data = message if isinstance(message, bytes) else serialize_message(message)
         publisher = self._publishers[topic]
-        publisher.publish(data)
+        kept = self.as_recorded(topic, message, publisher.topic_name)
+        publisher.publish(kept.data)
+        return kept
+
+    def as_recorded(self, topic: str, message: Any, name: str) -> RecordedMessage:
+        """Return what a recording keeps of a message, under the full ``name``; publish nothing."""
+        data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
         stamp = self._node.get_clock().now().nanoseconds
-        return RecordedMessage(publisher.topic_name, type_name(kind), data, qos, stamp)
+        return RecordedMessage(name, type_name(kind), data, qos, stamp)
 
     def close(self) -> None:
         """Take all back: who comes later gets nothing of it."""

@@ -76,7 +76,9 @@ class PlannerNode(LifecycleNode):
         self._guard_own_services()
         self._dispatcher: Dispatcher | None = None
         self._inputs: Inputs | None = None
-        self._settings = declare_parameters(self, self._reconfigure)
+        self._listening: Subscriptions | None = None
+        self._contradiction: InvalidOption | None = None
+        self._settings = declare_parameters(self, self._reconfigure, self._contradicted)
         if self._settings.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
@@ -155,14 +157,16 @@ class PlannerNode(LifecycleNode):
                 self.get_logger(), self.resolve_topic_name('start_pose'),
             )
             made.callback(self._dispatcher.close)
-            listening = Subscriptions(
+            if self._contradiction is not None:
+                self._dispatcher.refuse(self._contradiction)
+            self._listening = Subscriptions(
                 self, self._inputs, self._guard, self._tell_missing, self._map_accepted
             )
-            made.callback(listening.close)
+            made.callback(self._listening.close)
             self._configured = made.pop_all()
 
     def _forget(self) -> None:
-        self._dispatcher, self._inputs = None, None
+        self._dispatcher, self._inputs, self._listening = None, None, None
 
     def stop_solving(self) -> None:
         """End all solves, now and to come; requests that wait for one are answered."""
@@ -176,11 +180,21 @@ class PlannerNode(LifecycleNode):
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
         self._reporter.error_hold = parameters.error_hold
+        self._reporter.warn('parameters', '')
+        self._contradiction = None
         if self._dispatcher is not None:
             self._dispatcher.reconfigure(parameters)
         if parameters.recording != before.recording:
             self._reporter.recording(parameters.recording.enabled)
         self._tell_missing()
+
+    def _contradicted(self, error: InvalidOption) -> None:
+        self._contradiction = error
+        if self._dispatcher is not None:
+            self._dispatcher.refuse(error)
+        self._reporter.warn(
+            'parameters', f'parameters contradict each other, and requests are refused: {error}'
+        )
 
     def _tell_missing(self) -> None:
         if self._inputs is not None:
@@ -212,6 +226,8 @@ class PlannerNode(LifecycleNode):
             return response
 
     def _on_timer(self) -> None:
+        listening = self._listening
+        self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
         self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 

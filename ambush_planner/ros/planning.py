@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
@@ -52,10 +53,11 @@ class _Pending:
 class Plans:
     """Plans by what they follow from: kept, or worked out in the worker process.
 
-    Safe to be used from several threads.
+    ``solved`` is called with each that has been worked out. Safe to be used from several threads.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, solved: Callable[[Plan], None]) -> None:
+        self._solved = solved
         self._kept: list[HeldPlan] = []  # the one used last is the last
         self._pending: list[_Pending] = []
         self._lock = RLock()
@@ -158,6 +160,7 @@ class Plans:
             self._pending = [each for each in self._pending if each.solve is not solve]
             if solve.exception() is None:
                 self._keep(solve.result())
+                self._solved(solve.result().plan)
 
     def _keep(self, held: HeldPlan) -> None:
         others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]

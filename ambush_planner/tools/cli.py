@@ -32,6 +32,7 @@ COMMANDS = {
     'table': ('tools.table', 'what it costs to drive between all depots and all customers'),
     'terrain': ('tools.terrain', 'a risk map from an elevation model'),
     'verify': ('tools.verify', 'do recorded departures follow from their inputs?'),
+    'views': ('tools.views', 'RViz and Foxglove, set up for a map or a recording'),
 }
 EXIT_CODES = (
     'Exit code: 0 all holds; 1 a finding; 2 wrong usage; 3 something cannot be read or written;\n'
