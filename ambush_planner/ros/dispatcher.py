@@ -15,6 +15,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
 
+from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError
 from ..core.planner import Plan, Route
 from ..recording import RecordedMessage, RecordingFailed
@@ -219,7 +220,8 @@ class Dispatcher:
         route, path = drawn
         published = self._outbox.publish('path', path.to_bytes())
         self._count = number
-        report, trouble = self._reporter.departed(number, departure_id)
+        tight = tight_turns(path.rows, held.plan.drive.turning_radius)
+        report, trouble = self._reporter.departed(number, departure_id, tight)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
             published, tuple(filter(None, (*self._markers, report))), request.begin_ns,
