@@ -26,6 +26,7 @@ setup(
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
+    package_data={package_name: ['tools/*.js']},
     data_files=data_files,
     zip_safe=False,
     python_requires='>=3.10',

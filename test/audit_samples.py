@@ -50,10 +50,10 @@ def parameters(**changes):
     return values | changes
 
 
-def sample_plan(solver='max_entropy', hill=60, start=START):
+def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
-        NetworkOptions(spacing=SPACING), GameOptions(secured_radius=SECURED),
+        NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
         StrategyOptions(solver),
     )
     return plan(risk_map, start, GOAL, options)

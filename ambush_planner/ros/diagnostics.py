@@ -32,10 +32,12 @@ class Problem(NamedTuple):
 class Status:
     """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'.
 
+    ``lifecycle`` is the state of the node: unconfigured, inactive, active or finalized.
     ``standing`` tells how the plan stands on the map in force; ``stale`` says in words, if it
     is so, that the plan has to be solved anew.
     """
 
+    lifecycle: str = 'active'
     missing: tuple[str, ...] = ()
     solving: bool = False
     problems: Mapping[str, Problem] = field(default_factory=dict)
@@ -48,7 +50,9 @@ class Status:
 
     @property
     def state(self) -> str:
-        """'solving', 'waiting' (for inputs) or 'ready'."""
+        """'solving', 'waiting' (for inputs) or 'ready'; where it is not active, its lifecycle's."""
+        if self.lifecycle != 'active':
+            return self.lifecycle
         if self.solving:
             return 'solving'
         return 'waiting' if self.missing else 'ready'
@@ -98,6 +102,8 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         problems = [status.problems[concern] for concern in concerns]
         message = '; '.join(problem.message for problem in problems)
         return max(problem.level for problem in problems), problems[0].code, message
+    if status.lifecycle != 'active':
+        return DiagnosticStatus.OK, OK_CODE, status.lifecycle
     if status.missing:
         return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
     if status.stale:

@@ -21,7 +21,7 @@ from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
 from .departure_record import Departure, ServiceCall
-from .errors import GroundChanges
+from .errors import GroundChanges, NotActive
 from .futures import settle
 from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
@@ -35,6 +35,8 @@ from .reporter import Reporter
 _LAST_RECORDINGS = 1.0  # s
 # So many solves are waited for where map or robot have moved on each time.
 _MOST_SOLVES = 4
+
+INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
 
 _Outcome = TypeVar('_Outcome')
 
@@ -78,6 +80,7 @@ class Dispatcher:
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
         self._count = 0
         self._told_to_end: float | None = None
+        self._paused = True
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
     @property
@@ -91,6 +94,18 @@ class Dispatcher:
             self._told_to_end = time.monotonic()
         self._recordings.hurry()
         self._plans.close()
+
+    def pause(self) -> None:
+        """Refuse requests; whoever waits is told, and no route is drawn once this has returned."""
+        self._paused = True
+        self._departures.submit(lambda: None).result()  # what has begun is done
+        self._plans.cancel()
+
+    def resume(self) -> None:
+        """Take requests, as it does not from the beginning."""
+        self._paused = False
+        if self._shown is not None:
+            self.ground_changed()
 
     def close(self) -> None:
         """Answer all who wait, write the last recordings, and end."""
@@ -109,7 +124,7 @@ class Dispatcher:
         self._in_turn(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
-        """Depart as asked."""
+        """Depart as asked, unless the future that is returned is cancelled before."""
         request = _Request(call, asked, self._parameters, self._now())
         self._in_turn(lambda: self._try(request), request.departure)
         return request.departure
@@ -129,6 +144,7 @@ class Dispatcher:
         outcome: Future[Plan] = Future()
 
         def begin() -> None:
+            self._refuse_unless_active()
             parameters = self._parameters
             trip = self._inputs.locate(asked, self._robot(parameters))
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
@@ -148,7 +164,9 @@ class Dispatcher:
 
     def _try(self, request: _Request, solved: HeldPlan | None = None) -> None:
         """Depart on a plan that is there, or have one solved and try again with it."""
-        self._refuse_when_closing()
+        if request.departure.cancelled():
+            return
+        self._refuse_unless_active()
         parameters = request.parameters
         trip = self._inputs.locate(request.asked, self._robot(parameters))
         good = solved is not None and usable(solved, trip, parameters)
@@ -179,6 +197,9 @@ class Dispatcher:
             self._in_turn(lambda: go_on(done.result()), outcome)
 
         solve.add_done_callback(solved)
+        outcome.add_done_callback(
+            lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
+        )
 
     def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
         """Have work done in the thread of departures; an error is the outcome."""
@@ -190,19 +211,19 @@ class Dispatcher:
             except Exception as error:
                 if outcome is None:
                     self._reporter.failed('request', error)
-                else:
+                elif not outcome.cancelled():
                     outcome.set_exception(error)
 
         try:
             self._departures.submit(attempt)
         except RuntimeError:  # the thread has ended
             if outcome is not None:
-                settle(outcome, self._refuse_when_closing)
+                settle(outcome, self._refuse_unless_active)
 
     def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
-        self._refuse_when_closing()
+        self._refuse_unless_active()
         if held is not self._shown:
             self._show(held)
             if held.trip.map is not trip.map:
@@ -215,6 +236,8 @@ class Dispatcher:
         drawn = self._draw(held, trip, source, parameters, leaving)
         if drawn is None:
             self._wait(request, self._plans.solve(trip, parameters))
+            return
+        if not request.departure.set_running_or_notify_cancel():
             return
         route, path = drawn
         published = self._outbox.publish('path', path.to_bytes())
@@ -239,9 +262,11 @@ class Dispatcher:
         poses = trip.start_pose.pose, trip.goal_pose.pose
         return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
-    def _refuse_when_closing(self) -> None:
+    def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:
             raise SolveCancelled('the planner is shutting down')
+        if self._paused:
+            raise NotActive(INACTIVE)
 
     def _review(self) -> None:
         """Tell how the plan that is shown stands on the map in force; solve anew if it is stale."""
@@ -259,6 +284,9 @@ class Dispatcher:
             f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
             else f'the value has risen to {standing.value:.4g}'
         )
+        if self._paused:
+            self._reporter.stands(standing, f'the map has changed: {why}')
+            return
         self._reporter.stands(standing, f'the map has changed: {why}; it is being solved anew')
         trip = replace(held.trip, map=newest)
         self._solve_in_background(trip, held.parameters, f'the map has changed: {why}')

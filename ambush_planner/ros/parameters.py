@@ -141,6 +141,11 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'solved anew.'),
     'queue.size': Declaration(
         8, 'How many solves may wait beside the one that runs; others are refused.', 1, 1000),
+    'autostart': Declaration(
+        True,
+        'Whether the node configures and activates itself at the start; false: something else '
+        "does, like Nav2's lifecycle manager.",
+        read_only=True),
     'robot_base_frame': Declaration(
         '',
         'Frame of the robot, like base_link: where no start is given, it is where TF has the robot '

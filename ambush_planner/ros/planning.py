@@ -115,6 +115,10 @@ class Plans:
         with self._lock:
             self._kept = [held for held in self._kept if held.trip.map.same_ground(newest)]
 
+    def withdraw(self, solve: Future[HeldPlan]) -> None:
+        """Tell that one of those who asked for a solve no longer waits for it."""
+        self._solves.withdraw(solve)
+
     def withdraw_background(self) -> None:
         """Withdraw what waits in the background."""
         self._solves.withdraw_background()

@@ -30,7 +30,7 @@ class Reporter:
         self._name, self._outbox, self._clock, self._solving = name, outbox, clock, solving
         self.error_hold = error_hold
         self._failed_at = 0.0
-        self._status = Status()
+        self._status = Status(lifecycle='unconfigured')
         self._lock = RLock()
 
     def report(self) -> RecordedMessage:
@@ -44,6 +44,13 @@ class Reporter:
             return self._outbox.publish(
                 '/diagnostics', status_to_ros(self._status, self._name, stamp)
             )
+
+    def lifecycle(self, state: str) -> None:
+        """Tell the node's state; what was planned and done is forgotten in 'unconfigured'."""
+        if state == 'unconfigured':
+            self._change(lambda status: Status(lifecycle=state, recording=status.recording))
+        else:
+            self._change(lambda status: replace(status, lifecycle=state))
 
     def refresh(self) -> None:
         """Publish the diagnostics if a solve has begun or ended."""

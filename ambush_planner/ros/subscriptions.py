@@ -11,6 +11,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from ..recording import type_name
 from .cdr import read_grid_update
@@ -41,6 +42,7 @@ class Subscriptions:
         map_accepted: Callable[[], None],
     ) -> None:
         self._node, self._guard = node, guard
+        self._all: list[Subscription] = []
 
         def accept_map(got: Received) -> None:
             inputs.accept_map(got)
@@ -86,8 +88,13 @@ class Subscriptions:
             self._guard.attempt(name, concern, lambda: use(_received(kind, name, data, qos, read)))
 
         # Raw: what cannot be read would end the executor, and recordings keep the bytes that came.
-        self._node.create_subscription(kind, topic, receive, qos, raw=True)
+        self._all.append(self._node.create_subscription(kind, topic, receive, qos, raw=True))
         return name
+
+    def close(self) -> None:
+        """Listen to nothing any more."""
+        for subscription in self._all:
+            self._node.destroy_subscription(subscription)
 
 
 def _received(

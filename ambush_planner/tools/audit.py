@@ -16,7 +16,7 @@ from ..review.departures import Departure, read_departures, source_findings
 from . import audit_text, cli
 from .audit_figures import audit_figure
 from .audit_text import Outcome
-from .report_figures import as_png
+from .figures import as_png
 
 TEXT, PICTURE, PASSAGES = 'audit.txt', 'audit.png', 'audit_passages.csv'
 EPILOG = """\
