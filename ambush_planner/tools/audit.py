@@ -45,12 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
+    made = cli.reader_parser(
         'audit',
         'Test recorded departures: do they follow their strategies, do they show patterns?',
         EPILOG,
     )
-    cli.add_recordings(made)
     cli.add_output(made, 'the result')
     made.add_argument(
         '--false-alarm-rate', type=_rate, default=0.01, metavar='RATE',
