@@ -59,7 +59,8 @@ tbody th { font-weight: normal; }
 .better td, .better th { font-weight: bold; }
 .small td, .small th { font-size: 0.85rem; }
 @media print { body { font-size: 10.5pt; max-width: none; padding: 0; }
-  h2, h3 { break-after: avoid; } tr { break-inside: avoid; } .wide { overflow: visible; max-height: none; }
+  h2, h3 { break-after: avoid; } tr { break-inside: avoid; }
+  .wide { overflow: visible; max-height: none; }
   .map .controls, .map .readout { display: none; }
   section { break-before: page; } section:first-of-type { break-before: auto; } }
 """
