@@ -110,12 +110,11 @@ def draw_days(
     days: list[list[IndexArray]] = []
     tried, found, batch = 0, 0, 1 if count == 1 else max(_ROUTES_AT_ONCE // n, 1)
     while len(days) < count:
-        hopeless = not days and tried >= _PATIENCE and middle.most(n) < n
-        if hopeless or tried >= tries * (len(days) + 1):
-            raise NotDistinct(_not_distinct(middle, n, len(days), tried))
+        middle.go_on(n, len(days), tried, tries)
         batch = min(batch, tries * (len(days) + 1) - tried)
         routes = strategy.sample_routes(n * batch, rng)
-        good = np.flatnonzero(middle.apart(routes, n))
+        owner = np.repeat(np.arange(n * batch), [len(route) for route in routes])
+        good = np.flatnonzero(middle.apart(np.concatenate(routes), owner // n, batch))
         days += [routes[n * k:n * k + n] for k in good[:count - len(days)]]
         tried, found = tried + batch, found + len(good)
         batch = max(min(4 * batch, _ROUTES_AT_ONCE // n), 1)
@@ -207,17 +206,24 @@ class Middle:
         self.nodes[np.where(tails == network.source, heads, tails)[across]] = True
         self.nodes[[network.source, network.target]] = False
 
-    def apart(self, routes: Sequence[IndexArray], n: int) -> BoolArray:
-        """Tell of which days, of ``n`` routes each, no two routes share any of the middle."""
-        count = len(self.nodes)
-        days = np.ones(len(routes) // n, dtype=bool)
-        nodes = np.concatenate(routes)
-        owner = np.repeat(np.arange(len(routes)), [len(route) for route in routes]) // n
+    def apart(self, nodes: IndexArray, day: IndexArray, count: int) -> BoolArray:
+        """Tell of which days, 0..count - 1, no two routes share any of the middle.
+
+        ``nodes`` (K,) are those of all routes, which come nowhere twice, ``day`` (K,) of which day.
+        """
         inner = self.nodes[nodes]
-        # A route comes nowhere twice, so what comes twice on a day is of two routes.
-        used, times = np.unique(owner[inner] * count + nodes[inner], return_counts=True)
-        days[used[times > 1] // count] = False
-        return days
+        used, times = np.unique(
+            day[inner] * len(self.nodes) + nodes[inner], return_counts=True
+        )
+        apart = np.ones(count, dtype=bool)
+        apart[used[times > 1] // len(self.nodes)] = False
+        return apart
+
+    def go_on(self, n: int, found: int, tried: int, tries: int) -> None:
+        """Raise ``NotDistinct`` where ``found`` of ``tried`` days of ``n`` routes are too few."""
+        hopeless = not found and tried >= _PATIENCE and self.most(n) < n
+        if hopeless or tried >= tries * (found + 1):
+            raise NotDistinct(_not_distinct(self, n, found, tried))
 
     def most(self, n: int) -> int:
         """How many routes of the strategy can be apart at once, counted up to ``n``: a flow."""
