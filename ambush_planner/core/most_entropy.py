@@ -25,7 +25,7 @@ from .arrays import FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
 # Multiplier that a limit starts with.
-SMALL_START = 1e-3
+SMALL_START = 0.1
 MAX_EVALUATIONS = 1500
 # Evaluations before Newton's method takes over, the most limits that it moves at once, and the
 # multiplications that its Hessians may take.
@@ -37,7 +37,7 @@ ROUNDING = 1e-9
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # Correction pairs of L-BFGS.
-CORRECTIONS = 20
+CORRECTIONS = 30
 # Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
 # good one; a step is good when the function falls by this share of what the model says.
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
