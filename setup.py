@@ -90,7 +90,7 @@ setup(
                     'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier', 'ambush_paper',
                     'ambush_recover',
                     'ambush_replay', 'ambush_report', 'ambush_table', 'ambush_terrain',
-                    'ambush_verify',
+                    'ambush_verify', 'ambush_views',
                 )
             ),
         ],

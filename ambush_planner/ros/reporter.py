@@ -98,11 +98,14 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(self, number: int, departure_id: str) -> tuple[RecordedMessage | None, str]:
+    def departed(
+        self, number: int, departure_id: str, tight_turns: int
+    ) -> tuple[RecordedMessage | None, str]:
         """Tell of a departure; return what was published, and what is wrong with the recording."""
         with self._lock:
             report = self._change(lambda status: replace(
-                status.without_problem('request'), departures=number, departure_id=departure_id
+                status.without_problem('request'), departures=number, departure_id=departure_id,
+                tight_turns=tight_turns,
             ))
             failed = self._status.problems.get('recording')
             return report, failed.message if failed else ''
