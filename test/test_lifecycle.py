@@ -268,9 +268,10 @@ def test_a_destroyed_node_leaves_the_graph_at_once():
         looker = Node('looker', context=own)
         gc.disable()
         try:
-            with stage_in(domain):
-                wait_until(lambda: 'ambush_planner' in looker.get_node_names(), 'the planner')
-            wait_until(lambda: looker.get_node_names() == ['looker'], 'the end of the planner')
+            name = 'ambush_planner', '/leaving'
+            with stage_in(domain, namespace=name[1]):
+                wait_until(lambda: name in looker.get_node_names_and_namespaces(), 'the planner')
+            wait_until(lambda: name not in looker.get_node_names_and_namespaces(), 'its end')
         finally:
             gc.enable()
             looker.destroy_node()
