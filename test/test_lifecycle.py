@@ -1,5 +1,6 @@
 """The node's states, changed by the services that Nav2's lifecycle manager calls."""
 
+import gc
 import threading
 import time
 from contextlib import suppress
@@ -8,8 +9,18 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
+from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+from ros_harness import (
+    LATCHED,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    stage,
+    stage_in,
+    wait_until,
+)
 from test_node_life import threads
 from waiting import TIMEOUT
 
@@ -249,3 +260,18 @@ def test_it_is_found_by_the_manager_below_a_namespace():
         assert running.client.name == 'convoy/ambush_planner'
         start(running)
         assert running.give().call('new_route').success
+
+
+def test_a_destroyed_node_leaves_the_graph_at_once():
+    """Not only when Python looks for cycles."""
+    with free_domain() as domain, ros_context(domain) as own:
+        looker = Node('looker', context=own)
+        gc.disable()
+        try:
+            name = 'ambush_planner', '/leaving'
+            with stage_in(domain, namespace=name[1]):
+                wait_until(lambda: name in looker.get_node_names_and_namespaces(), 'the planner')
+            wait_until(lambda: name not in looker.get_node_names_and_namespaces(), 'its end')
+        finally:
+            gc.enable()
+            looker.destroy_node()
