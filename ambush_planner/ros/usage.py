@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import suppress
 from textwrap import fill
 
 from rclpy.utilities import remove_ros_args
@@ -34,7 +35,8 @@ INTERFACE = (
 def check_arguments(arguments: list[str] | None) -> None:
     """Print the help and exit if it is asked for; exit with 2 at what is no argument of ROS."""
     given = sys.argv if arguments is None else ['', *arguments]
-    _parser().parse_args(remove_ros_args(given)[1:])
+    with suppress(RuntimeError):  # malformed ones of ROS: rclpy.init says what is wrong with them
+        _parser().parse_args(remove_ros_args(given)[1:])
 
 
 def _parser() -> argparse.ArgumentParser:
