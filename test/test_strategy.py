@@ -317,7 +317,7 @@ def test_twice_the_losses_are_twice_the_value():
 
 
 @examples(20)
-@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze")), st.data())
+@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze", "depot")), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
     network = ground_network(seed, kind)
