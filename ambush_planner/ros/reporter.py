@@ -30,7 +30,7 @@ class Reporter:
         self._name, self._outbox, self._clock, self._solving = name, outbox, clock, solving
         self.error_hold = error_hold
         self._failed_at = 0.0
-        self._status = Status()
+        self._status = Status(lifecycle='unconfigured')
         self._lock = RLock()
 
     def report(self) -> RecordedMessage:
@@ -44,6 +44,16 @@ class Reporter:
             return self._outbox.publish(
                 '/diagnostics', status_to_ros(self._status, self._name, stamp)
             )
+
+    def lifecycle(self, state: str) -> None:
+        """Tell the node's state; in 'unconfigured' only what concerns its parameters is kept."""
+        def change(status: Status) -> Status:
+            if state != 'unconfigured':
+                return replace(status, lifecycle=state)
+            kept = {key: text for key, text in status.warnings.items() if key == 'parameters'}
+            return Status(lifecycle=state, recording=status.recording, warnings=kept)
+
+        self._change(change)
 
     def refresh(self) -> None:
         """Publish the diagnostics if a solve has begun or ended."""
@@ -59,6 +69,14 @@ class Reporter:
     def succeeded(self) -> None:
         """Forget what was wrong with a request."""
         self._change(lambda status: status.without_problem('request'))
+
+    def warn(self, concern: str, text: str) -> None:
+        """Warn of something as long as it lasts; '' when it is over."""
+        def change(status: Status) -> Status:
+            rest = {key: value for key, value in status.warnings.items() if key != concern}
+            return replace(status, warnings=rest | ({concern: text} if text else {}))
+
+        self._change(change)
 
     def inputs(self, missing: tuple[str, ...]) -> None:
         """Tell which inputs are missing."""
@@ -80,11 +98,14 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(self, number: int, departure_id: str) -> tuple[RecordedMessage | None, str]:
+    def departed(
+        self, number: int, departure_id: str, tight_turns: int
+    ) -> tuple[RecordedMessage | None, str]:
         """Tell of a departure; return what was published, and what is wrong with the recording."""
         with self._lock:
             report = self._change(lambda status: replace(
-                status.without_problem('request'), departures=number, departure_id=departure_id
+                status.without_problem('request'), departures=number, departure_id=departure_id,
+                tight_turns=tight_turns,
             ))
             failed = self._status.problems.get('recording')
             return report, failed.message if failed else ''
