@@ -10,7 +10,7 @@ from .errors import BudgetInfeasible, TimeLimit
 from .game import GameOptions
 from .max_entropy import Law
 from .network import Network
-from .strategy import Strategy, StrategyOptions, solve
+from .strategy import StrategyOptions, solve
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
