@@ -288,7 +288,7 @@ def test_a_law_of_another_network_is_no_start():
 
 
 @examples(20)
-@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze")), st.data())
+@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze", "depot")), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
     network = ground_network(seed, kind)

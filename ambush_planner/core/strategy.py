@@ -104,7 +104,8 @@ class Strategy:
         q: the ambusher's equilibrium strategy, sums to the number of ambushers.
     value : float
         z(p): what the best ambush costs on average. With a reach every entry into its disc
-        counts, so it is an upper bound where a route comes back to a disc.
+        counts: an upper bound where a route comes back to a disc, and at most R times what the
+        best ambush costs if no route enters a disc more than R times.
     lower_bound : float
         No strategy within the budgets has a smaller value (one Dijkstra over q).
     gap : float
