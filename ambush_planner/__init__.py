@@ -2,6 +2,7 @@
 
 from .core.batch import Problem, Solved, solve_many
 from .core.construction import NetworkOptions, build_network
+from .core.day import DayEffect, day_effect, sample_departures
 from .core.errors import (
     AmbushPlannerError,
     BudgetInfeasible,
@@ -10,6 +11,7 @@ from .core.errors import (
     InvalidOption,
     InvalidRiskMap,
     NoRoute,
+    NotDistinct,
     SolverFailed,
     StartBlocked,
     TimeLimit,
@@ -24,6 +26,7 @@ from .core.strategy import Strategy, StrategyOptions, solve
 __all__ = [
     "AmbushPlannerError",
     "BudgetInfeasible",
+    "DayEffect",
     "FrontierRow",
     "GameOptions",
     "GoalBlocked",
@@ -33,6 +36,7 @@ __all__ = [
     "Network",
     "NetworkOptions",
     "NoRoute",
+    "NotDistinct",
     "Problem",
     "RiskMap",
     "Solved",
@@ -42,8 +46,10 @@ __all__ = [
     "StrategyOptions",
     "TimeLimit",
     "build_network",
+    "day_effect",
     "evaluate",
     "frontier",
+    "sample_departures",
     "solve",
     "solve_many",
 ]

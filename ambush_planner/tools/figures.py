@@ -8,12 +8,14 @@ orange the ambusher: told apart by colour-blind readers too.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from matplotlib.patheffects import Normal, Stroke
@@ -36,6 +38,7 @@ ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#11
 # Edges that are driven less often than this are left out of pictures.
 LEAST_PROBABILITY = 1e-3
 SECURED_DASHES = (0, (4, 3))
+DOTS_PER_INCH = 140
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 
 
@@ -76,17 +79,6 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
 
-def draw_edges(
-    axes: Axes,
-    network: Network,
-    probability: npt.ArrayLike,
-    scale: Normalize | None = None,
-    widths: tuple[float, float] = (0.5, 3.0),
-) -> LineCollection:
-    """Draw the edges that are driven: the likelier, the darker and the wider, and on top."""
-    return draw_segments(axes, network.points[network.edges], probability, scale, widths)
-
-
 def draw_segments(
     axes: Axes,
     segments: FloatArray,
@@ -94,7 +86,7 @@ def draw_segments(
     scale: Normalize | None = None,
     widths: tuple[float, float] = (0.5, 3.0),
 ) -> LineCollection:
-    """Draw stretches (K, 2, 2) as ``draw_edges`` does."""
+    """Draw stretches (K, 2, 2): the likelier, the darker and the wider, and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)
@@ -167,3 +159,17 @@ def draw_routes(
             solid_joinstyle='round',
             zorder=4,
         )
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the picture as a PNG file, without the name of the program that made it."""
+    stream = BytesIO()
+    figure.savefig(
+        stream,
+        format='png',
+        dpi=DOTS_PER_INCH,
+        bbox_inches='tight',
+        pad_inches=0.08,
+        metadata={'Software': None},
+    )
+    return stream.getvalue()
