@@ -125,19 +125,24 @@ def make_corridors(
     uv = risk_map.to_map_axes(network.points)
     keys = network.tails * len(uv) + network.heads
     order = np.argsort(keys, kind="stable")
-    low, high = np.minimum(*network.edges.T), np.maximum(*network.edges.T)
-    pair_keys, pair_of = np.unique(low * len(uv) + high, return_inverse=True)
-    pairs = np.stack(np.divmod(pair_keys, len(uv)), axis=1)
-    widths, disc = _widths(uv, pairs, tube)
+    # Layers of a trip's legs lie on the same places, which are measured once.
+    places = network.places
+    tail, head = places[network.edges].T
+    here = uv[: network.place_count]
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    pair_keys, pair_of = np.unique(low * len(here) + high, return_inverse=True)
+    pairs = np.stack(np.divmod(pair_keys, len(here)), axis=1)
+    widths, disc = _widths(here, pairs, tube)
     kept = clearance + KEPT * risk_map.resolution
     cells = _rim_cells(risk_map)
-    widths = np.minimum(widths, _to_obstacles(uv, pairs, cells, widths, kept, risk_map.resolution))
-    disc = np.minimum(disc, _disc_to_obstacles(uv, cells, risk_map.resolution) - kept)
+    room = _to_obstacles(here, pairs, cells, widths, kept, risk_map.resolution)
+    widths = np.minimum(widths, room)
+    disc = np.minimum(disc, _disc_to_obstacles(here, cells, risk_map.resolution) - kept)
     margin = kept if clear_of_edge else KEPT * risk_map.resolution
-    widths = np.minimum(widths, _to_map_edge(uv, pairs, np.array(risk_map.size), margin))
-    disc = np.minimum(disc, np.minimum(uv, risk_map.size - uv).min(axis=1) - margin)
+    widths = np.minimum(widths, _to_map_edge(here, pairs, np.array(risk_map.size), margin))
+    disc = np.minimum(disc, np.minimum(here, risk_map.size - here).min(axis=1) - margin)
     widths, disc = np.maximum(widths, 0.0), np.maximum(disc, 0.0)
-    along = (network.tails < network.heads).astype(np.int64)  # else the pair is seen from its end
+    along = (tail < head).astype(np.int64)  # else the pair is seen from its end
     left, right = widths[pair_of, 1 - along], widths[pair_of, along]
     return Corridors(
         network,
@@ -145,7 +150,7 @@ def make_corridors(
         frozen_array(uv, np.float64),
         frozen_array(left, np.float64),
         frozen_array(right, np.float64),
-        frozen_array(disc, np.float64),
+        frozen_array(disc[places], np.float64),
         tube is None,
         frozen_array(keys[order], np.int64),
         frozen_array(order, np.int64),

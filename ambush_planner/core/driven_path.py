@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -66,7 +67,8 @@ def driven_path(
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
     are as round as the corridors allow; where that is less than ``turning_radius`` [m], the
-    string is pulled less taut, and what the corridors do not allow stays sharper.
+    string is pulled less taut, and what the corridors do not allow stays sharper. It meets each
+    stop of a trip exactly, with the yaw of the arrival; there the convoy may turn on the spot.
 
     Parameters
     ----------
@@ -81,6 +83,24 @@ def driven_path(
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
+    network = corridors.network
+    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
+    places = list(map(tuple, network.points[route[at]].tolist()))
+    if ends is not None:
+        places[0], places[-1] = ends
+    legs = [
+        _driven_leg(corridors, route[first : last + 1], spacing, turning_radius, leg_ends)
+        for (first, last), leg_ends in zip(pairwise(at), pairwise(places), strict=True)
+    ]
+    poses = np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
+    _check_count(float(len(poses)), spacing)
+    return poses
+
+
+def _driven_leg(
+    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float,
+    ends: tuple[tuple[float, float], tuple[float, float]],
+) -> FloatArray:
     route, portals = _way(corridors, route, ends)
     best = None
     for share in TAUT:
@@ -94,7 +114,7 @@ def driven_path(
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
     # Turning to the world and back may have cost a digit.
-    poses[[0, -1], :2] = corridors.network.points[route[[0, -1]]] if ends is None else ends
+    poses[[0, -1], :2] = ends
     return poses
 
 
@@ -124,12 +144,9 @@ def different_paths(paths: list[FloatArray], distance: float) -> int:
 
 def _way(
     corridors: Corridors, route: IndexArray,
-    ends: tuple[tuple[float, float], tuple[float, float]] | None,
+    ends: tuple[tuple[float, float], tuple[float, float]],
 ) -> tuple[IndexArray, _Portals]:
     """The route that is followed, and its portals."""
-    if ends is None:
-        route = corridors.shortened(route)
-        return route, _portals(corridors, route)
     at = corridors.network.points[route[[0, -1]]]
     moved = [not np.array_equal(*pair) for pair in zip(at, np.array(ends), strict=True)]
     first, last = int(moved[0]), len(route) - int(moved[1])
@@ -258,11 +275,7 @@ def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
     with np.errstate(over="ignore"):
         parts[::2] = np.ceil(straight / spacing - 1e-9)
         parts[1::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
-    if not parts.sum() < MOST_POSES:
-        raise InvalidOption(
-            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {parts.sum():.3g} "
-            f"poses, and {MOST_POSES} are the most; choose a larger distance"
-        )
+    _check_count(float(parts.sum()) + 1.0, spacing)
     count = parts.astype(np.int64)
     part = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
@@ -279,6 +292,14 @@ def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
     toward = yaw[k] + np.where(bent, half, 0.0)
     uv = origin + chord[:, None] * np.stack((np.cos(toward), np.sin(toward)), axis=1)
     return np.concatenate((uv, line.points[-1:])), np.concatenate((angle, yaw[-1:]))
+
+
+def _check_count(poses: float, spacing: float) -> None:
+    if not poses <= MOST_POSES:
+        raise InvalidOption(
+            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, "
+            f"and {MOST_POSES} are the most; choose a larger distance"
+        )
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from .acyclic import forward_part, order_potential, rank_around, rank_by
-from .arrays import FloatArray, IndexArray
+from .arrays import FloatArray, IndexArray, sums
 from .certificate import Budget, lower_bound, upper_bound
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
@@ -118,7 +118,11 @@ class _Search:
         return replace(found, q=indifferent_ambusher(self.game))
 
     def by_cut(self) -> Outcome | None:
-        """The plain game where the budgets leave the least value as it is."""
+        """The plain game where the budgets leave the least value as it is.
+
+        With several legs the cut is that of the costliest leg, a lower bound; it is attained where
+        the other legs need not pass that leg's sites.
+        """
         k = self.game.ambushers
         if self.game.ambush_radius > 0.0:
             return None
@@ -127,7 +131,8 @@ class _Search:
         if exact.value == 0.0:
             return None
         self.least = exact.value
-        if k * exact.q.max() > 1.0:
+        q = sums(self.game.network.places, exact.q, self.game.node_count)
+        if k * q.max() > 1.0:
             return None
         lean = self._lean(exact.value)
         rank = rank_by(self.potential)
@@ -141,7 +146,7 @@ class _Search:
         if around.value > exact.value * (1.0 + self.slack / 4.0):
             return None
         level = np.full(len(self.game.sites), exact.value)
-        found = replace(self._law(part, rank, level), q=k * exact.q)
+        found = replace(self._law(part, rank, level), q=k * q)
         partner = around.p if self._fits(around.p) else None
         return self._within(found, partner, k * exact.value)
 
@@ -313,5 +318,5 @@ class _Limits:
 
 
 def _most_hits(game: Game) -> float:
-    """Hits of one site by one route: once at its node; a route may come back to a disc."""
-    return 1.0 if game.ambush_radius == 0.0 else 3.0
+    """Hits of one site by one route: once a leg at its node; a leg may come back to a disc."""
+    return (1.0 if game.ambush_radius == 0.0 else 3.0) * game.network.legs
