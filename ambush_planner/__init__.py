@@ -12,14 +12,17 @@ from .core.errors import (
     NoRoute,
     SolverFailed,
     StartBlocked,
+    StopBlocked,
     TimeLimit,
 )
 from .core.evaluation import evaluate
 from .core.frontier import FrontierRow, frontier
 from .core.game import GameOptions
 from .core.network import Network
+from .core.planner import PlanningOptions
 from .core.risk_map import RiskMap
 from .core.strategy import Strategy, StrategyOptions, solve
+from .core.trip import plan_trip
 
 __all__ = [
     "AmbushPlannerError",
@@ -33,17 +36,20 @@ __all__ = [
     "Network",
     "NetworkOptions",
     "NoRoute",
+    "PlanningOptions",
     "Problem",
     "RiskMap",
     "Solved",
     "SolverFailed",
     "StartBlocked",
+    "StopBlocked",
     "Strategy",
     "StrategyOptions",
     "TimeLimit",
     "build_network",
     "evaluate",
     "frontier",
+    "plan_trip",
     "solve",
     "solve_many",
 ]

@@ -17,6 +17,8 @@ from typing import Any
 # What the entries mean; another number where that changes.
 FORMAT = '4'
 ROLES = ('map', 'start', 'goal', 'path')
+# Only in recordings of trips with stops.
+VIA = 'via'
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
 KEYS = frozenset({
@@ -35,11 +37,15 @@ class BadMetadata(ValueError):
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """Where a departure led, in the map's frame [m]; ``tolerance`` [m] as requested."""
+    """Where a departure led, in the map's frame [m]; ``tolerance`` [m] as requested.
+
+    ``stops`` are in the order in which they are visited.
+    """
 
     start_xy: Position
     goal_xy: Position
     tolerance: float
+    stops: tuple[Position, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Metadata:
     planner_version, versions
         Of the planner, and of what it was computed with.
     inputs
-        The topics of map, start, goal and path.
+        The topics of map, start, goal and path, and of the stops if there are any.
     parameters
         All parameters of the node.
     trip
@@ -106,6 +112,11 @@ class Metadata:
     link: Link
     texts: Mapping[str, str] = field(repr=False)
 
+    @property
+    def roles(self) -> tuple[str, ...]:
+        """The roles that messages have in it."""
+        return _roles(self.trip)
+
 
 def metadata_texts(
     *,
@@ -119,7 +130,7 @@ def metadata_texts(
     Parameters
     ----------
     inputs
-        The topics of map, start, goal and path.
+        The topics of map, start, goal and path, and of the stops if there are any.
     contents
         The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
@@ -158,6 +169,8 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         raise BadMetadata(f'metadata: an entry {unknown[0][:60]!r} is not known')
     if missing := sorted(KEYS - set(texts)):
         raise BadMetadata(f'the metadata has no entry {missing[0]!r}')
+    trip = _trip(texts)
+    roles = _roles(trip)
     return Metadata(
         id=_name(texts, 'departure_id'),
         number=_whole(texts, 'departure'),
@@ -165,13 +178,13 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         frame=_name(texts, 'frame'),
         planner_version=_name(texts, 'planner_version'),
         versions=_scalars(texts, 'versions'),
-        inputs=_names(texts, 'inputs', ROLES),
+        inputs=_names(texts, 'inputs', roles),
         parameters=_scalars(texts, 'parameters'),
-        trip=_trip(texts),
+        trip=trip,
         ends=_ends(texts),
         route=_wholes(texts, 'route', 2, 63),
         route_entropy_source=_wholes(texts, 'route_entropy_source', 1, 4096),
-        sha256=_names(texts, 'sha256', (*ROLES, *_HASHED, *_FILES)),
+        sha256=_names(texts, 'sha256', (*roles, *_HASHED, *_FILES)),
         link=Link(**_names(texts, 'chain', ('file', 'follows', 'sha256'))),
         texts=dict(texts),
     )
@@ -260,28 +273,36 @@ def _wholes(texts: Mapping[str, str], key: str, least: int, bits: int) -> list[i
     return values
 
 
+def _roles(trip: RecordedTrip) -> tuple[str, ...]:
+    return (*ROLES, VIA) if trip.stops else ROLES
+
+
 def _trip(texts: Mapping[str, str]) -> RecordedTrip:
     trip = _mapping(texts, 'trip')
+    stops = trip.pop('stops', [])
     if set(trip) != {'start', 'goal', 'tolerance'}:
         raise BadMetadata('the recorded trip is not two places in metres')
-    start, goal = _places('trip', [trip['start'], trip['goal']])
+    if not isinstance(stops, list):
+        raise BadMetadata('the stops of the recorded trip are not a list of places')
+    start, goal, *by = _places('trip', [trip['start'], trip['goal'], *stops])
     tolerance = trip['tolerance']
     if type(tolerance) not in (int, float) or not abs(tolerance) < math.inf:
         raise BadMetadata('the recorded trip has no tolerance in metres')
-    return RecordedTrip(start, goal, float(tolerance))
+    return RecordedTrip(start, goal, float(tolerance), tuple(by))
 
 
 def _ends(texts: Mapping[str, str]) -> tuple[Position, Position]:
-    return _places('ends', _json(texts, 'ends'))
+    ends = _places('ends', _json(texts, 'ends'))
+    if len(ends) != 2:
+        raise BadMetadata('the recorded ends is not two places in metres')
+    return ends[0], ends[1]
 
 
-def _places(key: str, places: Any) -> tuple[Position, Position]:
+def _places(key: str, places: Any) -> list[Position]:
     try:
-        (x0, y0), (x1, y1) = places
-        numbers = [float(number) for number in (x0, y0, x1, y1)]
+        read = [(float(x), float(y)) for x, y in places]
     except (TypeError, ValueError, OverflowError):
-        numbers = [math.nan]
-    if not all(map(math.isfinite, numbers)):
+        read = [(math.nan, math.nan)]
+    if not all(math.isfinite(number) for place in read for number in place):
         raise BadMetadata(f'the recorded {key} is not two places in metres')
-    x0, y0, x1, y1 = numbers
-    return (x0, y0), (x1, y1)
+    return read

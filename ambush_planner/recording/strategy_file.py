@@ -28,6 +28,8 @@ NUMBERS = (
 _BUDGETS = ('length_budget', 'exposure_budget')
 _ARRAYS = ('points', 'alpha', 'edges', 'edge_probability', 'ambush_probability')
 _NODE_INDICES = ('source', 'target')
+# Of trips with stops: the number of their legs.
+_LEGS = 'legs'
 # How far an ambush reaches in the game that was solved [m]: with the tube of the driven path.
 _REACH = 'reach'
 _SINGLE = (*NUMBERS, _REACH)
@@ -61,6 +63,7 @@ def strategy_file(strategy: Strategy) -> bytes:
         edge_probability=strategy.edge_probability,
         ambush_probability=strategy.ambush_probability,
         reach=strategy.game.ambush_radius,
+        **({_LEGS: network.legs} if network.legs > 1 else {}),
         **{name: getattr(strategy, name) for name in NUMBERS},
     )
     return stream.getvalue()
@@ -86,6 +89,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
             network = Network(
                 content['points'], content['alpha'], content['edges'],
                 int(content['source']), int(content['target']),
+                legs=int(content.get(_LEGS, 1)),
             )
         game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
     except AmbushPlannerError as error:
@@ -122,9 +126,10 @@ def arrays_of(data: bytes) -> dict[str, np.ndarray]:
         whole = number.shape == () and number.dtype.kind == 'f' and not np.isnan(number)
         if not whole or (name not in _BUDGETS and not math.isfinite(number)):
             raise BadStrategy(f'{name} is not a finite number')
-    for name in _NODE_INDICES:
-        if content[name].shape != () or content[name].dtype.kind not in 'iu':
-            raise BadStrategy(f'{name} is not a node index')
+    for name in (*_NODE_INDICES, _LEGS):
+        number = content.get(name, np.array(1))
+        if number.shape != () or number.dtype.kind not in 'iu':
+            raise BadStrategy(f'{name} is not a whole number')
     return content
 
 
@@ -140,14 +145,14 @@ def _check_sizes(data: bytes) -> None:
         for name in sorted(_NAMES):
             if names.count(name) != 1:
                 raise BadStrategy(f'{STRATEGY_FILE} has {names.count(name)} arrays {name!r}, not 1')
-        if unknown := sorted(set(names) - _NAMES):
+        if unknown := sorted(set(names) - _NAMES - {_LEGS}):
             raise BadStrategy(f'{STRATEGY_FILE} has an array {unknown[0][:60]!r}, not known')
         shapes = {name: _shape(archive, entry) for name, entry in zip(names, entries, strict=True)}
     nodes, edges = ((shapes[name] or (0,))[0] for name in ('points', 'edges'))
     expected = {
         'points': (nodes, 2), 'alpha': (nodes,), 'ambush_probability': (nodes,),
         'edges': (edges, 2), 'edge_probability': (edges,),
-        **dict.fromkeys((*_NODE_INDICES, *_SINGLE), ()),
+        **dict.fromkeys((*_NODE_INDICES, *_SINGLE), ()), **({_LEGS: ()} if _LEGS in shapes else {}),
     }
     for name, shape in expected.items():
         if shapes[name] != shape:

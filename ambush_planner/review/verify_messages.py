@@ -24,7 +24,6 @@ from visualization_msgs.msg import MarkerArray
 from ..core.planner import Plan, Route, departure_path
 from ..core.strategy import Strategy
 from ..recording import type_name
-from ..recording.metadata import ROLES
 from ..ros import markers
 from ..ros.diagnostics import Status, status_to_ros
 from ..ros.errors import OK_CODE
@@ -36,7 +35,7 @@ from .verify_trip import PosedTrip
 # Of numbers in messages [m, or parts of a unit quaternion]: what rounding can make of them.
 _TOLERANCE = 1e-9
 _MARKERS, _DIAGNOSTICS = type_name(MarkerArray), type_name(DiagnosticArray)
-_SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
+_SHOWN = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 _EVENTS = {type_name(kind.Event): kind for kind in (Trigger, GetPlan)}
 # What the diagnostics say beside the strategy and the departure.
 _UNFORESEEN = (
@@ -49,13 +48,13 @@ _TIMED = ('deciding_sites', 'deciding_sites_near_ends', 'secured_value')
 
 def message_faults(case: Case) -> list[str]:
     """Check that there is each message that the node records, and no other."""
-    recorded, topics = case.recorded, {case.metadata.inputs[role] for role in ROLES}
+    recorded, topics = case.recorded, set(case.metadata.inputs.values())
     kinds = Counter(
         'service event' if each.type in _EVENTS else each.type
         for each in recorded.messages
         if each.topic not in topics
     )
-    expected = {_MARKERS: 4, _DIAGNOSTICS: 1, 'service event': 2}
+    expected = {_MARKERS: len(_SHOWN), _DIAGNOSTICS: 1, 'service event': 2}
     faults = [
         f'messages: there are {kinds[kind]} of the kind {kind}, not {count}'
         for kind, count in expected.items()
@@ -169,6 +168,7 @@ def marker_faults(case: Case, strategy: Strategy) -> list[str]:
         ('edge_probabilities', strategy, markers.edge_probabilities),
         ('mean_direction', strategy, markers.mean_direction),
         ('ambush_sites', strategy, markers.ambush_sites),
+        ('stops', strategy.network, markers.stops),
     ):
         if name not in shown:
             faults.append(f'markers: {name} is missing')
@@ -197,8 +197,9 @@ def time_faults(case: Case) -> list[str]:
     faults = []
     if not all(begin <= each.stamp_ns <= end for each in case.recorded.messages):
         faults.append('times: a message is from before the request or after the answer')
-    if any(case.recorded.recorded(role).stamp_ns != begin for role in ('map', 'start', 'goal')):
-        faults.append('times: map, start and goal are not from when the request came')
+    inputs = [role for role in case.metadata.roles if role != 'path']
+    if any(case.recorded.recorded(role).stamp_ns != begin for role in inputs):
+        faults.append('times: map, start, stops and goal are not from when the request came')
     if not begin <= _nanoseconds(case.message('path').header.stamp) <= end:
         faults.append('times: the path is stamped before the request or after the answer')
     return faults

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
-from ..core.construction import build_network, expected_nodes
+from ..core.construction import expected_nodes
 from ..core.network import Network
 from ..core.planner import Plan, PlanRequest, node_spacing, read_request, with_cover
+from ..core.trip import trip_network
 from .verify_strategy import network_faults
 
 # A network is built to be compared only if it is about as large as that which was recorded: a
@@ -25,6 +26,8 @@ class PlannedAgain:
     ----------
     request
         What the plan follows from.
+    visited
+        The stops [m], in the order in which the recorded plan visits them.
     solve
         Makes the plan, as the node's worker does.
 
@@ -43,11 +46,16 @@ class PlannedAgain:
         The spacing asks for more nodes than any network has.
     """
 
-    def __init__(self, request: PlanRequest, solve: Callable[[PlanRequest], Plan]) -> None:
-        self._request, self._solve = request, solve
+    def __init__(
+        self, request: PlanRequest, visited: Sequence[tuple[float, float]],
+        solve: Callable[[PlanRequest], Plan],
+    ) -> None:
+        self._request, self._visited, self._solve = request, visited, solve
         self._risk_map, self.goal_xy = read_request(request)
         self.spacing = node_spacing(self._risk_map, request.options.network)
-        self._expected_nodes = expected_nodes(self._risk_map, request.options.network)
+        self._expected_nodes = (len(visited) + 1) * expected_nodes(
+            self._risk_map, request.options.network
+        )
 
     def network_faults(self, recorded: Network) -> list[str]:
         """Compare the recorded network with the one that follows, if that has such a size."""
@@ -67,7 +75,8 @@ class PlannedAgain:
     @cached_property
     def _network(self) -> Network:
         request = self._request
-        network = build_network(
-            self._risk_map, request.start_xy, self.goal_xy, request.options.network
+        network = trip_network(
+            self._risk_map, request.start_xy, self.goal_xy, request.options.network,
+            self._visited, request.order,
         )
         return with_cover(network, self._risk_map, request.options)

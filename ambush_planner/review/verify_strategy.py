@@ -93,6 +93,8 @@ def network_faults(recorded: Network, planned: Network) -> list[str]:
         return [f'network: it does not follow from map, trip and parameters: {found}']
     if (recorded.source, recorded.target) != (planned.source, planned.target):
         return ['network: its source or its target is another node']
+    if recorded.legs != planned.legs:
+        return [f'network: it has {recorded.legs} legs, planned again {planned.legs}']
     return []
 
 

@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import Pose, PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 
+from ..recording.metadata import VIA
 from ..ros.conversions import position_from_ros
 from .case import Case
 
@@ -20,8 +21,9 @@ class PosedTrip:
 
     ``start`` and ``goal`` are the poses, or None where they are not in the map's frame;
     ``start_xy`` and ``goal_xy`` where the trip that was planned begins, and the goal that it was
-    planned for [m]; ``faults`` where the metadata says something else; ``notes`` what could not be
-    checked.
+    planned for [m]; ``stops_xy`` the stops, in the order of the message where that is in the map's
+    frame, else as they were visited; ``faults`` where the metadata says something else; ``notes``
+    what could not be checked.
     """
 
     start: Pose | None
@@ -30,6 +32,7 @@ class PosedTrip:
     goal_xy: tuple[float, float]
     faults: tuple[str, ...]
     notes: tuple[str, ...]
+    stops_xy: tuple[tuple[float, float], ...] = ()
 
 
 def posed_trip(case: Case) -> PosedTrip:
@@ -59,11 +62,35 @@ def posed_trip(case: Case) -> PosedTrip:
         goal_xy = asked
         if told.tolerance == 0.0 or end != told.goal_xy:
             faults.append('ends: the last one is not the position of the goal pose')
+    stops = _stops(case, faults, notes)
     return PosedTrip(
         start.pose if start.header.frame_id == frame else None,
         goal.pose if goal.header.frame_id == frame else None,
-        told.start_xy, goal_xy, tuple(faults), tuple(notes),
+        told.start_xy, goal_xy, tuple(faults), tuple(notes), stops,
     )
+
+
+def _stops(
+    case: Case, faults: list[str], notes: list[str]
+) -> tuple[tuple[float, float], ...]:
+    visited = case.metadata.trip.stops
+    if not visited:
+        return ()
+    via = case.message(VIA, PoseArray)
+    if via.header.frame_id != case.metadata.frame:
+        notes.append(
+            f'not checked: the stops are in the frame {via.header.frame_id[:60]!r}, the map in '
+            f'{case.metadata.frame[:60]!r}'
+        )
+        return visited
+    given = tuple(
+        position_from_ros(PoseStamped(pose=pose), f'stop {number}')
+        for number, pose in enumerate(via.poses, start=1)
+    )
+    in_order = sorted if case.parameters.trip_order == 'best' else tuple
+    if in_order(given) != in_order(visited):
+        faults.append('trip: its stops are not those of the recorded poses')
+    return given
 
 
 def ends_faults(case: Case, spacing: float) -> list[str]:

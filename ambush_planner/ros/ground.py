@@ -211,7 +211,7 @@ class Ground:
         values = grid.values[cells[:, 1], cells[:, 0]][None, :]
         alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         network = self._plan.network
-        alpha[[network.source, network.target]] = 0.0
+        alpha[network.ends] = 0.0
         return alpha
 
     def _cells_of_nodes(self) -> _Cells:

@@ -75,6 +75,17 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     return marker_array(marker, network.points[shown], _colours(_AMBUSHER, q[shown] / often))
 
 
+def stops(network: Network, header: Header) -> bytes:
+    """One list of balls at the stops; where there are none it deletes an earlier one."""
+    marker = _marker('stops', Marker.SPHERE_LIST, header)
+    size = _edge_length(network)
+    marker.scale = Vector3(x=size, y=size, z=size)
+    marker.color = ColorRGBA(r=0.0, g=0.2, b=1.0, a=1.0)
+    if not network.stops.size:
+        marker.action = Marker.DELETE
+    return marker_array(marker, network.points[network.stops], _ONE_COLOUR)
+
+
 def network_lines(network: Network, header: Header) -> bytes:
     """One grey line list of all edges, those of both directions drawn once."""
     marker = _marker('network', Marker.LINE_LIST, header)
@@ -95,8 +106,9 @@ def _edge_length(network: Network) -> float:
 
 
 def _pairs(network: Network) -> IndexArray:
-    """Return the pairs (K, 2) of nodes that are joined, each once."""
-    count, tails, heads = len(network.points), network.tails, network.heads
+    """Return the pairs (K, 2) of places that are joined, each once."""
+    count = network.place_count
+    tails, heads = network.places[network.edges].T
     # A number a pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
     return np.stack(np.divmod(keys, count), axis=1)

@@ -160,6 +160,8 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
         return False
     if held.moved and _goal(held.trip) != _goal(trip):
         return False
+    if _by_way_of(held.trip, held.parameters) != _by_way_of(trip, parameters):
+        return False
     apart = _apart(held.trip, trip)
     if apart > _tolerance(parameters, held.plan.spacing):
         return False
@@ -199,6 +201,7 @@ def _supersedes(new: HeldPlan, old: HeldPlan) -> bool:
     return (
         old.trip.start_xy == new.trip.start_xy
         and _goal(old.trip) == _goal(new.trip)
+        and _by_way_of(old.trip, old.parameters) == _by_way_of(new.trip, new.parameters)
         and _options(old.parameters) == _options(new.parameters)
     )
 
@@ -214,12 +217,18 @@ def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
         and _options(used) == _options(parameters)
         and len(set(limits)) == 1  # whoever allows another time waits for another solve
         and other.goal_tolerance == trip.goal_tolerance
+        and _by_way_of(other, used) == _by_way_of(trip, parameters)
         and _apart(other, trip) <= _tolerance(parameters, spacing)
     )
 
 
 def _goal(trip: Trip) -> tuple[_Position, float]:
     return trip.goal_xy, trip.goal_tolerance
+
+
+def _by_way_of(trip: Trip, parameters: NodeParameters) -> tuple[tuple[_Position, ...], str]:
+    """The stops, which are met exactly, and how their order is chosen, where there is a choice."""
+    return trip.stops_xy, parameters.trip_order if len(trip.stops_xy) > 1 else ''
 
 
 def _connected(held: HeldPlan, trip: Trip) -> bool:
@@ -249,7 +258,7 @@ def _options(parameters: NodeParameters) -> tuple[object, ...]:
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
-    return *where, *_options(parameters), *limit
+    return *where, *_by_way_of(trip, parameters), *_options(parameters), *limit
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
@@ -270,4 +279,6 @@ def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
         trip.goal_xy,
         trip.goal_tolerance,
         parameters.planning,
+        trip.stops_xy,
+        parameters.trip_order,
     )
