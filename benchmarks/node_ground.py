@@ -34,8 +34,7 @@ from std_msgs.msg import Header
 
 from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
 
-CELLS, RESOLUTION = 4000, 0.5
-START, GOAL = pose(100.0, 1000.0), pose(1900.0, 1000.0)
+RESOLUTION = 0.5
 PARAMETERS = {"network.target_nodes": 10_000, "recording.enabled": False}
 SIDE = 3  # cells, of an obstacle that is somewhere else each second
 PERIOD = 0.2  # s, of departures and goals
@@ -73,7 +72,7 @@ def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
         if passed < published[0]:
             return 0
         published[0] += 1
-        row, column = rng.integers(0, CELLS - SIDE, 2)
+        row, column = rng.integers(0, len(values) - SIDE, 2)
         current = values.copy()
         current[row:row + SIDE, column:column + SIDE] = 100
         header = Header(frame_id=FRAME, stamp=caller.node.get_clock().now().to_msg())
@@ -83,33 +82,34 @@ def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
     return change
 
 
-def moving_goal(caller: Caller) -> Callable[[float], int]:
-    """Publish a goal up to a metre from the planned one: nodes are 20 m apart."""
+def moving_goal(caller: Caller, goal: PoseStamped) -> Callable[[float], int]:
+    """Publish a goal up to a metre from the planned one, within the tolerance."""
     rng = np.random.default_rng(8)
     publisher = caller.publisher(PoseStamped, "/goal_pose")
 
     def change(_: float) -> int:
         x, y = rng.uniform(-0.7, 0.7, 2)
-        publisher.publish(pose(GOAL.pose.position.x + x, GOAL.pose.position.y + y))
+        publisher.publish(pose(goal.pose.position.x + x, goal.pose.position.y + y))
         return 0
 
     return change
 
 
-def measure(seconds: float) -> dict[str, Found]:
+def measure(seconds: float, cells: int) -> dict[str, Found]:
     """Both cases, on one node."""
-    grid = field(CELLS, RESOLUTION)
+    grid, size = field(cells, RESOLUTION), cells * RESOLUTION
+    start, goal = pose(size / 20, size / 2), pose(size * 19 / 20, size / 2)
     with (
         scratch() as folder,
         running_node(folder, PARAMETERS) as rig,
         Caller(rig.domain, rig.process.check) as caller,
     ):
-        caller.give(grid, START, GOAL)
+        caller.give(grid, start, goal)
         say("the first solve")
         caller.new_route()
         found = {}
         for name, change in (
-            (f"the goal moves within the tolerance, every {PERIOD:g} s", moving_goal(caller)),
+            (f"the goal moves within the tolerance, every {PERIOD:g} s", moving_goal(caller, goal)),
             (f"an obstacle of {SIDE} x {SIDE} cells jumps, once a second",
              changing_map(caller, occupancy_from_ros(grid)[0])),
         ):
@@ -118,7 +118,7 @@ def measure(seconds: float) -> dict[str, Found]:
         return found
 
 
-def result(found: dict[str, Found]) -> tuple[str, bool]:
+def result(found: dict[str, Found], cells: int) -> tuple[str, bool]:
     """The table, and whether the targets are met."""
     rows, every = [], []
     for name, each in found.items():
@@ -132,7 +132,7 @@ def result(found: dict[str, Found]) -> tuple[str, bool]:
     head = ("meanwhile", "departures", "`new_route` answered: median / 99 % / largest [ms]",
             "target", "met", "maps", "solves", "memory [MB]")
     text = (
-        f"A map of {CELLS} x {CELLS} cells, published whole each time, 10 000 nodes; a departure "
+        f"A map of {cells} x {cells} cells, published whole each time, 10 000 nodes; a departure "
         f"every {PERIOD:g} s.\n\n{table(head, rows)}"
     )
     return text, all(every)
@@ -143,12 +143,13 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="of each case")
+    parser.add_argument("--cells", type=int, default=4000, metavar="N", help="of the map's sides")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `node_ground` is replaced"
     )
     options = parser.parse_args()
     try:
-        text, met = result(measure(options.seconds))
+        text, met = result(measure(options.seconds, options.cells), options.cells)
     except FAILURES as error:
         say(f"node_ground: {error}")
         return 2

@@ -18,7 +18,7 @@ from node_timings import Beside, Departures, beside_a_solve, departures, large_m
 from report import RESULTS, conditions, table, write_block
 
 PERIOD = 0.05  # s
-MAPS, CELLS = 20, 2000
+CELLS = 2000
 # Targets [ms]: 99th percentile beside a solve; a map's callback; median of a path's arrival.
 BESIDE, MAP, PATH = 50.0, 50.0, 25.0
 # Of an answer that has arrived, with recording on and 20 departures a second.
@@ -69,7 +69,9 @@ def map_results(times: Sequence[float]) -> tuple[str, bool]:
     return text, met
 
 
-def departure_results(found: Sequence[Departures], calls: int) -> tuple[str, bool]:
+def departure_results(
+    found: Sequence[Departures], calls: int, nodes: int
+) -> tuple[str, bool]:
     """Times of departures, and whether the targets are met."""
     rows, every = [], []
     for each in found:
@@ -87,7 +89,7 @@ def departure_results(found: Sequence[Departures], calls: int) -> tuple[str, boo
     poses = statistics.median(sum((each.poses for each in found), []))
     head = ("departure", "recording", "calls", "median / 99 % / largest [ms]", "target", "met")
     text = (
-        f"### A departure on a known strategy (10 000 nodes)\n\n{calls} calls a row; paths of "
+        f"### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls a row; paths of "
         f"{poses:.0f} poses (median).\n\n{table(head, rows)}"
     )
     return text, all(every)
@@ -101,6 +103,8 @@ def main() -> int:
         "--samples", type=int, default=300, metavar="N", help="questions of each kind and state"
     )
     parser.add_argument("--calls", type=int, default=500, metavar="N", help="departures a row")
+    parser.add_argument("--nodes", type=int, default=10_000, metavar="N", help="of the network")
+    parser.add_argument("--maps", type=int, default=20, metavar="N", help="large maps")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `node_latency` is replaced"
     )
@@ -108,12 +112,12 @@ def main() -> int:
     try:
         found = [
             each for recording in (True, False)
-            for each in departures(options.calls, recording, (PERIOD, 0.0))
+            for each in departures(options.calls, recording, options.nodes, (PERIOD, 0.0))
         ]
         parts = (
             beside_results(beside_a_solve(options.samples, PERIOD)),
-            map_results(large_maps(MAPS, CELLS)),
-            departure_results(found, options.calls),
+            map_results(large_maps(options.maps, CELLS)),
+            departure_results(found, options.calls, options.nodes),
         )
     except FAILURES as error:
         say(f"node_latency: {error}")

@@ -1,4 +1,4 @@
-"""A thousand service calls at once, from four processes, and how many are answered.
+"""A thousand service calls at once, from several processes, and how many are answered.
 
 None of the clients waits for an answer before its next call. A client of rclpy's default quality
 of service keeps 10 messages: what comes faster than it reads is lost on its own side. So the
@@ -36,7 +36,6 @@ from rclpy.task import Future
 from report import RESULTS, conditions, table, write_block
 from std_srvs.srv import Trigger
 
-CLIENTS = 4
 DEPTHS = (10, 1000)
 # Without an answer for so long [s], and for so long a call that may be answered first, the rest is
 # missing.
@@ -71,7 +70,7 @@ def ask(
         together.wait(TIMEOUT)
         begin = time.monotonic()
         futures = [client.call_async(request) for _ in range(calls)]
-        last = gather(caller, futures, STALL + STALL_A_CALL * CLIENTS * calls)
+        last = gather(caller, futures, STALL + STALL_A_CALL * together.parties * calls)
     done = [future.result() for future in futures if future.done()]
     good = sum(bool(each.plan.poses if kind is GetPlan else each.success) for each in done)
     answers.put((len(done), good, last - begin))
@@ -88,15 +87,17 @@ def gather(caller: Caller, futures: Sequence[Future], stall: float) -> float:
     return last
 
 
-def run_round(rig: Rig, what: str, service: str, depth: int, calls: int) -> Round:
+def run_round(
+    rig: Rig, what: str, service: str, depth: int, calls: int, clients: int
+) -> Round:
     """Start the clients, let them call at the same time, add up what they got."""
     say(f"{what}, clients of depth {depth}")
     # No fork: it would copy the middleware's state without its threads.
     spawn = multiprocessing.get_context("spawn")
-    together, answers = spawn.Barrier(CLIENTS), spawn.Queue()
-    share = calls // CLIENTS
+    together, answers = spawn.Barrier(clients), spawn.Queue()
+    share = calls // clients
     arguments = (rig.domain, service, depth, share, together, answers)
-    processes = [spawn.Process(target=ask, args=arguments) for _ in range(CLIENTS)]
+    processes = [spawn.Process(target=ask, args=arguments) for _ in range(clients)]
     for process in processes:
         process.start()
     for process in processes:
@@ -107,25 +108,28 @@ def run_round(rig: Rig, what: str, service: str, depth: int, calls: int) -> Roun
     answered, good = (sum(each[k] for each in found) for k in (0, 1))
     rig.process.check()
     seconds, memory = max(each[2] for each in found), resident(rig.process.pid)
-    return Round(what, depth, share * CLIENTS, answered, good, seconds, memory)
+    return Round(what, depth, share * clients, answered, good, seconds, memory)
 
 
-def load(rig: Rig, calls: int) -> list[Round]:
+def load(rig: Rig, calls: int, clients: int) -> list[Round]:
     """All rounds; the first calls of all find no strategy and share one solve."""
     with Caller(rig.domain, rig.process.check) as caller:
         caller.give(field(CELLS, RESOLUTION), START, GOAL)
         deep = max(DEPTHS)
-        rounds = [run_round(rig, "`new_route`, nothing solved yet", "new_route", deep, calls)]
+        what = "`new_route`, nothing solved yet"
+        rounds = [run_round(rig, what, "new_route", deep, calls, clients)]
         for service in ("new_route", "get_plan"):
             for depth in DEPTHS:
                 what = f"`{service}`, strategy known"
-                rounds.append(run_round(rig, what, service, depth, calls))
+                rounds.append(run_round(rig, what, service, depth, calls, clients))
         caller.ask_parameter()
         caller.new_route()
     return rounds
 
 
-def results(rounds: Sequence[Round], memory: float, processes: int) -> tuple[str, bool]:
+def results(
+    rounds: Sequence[Round], clients: int, memory: float, processes: int
+) -> tuple[str, bool]:
     """A row a round, and whether the target is met."""
     rows = [
         [each.what, str(each.depth), f"**{each.answered / each.calls:.1%}**",
@@ -136,7 +140,7 @@ def results(rounds: Sequence[Round], memory: float, processes: int) -> tuple[str
     head = ("calls", "clients keep", "answered", "missing", "refused", "seconds", "node [MB]")
     met = all(each.good == each.calls for each in rounds if each.depth == max(DEPTHS))
     text = (
-        f"{rounds[0].calls} calls a row at once, {CLIENTS} client processes; recording on. "
+        f"{rounds[0].calls} calls a row at once, {clients} client processes; recording on. "
         f"{conditions('ros-jazzy-rclpy')}.\n\n{table(head, rows)}\n\nAfterwards the node answers "
         f"and departs, with {processes} worker process; it had {memory:.1f} MB before. Target: "
         f"every call answered with a route; {'met' if met else '**missed**'}."
@@ -149,6 +153,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--calls", type=int, default=1000, metavar="N", help="calls a row")
+    parser.add_argument("--clients", type=int, default=4, metavar="N", help="client processes")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `node_load` is replaced"
     )
@@ -158,12 +163,12 @@ def main() -> int:
             with Caller(rig.domain, rig.process.check) as caller:
                 caller.ask_parameter()
             memory = resident(rig.process.pid)
-            rounds = load(rig, options.calls)
+            rounds = load(rig, options.calls, options.clients)
             processes = len(children(rig.process.pid))
     except FAILURES as error:
         say(f"node_load: {error}")
         return 2
-    text, met = results(rounds, memory, processes)
+    text, met = results(rounds, options.clients, memory, processes)
     print(text)
     write_block(options.results, "node_load", text)
     return int(not met)

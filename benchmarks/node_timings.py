@@ -23,10 +23,9 @@ from ambush_planner.ros.conversions import occupancy_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.tools.node_process import free_domain
 
-# A map of 100 m x 100 m; 1 m between nodes makes 10 000 of them.
+# A map of 100 m x 100 m.
 CELLS, RESOLUTION = 200, 0.5
 START, GOAL = pose(5.0, 50.0), pose(95.0, 50.0)
-NETWORK = {"network.spacing": 1.0}
 # Routes on it are about 125 m long: about 500 poses.
 PATH = {"route.path_spacing": 0.25}
 QUICK = {
@@ -146,9 +145,11 @@ def node_here() -> Iterator[PlannerNode]:
         rclpy.try_shutdown(context=context)
 
 
-def departures(calls: int, recording: bool, periods: tuple[float, ...]) -> list[Departures]:
+def departures(
+    calls: int, recording: bool, nodes: int, periods: tuple[float, ...]
+) -> list[Departures]:
     """Departures on a known strategy; with period 0 each follows the one before at once."""
-    parameters = {**NETWORK, **PATH, "recording.enabled": recording}
+    parameters = {"network.target_nodes": nodes, **PATH, "recording.enabled": recording}
     with scratch() as folder, running_node(folder, parameters) as rig:
         with Caller(rig.domain, rig.process.check) as caller:
             caller.give(field(CELLS, RESOLUTION), START, GOAL)

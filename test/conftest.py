@@ -26,8 +26,8 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
-    parser.addini('session_limit', 'seconds after which the whole run is ended', default='1200')
-    parser.addoption('--kills', type=int, default=4, help='nodes to kill while they record')
+    parser.addini('session_limit', 'seconds after which the whole run is ended', default='2400')
+    parser.addoption('--kills', type=int, default=2, help='nodes to kill while they record')
 
 
 def pytest_configure(config):

@@ -15,7 +15,7 @@ from ambush_planner.core.routes import RouteSampler
 
 # Chance that a correct audit fails one of these tests; all seeds are fixed.
 FALSE_ALARM = 1e-6
-RUNS = 250
+RUNS = 100
 RATE = 0.05
 
 

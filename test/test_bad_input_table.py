@@ -1,4 +1,4 @@
-"""Each row of the README's table of bad input, tried on one node that has to live through all."""
+"""Each row of the documented table of bad input, tried on one node that lives through all."""
 
 import math
 import re
@@ -34,14 +34,14 @@ from test_long_solves import NORTH, QUICK, solving, use
 from ambush_planner.ros import subscriptions
 
 UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
-README = Path(__file__).resolve().parent.parent / 'README.md'
+REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
 NAN = math.nan
 
 
 def table_of(heading):
-    """First cell of each row below a heading of the README -> the other cells."""
-    section = README.read_text().split(f'\n### {heading}\n')[1].split('\n#')[0]
+    """First cell of each row below a heading of the reference -> the other cells."""
+    section = REFERENCE.read_text().split(f'\n## {heading}\n')[1].split('\n#')[0]
     lines = [line.strip('|').split('|') for line in section.splitlines() if line.startswith('|')]
     return {first.strip(): [cell.strip() for cell in cells] for first, *cells in lines[2:]}
 

@@ -30,7 +30,7 @@ def run(script: str, *arguments) -> str:
     package = Path(ambush_planner.__file__).parent.parent  # the one under test
     path = os.pathsep.join(filter(None, (str(package), os.environ.get("PYTHONPATH"))))
     done = subprocess.run(
-        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=100
+        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, timeout=280
     )
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -1,4 +1,4 @@
-"""config/ambush_planner.yaml, the declared parameters and the README's table say the same."""
+"""config/ambush_planner.yaml, the declared parameters and docs/ros_interface.md say the same."""
 
 import math
 from pathlib import Path
@@ -65,9 +65,10 @@ def explained(declaration):
     return text + (' Only read at the start.' if declaration.read_only else '')
 
 
-def readme_table():
-    """Each parameter of the README's table with the text of its default."""
-    table = (ROOT / 'README.md').read_text().split('| parameter | default |')[1].split('\n\n')[0]
+def documented_table():
+    """Each parameter of the documented table with the text of its default."""
+    table = (ROOT / 'docs/ros_interface.md').read_text()
+    table = table.split('| parameter | default |')[1].split('\n\n')[0]
     found = {}
     for row in table.splitlines()[2:]:
         names, defaults = (cell.strip() for cell in row.split('|')[1:3])
@@ -124,8 +125,8 @@ def test_every_parameter_is_explained_as_it_is_declared():
     assert comments() == {name: explained(each) for name, each in PARAMETERS.items()}
 
 
-def test_the_readmes_table_has_every_default():
-    table = readme_table()
+def test_the_documented_table_has_every_default():
+    table = documented_table()
     assert sorted(table) == sorted(DEFAULTS)
     assert exact({name: yaml.safe_load(text) for name, text in table.items()}) == exact(DEFAULTS)
 
