@@ -19,6 +19,7 @@ _TOPICS = {
     'mean_direction': (MarkerArray, LATCHED),
     'ambush_sites': (MarkerArray, LATCHED),
     'network': (MarkerArray, LATCHED),
+    'stops': (MarkerArray, LATCHED),
     '/diagnostics': (DiagnosticArray, DIAGNOSTICS),
 }
 
