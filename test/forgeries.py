@@ -312,7 +312,7 @@ FORGERIES = [
     (NEW_ROUTE, drop(Trigger.Event, 1), True, 'response: it is missing'),
     (GET_PLAN, drop(GetPlan.Event, 0), True, 'request: it is missing'),
     (NEW_ROUTE, drop(DiagnosticArray), True, 'diagnostics: there is not one'),
-    (NEW_ROUTE, repeat(MarkerArray), True, 'messages: there are 5'),
+    (NEW_ROUTE, repeat(MarkerArray), True, 'messages: there are 6'),
     (NEW_ROUTE, change_event(Trigger.Event, 1, answer_no), True, 'response: it does not tell'),
     (GET_PLAN, change_event(GetPlan.Event, 1, move_answer), True, 'response: its plan is not'),
     (GET_PLAN, change_event(GetPlan.Event, 0, move_request), True, 'request: its goal is not'),

@@ -74,7 +74,7 @@ AROUND = [
     (NEW_ROUTE, stamp_path(-10**9), True, 'times: the path is stamped'),
     (GET_PLAN, stamp_path(60), True, 'times: the path is stamped'),
     (NEW_ROUTE, log('path', 1), True, 'times: a message is from before the request'),
-    (NEW_ROUTE, log('map', 2**62), True, 'times: map, start and goal are not'),
+    (NEW_ROUTE, log('map', 2**62), True, 'times: map, start, stops and goal are not'),
     (NEW_ROUTE, call_at(Trigger.Event, 1, -10), True, 'times: a message is from before'),
     (GET_PLAN, call_at(GetPlan.Event, 0, 10), True, 'times: a message is from before'),
     (NEW_ROUTE, add_to_the_answer, True, 'response: it does not tell'),

@@ -28,7 +28,7 @@ NAMES = """
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
     strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
     max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
-    recording.enabled recording.directory recording.compression seed
+    recording.enabled recording.directory recording.compression trip.order seed
 """.split()
 
 

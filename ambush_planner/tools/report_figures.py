@@ -121,10 +121,10 @@ def _ground(
     risk = draw_risk_map(axes, risk_map)
     risk.set_alpha(FADED)
     network = strategy.network
-    ends = network.points[[network.source, network.target]]
+    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
     if secured_radius > 0.0:
-        draw_secured(axes, ends, secured_radius)
-    draw_ends(axes, *ends)
+        draw_secured(axes, [start, *stops, goal], secured_radius)
+    draw_ends(axes, start, goal, stops)
     return risk
 
 
