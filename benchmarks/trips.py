@@ -17,7 +17,7 @@ import numpy as np
 from grounds import terrain
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from problems import TERRAIN_SECURED, TERRAIN_SPACING
+from problems import TERRAIN_SECURED
 from report import RESULTS, conditions, table, write_block
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
@@ -31,9 +31,10 @@ from ambush_planner.tools.figures import (
     frame,
 )
 
-STOPS = ((14805.0, 4995.0), (25020.0, 16020.0), (8685.0, 23625.0))
+STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
+SPACING = 600.0
 OPTIONS = PlanningOptions(
-    NetworkOptions(spacing=TERRAIN_SPACING), GameOptions(secured_radius=TERRAIN_SECURED)
+    NetworkOptions(spacing=SPACING), GameOptions(secured_radius=TERRAIN_SECURED)
 )
 # A reach in spacings.
 REACH = 1.5
@@ -103,10 +104,9 @@ def main() -> int:
     parser.add_argument('--picture', type=Path, help='where the picture goes')
     parser.add_argument('--print-only', action='store_true', help='leave results.md as it is')
     arguments = parser.parse_args()
-    reaching = replace(
-        OPTIONS, game=replace(OPTIONS.game, ambush_radius=REACH * TERRAIN_SPACING))
+    reaching = replace(OPTIONS, game=replace(OPTIONS.game, ambush_radius=REACH * SPACING))
     plain, trip = rows(OPTIONS, 'no reach')
-    wide, _ = rows(reaching, f'reach {REACH * TERRAIN_SPACING:g} m')
+    wide, _ = rows(reaching, f'reach {REACH * SPACING:g} m')
     text = table(
         ['', 'stops', 'value', 'gap, relative', 'km', 'processor seconds', 'ratio'],
         [*plain, *wide])
