@@ -1,7 +1,9 @@
 """Build and installation, with colcon (ament_python) and with pip."""
 
 import sys
+from atexit import register
 from glob import glob
+from tempfile import TemporaryDirectory
 
 from setuptools import find_packages, setup
 
@@ -18,14 +20,24 @@ data_files = [
 if 'bdist_wheel' in sys.argv:
     data_files.append((f'lib/{package_name}', sorted(glob('launchers/*'))))
 
+# pip builds in the checkout. What it would leave there goes to a folder that vanishes; colcon names
+# its own folders.
+options = {}
+if {'egg_info', 'dist_info', 'bdist_wheel', 'editable_wheel'} & set(sys.argv[1:]):
+    scratch = TemporaryDirectory()
+    register(scratch.cleanup)
+    options = {'build': {'build_base': scratch.name}, 'egg_info': {'egg_base': scratch.name}}
+
 setup(
     name=package_name,
+    options=options,
     version='0.1.0',
     description='Random routes that an ambusher cannot foresee, for ROS 2',
     maintainer='ambush_planner maintainers',
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
+    package_data={package_name: ['tools/*.js']},
     data_files=data_files,
     zip_safe=False,
     python_requires='>=3.10',
@@ -63,7 +75,7 @@ setup(
             'distributed>=2024.1',
             'rasterio>=1.3',
             'rosbags',
-            'setuptools',
+            'setuptools>=70.1',  # makes wheels by itself
         ],
         'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<3'],
     },

@@ -9,9 +9,8 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from recording_samples import encoded_departure
+from recording_samples import encoded_departure, new_route_call
 from std_msgs.msg import Header
-from std_srvs.srv import Trigger
 
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.game import GameOptions
@@ -50,10 +49,10 @@ def parameters(**changes):
     return values | changes
 
 
-def sample_plan(solver='max_entropy', hill=60, start=START):
+def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(
-        NetworkOptions(spacing=SPACING), GameOptions(secured_radius=SECURED),
+        NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
         StrategyOptions(solver),
     )
     return plan(risk_map, start, GOAL, options)
@@ -97,9 +96,6 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
         role: RecordedMessage(topic, _type(message), serialize_message(message), LATCHED, stamp)
         for role, (topic, message) in roles.items()
     }
-    event = Trigger.Event(request=[Trigger.Request()])
-    call = RecordedMessage('/planner/new_route/_service_event', 'std_srvs/srv/Trigger_Event',
-                           serialize_message(event), LATCHED, stamp)
     entries = metadata_texts(
         inputs={role: topic for role, (topic, _) in roles.items()},
         contents={**{role: message.data for role, message in messages.items()},
@@ -108,8 +104,9 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
             'versions': {'python': '3.12.3', 'numpy': '1.26.4'}, 'parameters': parameters(),
             'route_entropy_source': [source(number)],
             'route': [int(node) for node in route],
-            'trip': {'start': list(start), 'goal': list(GOAL), 'tolerance': 0.0},
+            'trip': {'start': list(start), 'goal': list(GOAL), 'stops': [], 'tolerance': 0.0},
             'ends': [list(start), list(GOAL)],
+            'call': new_route_call(stamp),
         },
         texts={
             'planner_version': '0.1.0', 'service': 'new_route', 'departure': str(number),
@@ -117,7 +114,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
         },
     )
     metadata = corrected({**entries, **dict(texts)}) if texts else entries
-    return [*messages.values(), call], metadata, [
+    return [*messages.values()], metadata, [
         Attachment('strategy.npz', 'application/zip', strategy)
     ]
 

@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from forgeries_around import AROUND
+from forgeries_hidden import HIDDEN
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, SEEDED_AGAIN, Forger
 from nav_msgs.msg import Path as PathMessage
-from nav_msgs.srv import GetPlan
+from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from ambush_planner.core.certificate import upper_bound
 from ambush_planner.core.routes import always, shortest_route
-from ambush_planner.recording import recordings_in
+from ambush_planner.recording import RecordedMessage, recordings_in, type_name
 from ambush_planner.review.case import Case
 
 
@@ -180,23 +181,26 @@ def repeat(kind):
     return repeat_it
 
 
-def change_event(kind, which, change):
-    def edit(forger, rng):
-        forger.edit(forger.places(kind)[which], lambda event: change(event, rng))
-    return edit
+def answer_no(forger, rng):
+    forger.edit_call('response', success=False)
 
 
-def answer_no(event, rng):
-    event.response[0].success = False
+def move_request(forger, rng):
+    goal = forger.entry('call')['request']['goal']
+    goal['pose']['position']['x'] += rng.random()
+    forger.edit_call('request', goal=goal)
 
 
-def move_answer(event, rng):
-    poses = event.response[0].plan.poses
-    poses[int(rng.integers(len(poses)))].pose.position.x += 1e-3
+def change_call(**changes):
+    return lambda forger, rng: forger.edit_entry('call', **changes)
 
 
-def move_request(event, rng):
-    event.request[0].goal.pose.position.x += rng.random()
+def add_event(forger, rng):
+    """A message of the call, where none is recorded."""
+    forger.messages.append(RecordedMessage(
+        '/ambush_planner/new_route/_service_event', type_name(Trigger.Event),
+        serialize_message(Trigger.Event()), QoSProfile(depth=1), forger.entry('call')['request_ns'],
+    ))
 
 
 def metadata(key, value):
@@ -270,14 +274,14 @@ FORGERIES = [
     (NEW_ROUTE, change_resolution, True, 'network: it does not follow from map'),
     (NEW_ROUTE, move('start'), False, 'sha256 of start does not hold'),
     (NEW_ROUTE, move('start'), True, 'ends: the first one is not'),
-    (GET_PLAN, move('start'), True, 'request: its start is not'),
+    (GET_PLAN, move('start'), True, 'request: its start.pose.position.x'),
     (GET_PLAN, move('goal'), True, 'ends: the last one is not'),
-    (AGAIN, turn_goal, True, 'path: its last pose'),
+    (AGAIN, turn_goal, True, 'path: its poses['),
     (NEW_ROUTE, change_path(move_pose), False, 'sha256 of path does not hold'),
-    (NEW_ROUTE, change_path(move_pose), True, 'path: pose'),
-    (SEEDED, change_path(drop_pose), True, 'path: it has'),
-    (SEEDED, change_path(turn_last), True, 'path: its last pose'),
-    (MOVED_GOAL, change_path(lift_first), True, 'path: its first pose'),
+    (NEW_ROUTE, change_path(move_pose), True, 'path: its poses['),
+    (SEEDED, change_path(drop_pose), True, 'path: its poses.length'),
+    (SEEDED, change_path(turn_last), True, 'path: its poses['),
+    (MOVED_GOAL, change_path(lift_first), True, 'path: its poses[0].pose.position.z'),
     (NEW_ROUTE, change_route, False, 'sha256 of route does not hold'),
     (NEW_ROUTE, change_route, True, 'route: it is not what'),
     (SEEDED, leave_network, True, 'route: it leaves the network'),
@@ -291,7 +295,7 @@ FORGERIES = [
     (NEW_ROUTE, parameter(network__spacing=0.9), True, 'network: it does not follow'),
     (MOVED_GOAL, parameter(map__alpha_max=9.0), True, 'network: it does not follow'),
     (GET_PLAN, parameter(strategy__max_detour=1.4), True, 'strategy: length_budget'),
-    (SEEDED, parameter(route__path_spacing=0.4), True, 'path: it has'),
+    (SEEDED, parameter(route__path_spacing=0.4), True, 'path: its poses.length'),
     (NEW_ROUTE, parameter(game__secured_radius=2.0), True, 'recorded strategy'),
     (NEW_ROUTE, forget_parameter, True, 'parameters'),
     (NEW_ROUTE, swap_strategy, False, 'sha256 of strategy does not hold'),
@@ -309,27 +313,30 @@ FORGERIES = [
     (MOVED_GOAL, edit_trip(lambda trip, rng: trip.update(tolerance=0.5)), True, 'trip:'),
     (NEW_ROUTE, drop(MarkerArray, 2), True, 'markers: mean_direction is missing'),
     (NEW_ROUTE, drop(PathMessage), False, "0 messages in the role 'path'"),
-    (NEW_ROUTE, drop(Trigger.Event, 1), True, 'response: it is missing'),
-    (GET_PLAN, drop(GetPlan.Event, 0), True, 'request: it is missing'),
+    (NEW_ROUTE, change_call(response={}), True, 'call: they are not the fields of a Trigger_Resp'),
+    (GET_PLAN, change_call(request=[]), True, 'the recorded call is not just'),
+    (NEW_ROUTE, change_call(type='std_srvs/srv/Empty'), True, 'is not a service of the planner'),
+    (NEW_ROUTE, change_call(type='nav_msgs/srv/GetPlan'), True, 'call: they are not the fields'),
+    (NEW_ROUTE, add_event, True, "messages: there are 1 of the kind 'service event', not 0"),
     (NEW_ROUTE, drop(DiagnosticArray), True, 'diagnostics: there is not one'),
     (NEW_ROUTE, repeat(MarkerArray), True, 'messages: there are 6'),
-    (NEW_ROUTE, change_event(Trigger.Event, 1, answer_no), True, 'response: it does not tell'),
-    (GET_PLAN, change_event(GetPlan.Event, 1, move_answer), True, 'response: its plan is not'),
-    (GET_PLAN, change_event(GetPlan.Event, 0, move_request), True, 'request: its goal is not'),
-    (NEW_ROUTE, metadata('departure_id', '0' * 36), True, 'response: it does not tell'),
+    (NEW_ROUTE, answer_no, True, 'response: its success'),
+    (GET_PLAN, move_request, True, 'request: its goal.pose'),
+    (NEW_ROUTE, metadata('departure_id', '0' * 36), True, 'response: its message'),
     (GET_PLAN, metadata('departure_id', '0' * 36), True, 'diagnostics: departure_id'),
-    (NEW_ROUTE, metadata('departure', '7'), True, 'departure: its number is not'),
+    (NEW_ROUTE, metadata('departure', '7'), True, 'response: its message'),
     (NEW_ROUTE, metadata('service', 'get_plan'), True, 'service: the recorded call'),
     (NEW_ROUTE, metadata('frame', 'odom'), True, 'frame: the map is in the frame'),
     (NEW_ROUTE, metadata('format', '1'), True, "states the format '1'"),
     (NEW_ROUTE, swap_roles, True, 'ends: the first one is not'),
     (NEW_ROUTE, move_marker, True, 'does not show the recorded strategy'),
     (NEW_ROUTE, change_report('value', '0.1'), True, 'diagnostics: value is not'),
-    (NEW_ROUTE, retype, True, 'map: it is not a OccupancyGrid'),
-    (NEW_ROUTE, other_frame, True, 'path: its last pose'),
+    (NEW_ROUTE, retype, True, 'map: it is not of the type OccupancyGrid'),
+    (NEW_ROUTE, other_frame, True, 'path: its poses['),
     (NEW_ROUTE, add_attachment, True, "an attachment 'more' is not known"),
     (NEW_ROUTE, swap_markers, True, 'are on the topic of'),
     (NEW_ROUTE, report_error, True, 'diagnostics: level, code and message'),
     (NEW_ROUTE, lose_attachment, False, "no attachment 'strategy.npz'"),
     *AROUND,
+    *HIDDEN,
 ]

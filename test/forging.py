@@ -59,6 +59,10 @@ class Forger:
     def edit_entry(self, key, **changes):
         self.set_entry(key, {**self.entry(key), **changes})
 
+    def edit_call(self, part, **changes):
+        """Change fields of the recorded request or response."""
+        self.edit_entry('call', **{part: {**self.entry('call')[part], **changes}})
+
     def place(self, role):
         """The index of the message in a role."""
         topic = self.entry('inputs')[role]

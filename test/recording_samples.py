@@ -138,7 +138,16 @@ def small_strategy():
 STRATEGY = small_strategy()
 
 
-def metadata_for(messages, strategy=STRATEGY, **texts):
+def new_route_call(stamp_ns):
+    """What the metadata of a departure says of the call."""
+    return {
+        'service': '/planner/new_route', 'type': 'std_srvs/srv/Trigger',
+        'request_ns': stamp_ns, 'response_ns': stamp_ns,
+        'request': {}, 'response': {'success': True, 'message': 'route 1'},
+    }
+
+
+def metadata_for(messages, strategy=STRATEGY, compression='zstd', **texts):
     """All entries that a recorder is given with these messages; ``texts`` replace some."""
     entries = metadata_texts(
         inputs=INPUTS,
@@ -148,10 +157,12 @@ def metadata_for(messages, strategy=STRATEGY, **texts):
             'strategy': strategy.data, 'map_changes': b'',
         },
         json_entries={
-            'parameters': {'seed': -1}, 'versions': {'python': '3.12.3'}, 'route': [0, 1],
+            'parameters': {'seed': -1, 'recording.compression': compression},
+            'versions': {'python': '3.12.3'}, 'route': [0, 1],
             'route_entropy_source': [2**255 + 1],
-            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'tolerance': 0.0},
+            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': [], 'tolerance': 0.0},
             'ends': [[1.5, 2.5], [3.0, 4.0]],
+            'call': new_route_call(START_NS),
         },
         texts={
             'planner_version': '0.1.0', 'service': 'new_route', 'departure': '1',
@@ -168,7 +179,8 @@ def encoded_departure(*content):
 
 def file_of(messages, compression='zstd', **texts):
     """The bytes of a whole recording of these messages."""
-    metadata = {'chain': chain_text(Link('x.mcap')), **metadata_for(messages, **texts)}
+    entries = metadata_for(messages, compression=compression, **texts)
+    metadata = {'chain': chain_text(Link('x.mcap')), **entries}
     return encoded_departure(messages, metadata, [STRATEGY], compression)
 
 

@@ -14,6 +14,7 @@ BINARY = next(
     filter(None, map(shutil.which, ('chromium', 'chromium-browser', 'google-chrome'))), None
 )
 SECONDS = 60.0
+KEYS = {'Tab': 9, 'ArrowLeft': 37, 'ArrowUp': 38, 'ArrowRight': 39, 'ArrowDown': 40, ' ': 32}
 
 
 def _environment():
@@ -72,9 +73,43 @@ class Browser:
             self._receive(deadline)
 
     def evaluate(self, expression):
-        """Return the value of a JavaScript expression in the page."""
-        answer = self._ask('Runtime.evaluate', expression=expression, returnByValue=True)
-        return answer['result']['value']
+        """Return the value of a JavaScript expression in the page; promises are waited for."""
+        answer = self._ask('Runtime.evaluate', expression=expression, returnByValue=True,
+                           awaitPromise=True)
+        assert 'exceptionDetails' not in answer, answer['exceptionDetails']
+        return answer['result'].get('value')
+
+    def centre(self, selector):
+        """Bring an element into view and return its centre in the window."""
+        return self.evaluate(
+            f'(() => {{ const e = document.querySelector({json.dumps(selector)});'
+            'e.scrollIntoView({block: "center"}); const r = e.getBoundingClientRect();'
+            'return [r.x + r.width / 2, r.y + r.height / 2]; })()'
+        )
+
+    def click(self, selector):
+        """Click an element as a mouse does."""
+        x, y = self.centre(selector)
+        self.mouse('mousePressed', x, y)
+        self.mouse('mouseReleased', x, y)
+
+    def mouse(self, what, x, y, **more):
+        """Let the mouse do something at a place of the window."""
+        button = 'none' if what == 'mouseWheel' else 'left'
+        self._ask('Input.dispatchMouseEvent', type=what, x=x, y=y, button=button, clickCount=1,
+                  buttons=0 if what in ('mouseReleased', 'mouseWheel') else 1, **more)
+
+    def touch(self, what, *places):
+        """Put fingers on the screen, move or lift them."""
+        points = [{'x': x, 'y': y, 'id': k} for k, (x, y) in enumerate(places)]
+        self._ask('Input.dispatchTouchEvent', type=what, touchPoints=points)
+
+    def key(self, key, text=''):
+        """Press and release a key by its DOM name."""
+        for what in ('keyDown', 'keyUp'):
+            self._ask('Input.dispatchKeyEvent', type=what, key=key, code=key,
+                      text=text if what == 'keyDown' else '',
+                      windowsVirtualKeyCode=KEYS.get(key, 0))
 
     def requests(self):
         """Return the addresses that the page has asked for, also such as were blocked."""

@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ambush_planner.core.game import GameOptions
-from ambush_planner.recording.strategy_file import BadStrategy, strategy_from_file
+from ambush_planner.recording.npz import BadAttachment
+from ambush_planner.recording.strategy_file import strategy_from_file
 
 
 @pytest.fixture(scope='module')
@@ -70,10 +71,10 @@ def test_strategies_that_are_none_are_refused(a_plan):
     options = GameOptions(secured_radius=40.0)
     assert strategy_from_file(npz(arrays), options).value == pytest.approx(a_plan.strategy.value)
     for name, value in bad_strategies(arrays):
-        with pytest.raises(BadStrategy):
+        with pytest.raises(BadAttachment):
             strategy_from_file(npz(arrays | {name: value}), options)
     for name in arrays:
-        with pytest.raises(BadStrategy, match=name):
+        with pytest.raises(BadAttachment, match=name):
             strategy_from_file(npz({n: a for n, a in arrays.items() if n != name}), options)
 
 
@@ -83,7 +84,7 @@ def test_an_archive_that_claims_too_much_is_not_unpacked(a_plan):
         with archive.open('points.npy', 'w', force_zip64=True) as file:
             for _ in range(1025):
                 file.write(bytes(2**20))
-    with pytest.raises(BadStrategy, match='claims to hold'):
+    with pytest.raises(BadAttachment, match='claims to hold'):
         strategy_from_file(stream.getvalue(), GameOptions())
 
 
@@ -104,13 +105,27 @@ def test_sizes_are_checked_before_arrays_are_made(a_plan, monkeypatch):
     files = {
         'as many bytes': with_entry(arrays, 'alpha', np.zeros(10**6), bytes(80)),
         'must be of the shape': npz(arrays | {'alpha': np.zeros(10**6)}),
-        'not known': npz(arrays | {'note': np.zeros(3)}),
-        'cannot have': npz(arrays | {'edges': many, 'edge_probability': many[:, 0] * 0.5}),
+        "1 arrays 'note', not 0": npz(arrays | {'note': np.zeros(3)}),
     }
+    edges = npz(arrays | {'edges': many, 'edge_probability': many[:, 0] * 0.5})
+    with pytest.raises(BadAttachment, match='cannot have'):
+        strategy_from_file(edges, GameOptions())
     monkeypatch.setattr(np, 'load', lambda *_, **__: pytest.fail('an array was made'))
     for reason, data in files.items():
-        with pytest.raises(BadStrategy, match=reason):
+        with pytest.raises(BadAttachment, match=reason):
             strategy_from_file(data, GameOptions())
+
+
+@pytest.mark.parametrize('hide', [
+    lambda data: b'hidden' + data, lambda data: data + b'hidden',
+    lambda data: data[:-2] + b'\6\0hidden',
+    lambda data: data.replace(b'PK\1\2', b'hiddenPK\1\2', 1),
+], ids=['before', 'behind', 'a comment', 'between'])
+def test_nothing_can_be_hidden_beside_the_arrays(a_plan, hide):
+    data = npz(strategy_arrays(a_plan.strategy))
+    strategy_from_file(data, GameOptions(secured_radius=40.0))
+    with pytest.raises(BadAttachment, match='beside its arrays|is damaged'):
+        strategy_from_file(hide(data), GameOptions(secured_radius=40.0))
 
 
 @settings(max_examples=150, deadline=None, derandomize=True, database=None,
@@ -123,6 +138,6 @@ def test_bytes_that_were_a_strategy_are_refused_or_the_same(a_plan, data):
     end = data.draw(st.one_of(st.none(), st.integers(0, len(good))))
     try:
         strategy = strategy_from_file(bytes(good[:end]), GameOptions(secured_radius=40.0))
-    except BadStrategy:
+    except BadAttachment:
         return
     assert strategy.value == pytest.approx(a_plan.strategy.value)

@@ -33,7 +33,7 @@ def test_the_entry_lists_all_commands(capsys):
         assert stop.value.code == 2
 
 
-@pytest.mark.parametrize('name', [*READERS, 'demo'])
+@pytest.mark.parametrize('name', [*READERS, 'demo', 'paper'])
 def test_every_command_has_the_options_that_all_have(name, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([name, '--help'])
@@ -115,7 +115,7 @@ def test_colours_only_on_a_terminal(monkeypatch, capsys):
 
 @pytest.mark.parametrize(('line', 'word'), [
     ('ambush ver', 'verify'), ('ambush verify --exp', '--expect'),
-    ('ambush audit --fal', '--false'),
+    ('ambush audit --fal', '--false'), ('ambush paper --do', '--docs'),
 ])
 def test_words_are_completed(line, word, tmp_path):
     pytest.importorskip('argcomplete', reason='optional')

@@ -62,7 +62,7 @@ def explained(declaration):
         text += f' Range: from {declaration.low:g}.'
     else:
         text += f' Range: {declaration.low:g} to {declaration.high:.10g}.'
-    return text + (' Only read at the start.' if declaration.read_only else '')
+    return text + (' Only read at the start.' if declaration.fixed else '')
 
 
 def documented_table():

@@ -6,58 +6,23 @@ import itertools
 
 import numpy as np
 import pytest
-from games import examples, random_map
-from hypothesis import assume, given
+from drive_samples import drives, some_route
+from games import examples
+from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import minimize
 
-from ambush_planner import (
-    GoalBlocked,
-    InvalidNetwork,
-    InvalidOption,
-    NetworkOptions,
-    NoRoute,
-    RiskMap,
-    StartBlocked,
-    build_network,
-)
-from ambush_planner.core import driven_path as inside
+from ambush_planner import InvalidOption, Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import different_paths, driven_path, driven_paths
+from ambush_planner.core.driven_path import (
+    MOST,
+    different_paths,
+    driven_path,
+    driven_paths,
+    smallest_radius,
+)
 from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.paths import shortest_path
-
-METHODS = ("uniform_delaunay", "lattice_delaunay", "uniform_grid8", "random_delaunay")
-
-
-def some_route(network, seed):
-    """A route that is shortest for random lengths, so it turns a lot."""
-    weights = 0.05 + np.random.default_rng(seed).random(len(network.edges))
-    return shortest_path(
-        network.edges, weights, len(network.points), network.source, network.target
-    )
-
-
-@st.composite
-def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
-    """Corridors, a route in them, and what they were made from."""
-    cells = draw(st.integers(6, 14))
-    risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.1, draw(st.floats(-4, 4)))
-    place = st.tuples(*[st.floats(0.4, cells - 0.4)] * 2)
-    clearance, clear_of_edge = draw(st.sampled_from((0.0, 0.25))), draw(st.booleans())
-    options = NetworkOptions(
-        draw(st.sampled_from(METHODS)), draw(st.sampled_from((0.7, 1.0, 1.6))), clearance,
-        clear_of_edge=clear_of_edge,
-    )
-    ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
-    try:
-        network = build_network(risk_map, *ends, options)
-    except (StartBlocked, GoalBlocked, NoRoute, InvalidNetwork):
-        assume(False)
-    tube = draw(st.sampled_from(tubes))
-    corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
-    route = some_route(network, draw(st.integers(0, 99)))
-    return corridors, route, risk_map, clearance, tube, clear_of_edge
+from ambush_planner.core.taut_string import portals_along
 
 
 def distance_to(points, line):
@@ -110,58 +75,10 @@ def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     heading = np.arctan2(steps[:, 1], steps[:, 0])
     assert np.abs(between(heading, poses[:-1, 2]))[moving].max() <= np.radians(20) + 1e-6
     assert (poses[:, 2] >= -np.pi).all() and (poses[:, 2] <= np.pi).all()
-    drawn = np.hypot(*np.diff(network.points[route], axis=0).T).sum()
-    assert length.sum() <= drawn + 1e-9
 
 
 def between(a, b):
     return (a - b + np.pi) % (2 * np.pi) - np.pi
-
-
-@examples(60)
-@given(drives())
-def test_the_taut_string_is_the_shortest_line_through_the_portals(drive):
-    corridors, route = drive[:2]
-    assume(len(route) > 2)
-    assert_taut(inside._portals(corridors, route), 0.7)
-
-
-def assert_taut(portals, share):
-    """The string is as short as a general minimiser finds, over one place on each portal."""
-    low, high = -share * portals.right[1:-1], share * portals.left[1:-1]
-
-    def length(t):
-        points = portals.nodes.copy()
-        points[1:-1] += t[:, None] * portals.leftward[1:-1]
-        steps = np.diff(points, axis=0)
-        size = np.hypot(*steps.T)
-        pull = -np.diff(steps / size[:, None], axis=0)
-        return size.sum(), (pull * portals.leftward[1:-1]).sum(axis=1)
-
-    found = minimize(
-        length, (low + high) / 2, jac=True, method="L-BFGS-B",
-        bounds=np.stack((low, high), axis=1), options={"ftol": 1e-15, "maxiter": 5000},
-    )
-    points = np.array([
-        portals.nodes[k] + share * portals.leftward[k] * (
-            portals.left[k] if side > 0 else -portals.right[k] if side < 0 else 0.0)
-        for k, side in inside._taut(portals, share)
-    ])
-    size = np.hypot(*np.diff(points, axis=0).T).sum()
-    assert size == pytest.approx(found.fun, rel=1e-5)
-    assert size <= found.fun * (1 + 1e-9)
-
-
-def test_portals_that_are_seen_from_behind():
-    """Two sharp turns, one after the other: from the start, the second portal looks reversed."""
-    nodes = [(4.2683, 2.8259), (4.55, 3.85), (3.85, 4.55), (3.85, 3.85), (3.15, 4.55),
-             (2.45, 5.25), (1.75, 5.25), (1.0186, 5.3343)]
-    leftward = [(0, 0), (-0.9668, -0.2556), (0.3827, -0.9239), (0.3827, -0.9239),
-                (-0.7071, -0.7071), (-0.3827, -0.9239), (-0.0573, -0.9984), (0, 0)]
-    left = [0, 0.6201, 0.2387, 0.1018, 0.7, 0.5762, 0.0339, 0]
-    right = [0, 0.1404, 0.0807, 0.2387, 0.0606, 0.0448, 0.4692, 0]
-    arrays = (np.array(values, float) for values in (nodes, leftward, left, right))
-    assert_taut(inside._Portals(*arrays), 1.0)
 
 
 def open_map(cells=20, yaw=0.0):
@@ -200,8 +117,7 @@ def test_a_tube_of_nothing_is_the_drawn_route():
 @pytest.mark.parametrize("radius", [0.2, 0.5, 1.0])
 def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
-    risk_map = open_map()
-    corridors = corridors_on(risk_map, (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
+    corridors = corridors_on(open_map(), (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
     network = corridors.network
     corner = int(np.argmax(np.abs(between_line(network))[:-2]))
     edges = {tuple(edge) for edge in network.edges.tolist()}
@@ -210,7 +126,44 @@ def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     poses = driven_path(corridors, route, 0.02, radius)
     bend = np.abs(between(poses[1:, 2], poses[:-1, 2]))
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    assert (step[bend > 1e-6] / bend[bend > 1e-6]).min() > 0.98 * radius
+    tightest = (step[bend > 1e-6] / bend[bend > 1e-6]).min()
+    assert tightest > 0.98 * radius
+    assert smallest_radius(poses) == pytest.approx(tightest, rel=0.01)
+
+
+def test_the_smallest_radius_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
+    angle = np.linspace(0.0, 2.0, 12)
+    circle = np.stack((3 * np.sin(angle), 3 - 3 * np.cos(angle), angle), axis=1)
+    assert smallest_radius(circle) == pytest.approx(3.0)
+    after = circle[-1:] + [0.0, 0.0, 0.3]
+    assert smallest_radius(np.concatenate((circle, after))) == 0.0
+    assert smallest_radius(np.array([(0.0, 0.0, 0.5), (1.0, 1.0, 0.5)])) == np.inf
+
+
+@examples(100)
+@given(drives())
+def test_no_path_is_much_longer_than_its_route(drive):
+    corridors, route = drive[:2]
+    poses = driven_path(corridors, route, 0.2)
+    portals = portals_along(corridors, route)
+    # Where a portal is all on one side of the node, the path keeps a margin from the node.
+    detour = MOST * portals.width
+    drawn = np.hypot(*np.diff(corridors.network.points[route], axis=0).T).sum()
+    assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
+
+
+def test_a_turn_round_the_corner_of_a_block_is_round():
+    """Nodes at a corner's very edge: there is no room on its side, but on the other."""
+    obstacles = np.zeros((20, 20), bool)
+    obstacles[:10, 10:] = True
+    risk_map = RiskMap(np.ones((20, 20)), obstacles, 1.0)
+    corner = (9.999, 10.001)
+    points = np.array([corner, (5.0, 5.0), (9.999, 2.0), (18.0, 10.001)])
+    edges = np.array([(2, 0), (0, 3), (2, 1), (1, 3)])
+    network = Network(points, np.array([1.0, 1.0, 0.0, 0.0]), edges, 2, 3)
+    for tube in (None, 1.0):
+        poses = driven_path(make_corridors(network, risk_map, tube=tube), np.array([2, 0, 3]), 0.1)
+        assert smallest_radius(poses) > 0.3
 
 
 def between_line(network):
@@ -265,15 +218,15 @@ def test_a_tube_that_cannot_be_is_refused(tube):
 def test_nodes_that_need_not_be_visited_are_left_out_only_without_a_tube():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     network = corridors.network
-    edges = {tuple(edge) for edge in network.edges.tolist()}
+    links = {tuple(link) for link in corridors.links.tolist()}
     left_out = 0
     for seed in range(20):
         route = some_route(network, seed)
         shorter = corridors.shortened(route)
         assert set(shorter.tolist()) <= set(route.tolist())
         assert shorter[[0, -1]].tolist() == route[[0, -1]].tolist()
-        assert {*itertools.pairwise(shorter.tolist())} <= edges
-        assert not any((shorter[k], shorter[k + 2]) in edges for k in range(len(shorter) - 2)
+        assert {*itertools.pairwise(shorter.tolist())} <= links
+        assert not any((shorter[k], shorter[k + 2]) in links for k in range(len(shorter) - 2)
                        if longer(network, shorter[k : k + 3]))
         left_out += len(route) - len(shorter)
     assert left_out > 0

@@ -2,10 +2,13 @@
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -20,12 +23,17 @@ NAME = 'ambush_planner'
 ROSDEP_KEYS = {
     'PIL': 'python3-matplotlib',
     'argcomplete': 'python3-argcomplete',
+    'hypothesis': 'python3-hypothesis',
     'matplotlib': 'python3-matplotlib',
     'lz4': 'mcap-ros2-support',
     'mcap': 'mcap-ros2-support',
     'mcap_ros2': 'mcap-ros2-support',
+    'networkx': 'python3-networkx',
     'numpy': 'python3-numpy',
+    'pytest': 'python3-pytest',
+    'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy',
+    'setuptools': 'python3-setuptools',
     'yaml': 'python3-yaml',
     'zstandard': 'mcap-ros2-support',
 }
@@ -59,16 +67,17 @@ def dependencies(kind):
     return [element.text for element in manifest().findall(kind)]
 
 
-def imported_packages():
-    """Top-level names that the source imports, the standard library's and its own left out."""
-    names = set()
-    for path in (ROOT / NAME).rglob('*.py'):
+def imported_packages(folder=NAME):
+    """Top-level names that sources import, the standard library's and our own left out."""
+    names, ours = set(), {path.stem for name in ('test', 'benchmarks')
+                          for path in (ROOT / name).glob('*.py')}
+    for path in (ROOT / folder).rglob('*.py'):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.Import):
                 names.update(alias.name.split('.')[0] for alias in node.names)
             elif isinstance(node, ast.ImportFrom) and node.level == 0:
                 names.add(node.module.split('.')[0])
-    return names - set(sys.stdlib_module_names) - {NAME}
+    return names - set(sys.stdlib_module_names) - {NAME} - ours
 
 
 def files_by_target(*argv):
@@ -111,6 +120,35 @@ def test_every_import_is_declared_in_the_manifest():
     names = imported_packages() - set(FROM_PIP)
     keys = {ROSDEP_KEYS.get(name, name) for name in names}
     assert keys <= set(dependencies('exec_depend'))
+
+
+def test_every_import_of_the_tests_is_declared_in_the_manifest():
+    """What is not is asked for by importorskip."""
+    keys = {ROSDEP_KEYS.get(name, name) for name in imported_packages('test')}
+    assert keys <= set(dependencies('exec_depend') + dependencies('test_depend'))
+
+
+def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):
+    copy, wheels = tmp_path / 'checkout', tmp_path / 'wheels'
+    for path in tracked_files():
+        target = copy / path.relative_to(ROOT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, target)
+    if not (find_spec('wheel') or find_spec('setuptools.command.bdist_wheel')):
+        pytest.skip('this setuptools makes wheels only with the package wheel')
+    before = sorted(copy.rglob('*'))
+    built = subprocess.run(
+        [sys.executable, '-m', 'pip', 'wheel', '--no-deps', '--no-build-isolation', '--no-index',
+         '-w', str(wheels), str(copy)],
+        capture_output=True, text=True, timeout=120, check=False)
+    assert built.returncode == 0, built.stdout + built.stderr
+    assert sorted(copy.rglob('*')) == before
+    (wheel,) = wheels.iterdir()
+    with zipfile.ZipFile(wheel) as archive:
+        names = archive.namelist()
+    for package in setup_arguments()['packages']:
+        assert f'{package.replace(".", "/")}/__init__.py' in names
+    assert any(name.endswith(f'/lib/{NAME}/ambush') for name in names)
 
 
 def test_every_library_import_is_declared_for_pip():

@@ -12,6 +12,7 @@ import pytest
 from games import paper_example
 
 from ambush_planner import solve
+from ambush_planner.core.errors import InvalidOption
 from ambush_planner.paper import command as paper
 from ambush_planner.paper import environment
 from ambush_planner.paper.report import NAMES, Comparison
@@ -101,15 +102,15 @@ def test_the_tables_go_between_the_marks():
 
 @pytest.mark.parametrize("text", ["", paper.BEGIN, paper.END, f"{paper.END} {paper.BEGIN}"])
 def test_a_document_without_both_marks_is_refused(text):
-    with pytest.raises(ValueError, match="ambush_paper: begin"):
+    with pytest.raises(InvalidOption, match="ambush_paper: begin"):
         paper.with_tables(text, "new")
 
 
 def test_help_needs_no_matplotlib():
-    for argument, code, words in (("--help", 0, "--output"), ("-oout", 1, "try: pip install")):
+    for argument, code, words in (("--help", 0, "--output"), ("-oout", 3, "try: pip install")):
         program = (
             "import sys; sys.modules['matplotlib'] = None\n"
-            f"from ambush_planner.paper.command import main; sys.exit(main(['{argument}']))"
+            f"from ambush_planner.tools.cli import main; sys.exit(main(['paper', '{argument}']))"
         )
         process = subprocess.run(
             [sys.executable, "-c", program],
@@ -123,13 +124,13 @@ def test_help_needs_no_matplotlib():
 def test_an_output_that_is_a_file_is_refused(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
     (tmp_path / "file").write_text("")
-    assert paper.main(["-o", str(tmp_path / "file")]) == 1
+    assert paper.main(["-o", str(tmp_path / "file")]) == 3
     assert capsys.readouterr().err.startswith("ambush_paper: ")
 
 
 def test_a_document_that_cannot_be_renewed_is_told_before_anything_is_computed(tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
-    assert paper.main(["-o", str(tmp_path), "--docs", str(tmp_path / "missing.md")]) == 1
+    assert paper.main(["-o", str(tmp_path), "--docs", str(tmp_path / "missing.md")]) == 3
     assert "missing.md" in capsys.readouterr().err
 
 

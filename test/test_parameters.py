@@ -1,11 +1,13 @@
-"""Parameters: declared once, described, ranged, and valid only as a set."""
+"""Parameters: declared once, described, ranged, valid as a set, and set in any order."""
 
 import math
+import random
 
 import pytest
+import yaml
 from rcl_interfaces.msg import ParameterType
-from rclpy.parameter import Parameter
-from ros_harness import free_domain, ros_context
+from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
+from ros_harness import free_domain, ros_context, stage
 
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.errors import InvalidOption
@@ -28,7 +30,9 @@ NAMES = """
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
     strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
     max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
-    recording.enabled recording.directory recording.compression trip.order seed
+    recording.enabled recording.directory recording.compression recording.service_events
+    trip.order
+    path.publish seed autostart
 """.split()
 
 
@@ -100,7 +104,6 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
 
 
 @pytest.mark.parametrize('values, words', [
-    ({'map__alpha_min': 20.0}, '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
     ({'map__alpha_max': math.inf}, 'map.alpha_max must be finite'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
     ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
@@ -115,8 +118,7 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
     ({'route__turning_radius': math.inf}, 'route.turning_radius must be finite'),
     ({'strategy__max_detour': 0.5}, 'out of range'),
     ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
-    ({'strategy__length_weight': 0.01}, 'strategy.length_weight 0.01 goes with the solvers'),
-    ({'strategy__length_weight': 0.01}, 'bounds the length with strategy.max_detour'),
+    ({'strategy__length_weight': 1.0}, 'strategy.length_weight must be in [0, 1)'),
     ({'max_planning_time': 0.0}, 'out of range'),
     ({'route__path_spacing': math.inf}, 'route.path_spacing must be finite'),
     ({'recording__enabled': 'yes'}, 'Wrong parameter type'),
@@ -134,6 +136,20 @@ def test_bad_values_are_refused_with_the_reason(node, values, words):
     (name,) = values
     # rclpy's own refusal of a wrong type names the types only.
     assert name.replace('__', '.') in answer.reason or words == 'Wrong parameter type'
+    assert [node.get_parameter(name).value for name in NAMES] == before
+
+
+@pytest.mark.parametrize('values, words', [
+    ({'map__alpha_min': 20.0, 'map__alpha_max': 10.0},
+     '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
+    ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
+     'strategy.length_weight 0.01 goes with the solvers'),
+    ({'strategy__length_weight': 0.01, 'strategy__max_exposure': 2.0}, 'strategy.length_weight'),
+])
+def test_one_request_that_contradicts_itself_is_refused(node, values, words):
+    before = [node.get_parameter(name).value for name in NAMES]
+    answer = change(node, **values)
+    assert not answer.successful and words in answer.reason
     assert [node.get_parameter(name).value for name in NAMES] == before
 
 
@@ -161,3 +177,67 @@ def test_a_full_valid_set_starts():
 
 def test_the_record_holds_all_values_for_the_recording():
     assert dict(parameters_from(DEFAULTS).values) == DEFAULTS
+
+
+# Pairs that contradict the defaults of one another, infinities, and texts that look like others.
+DUMPED = {
+    'map.alpha_min': 20.0, 'map.alpha_max': 30.0, 'strategy.solver': 'simplex',
+    'strategy.length_weight': 0.5, 'strategy.max_detour': math.inf, 'robot_base_frame': '',
+    'recording.enabled': False, 'seed': 7,
+}
+
+
+def dump(node):
+    """The parameters as ``ros2 param dump`` writes them."""
+    names = sorted(name for name in node.list_parameters([], 0).names if not _of_ros(name))
+    tree = {}
+    for name in names:
+        *groups, last = name.split('.')
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})
+        branch[last] = node.get_parameter(name).value
+    return yaml.dump({node.get_fully_qualified_name(): {'ros__parameters': tree}})
+
+
+def _of_ros(name):
+    # Read-only in each node of rclpy: loading a dump says so, and goes on.
+    return name == 'start_type_description_service'
+
+
+@pytest.mark.parametrize('order', ['alphabetical', 'reverse', 'random 1', 'random 2', 'random 3'])
+def test_what_was_dumped_is_loaded_in_any_order(tmp_path, order):
+    with stage(parameters=DUMPED) as first:
+        (tmp_path / 'dump.yaml').write_text(dump(first.planner))
+        expected = {name: first.planner.get_parameter(name).value for name in NAMES}
+    # What `ros2 param load` sends: this function reads the file, .inf as a text.
+    loaded = parameter_dict_from_yaml_file(str(tmp_path / 'dump.yaml'))
+    assert set(NAMES) <= set(loaded)
+    names = sorted(loaded, reverse=order == 'reverse')
+    if order.startswith('random'):
+        random.Random(order).shuffle(names)
+    with stage(parameters={'seed': 7}) as second:
+        answers = {
+            name: second.planner.set_parameters([Parameter.from_parameter_msg(loaded[name])])[0]
+            for name in names
+        }
+        assert not [(name, each.reason) for name, each in answers.items() if not each.successful]
+        found = {name: second.planner.get_parameter(name).value for name in NAMES}
+        assert found == expected
+        second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
+
+
+def test_a_contradiction_is_told_and_nobody_departs_until_it_is_over():
+    with stage() as running:
+        client = running.give()
+        assert change(running.planner, strategy__length_weight=0.5).successful
+        found = client.diagnostics(code='NONE', level=b'\1')
+        assert 'strategy.length_weight 0.5 goes with the solvers' in found['message']
+        for service in ('new_route', 'replan'):
+            answer = client.call(service)
+            assert not answer.success
+            assert 'parameters contradict each other: strategy.length_weight' in answer.message
+        assert client.diagnostics(code='INVALID_OPTION')
+        assert change(running.planner, strategy__solver='simplex').successful
+        assert client.call('new_route').success
+        assert 'contradict' not in client.diagnostics(departures='1')['message']

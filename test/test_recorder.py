@@ -234,7 +234,7 @@ def test_a_link_in_place_of_the_temporary_file_is_not_followed(tmp_path):
 
 
 def test_wrong_arguments_are_refused(tmp_path):
-    with pytest.raises(InvalidOption, match="'gzip' is none of zstd, lz4, none"):
+    with pytest.raises(InvalidOption, match="'gzip' is not one of zstd, lz4, none"):
         Recorder(tmp_path, 'gzip')
     with pytest.raises(ValueError, match='without messages'):
         record(Recorder(tmp_path), [])

@@ -138,10 +138,10 @@ def test_truncation_at_each_of_the_last_bytes_and_what_to_do(tmp_path):
     ('data', 'reason'),
     [
         (b'', 'empty'),
-        (b'hello', 'no MCAP file'),
+        (b'hello', 'not an MCAP file'),
         (b'\x89MCAP0\r\n', 'broken or cut off'),
         (b'\x89MCAP0\r\n' * 2, 'broken or cut off'),
-        (os.urandom(5000), 'no MCAP file'),
+        (os.urandom(5000), 'not an MCAP file'),
         (b'\x89MCAP0\r\n' + bytes(5000) + b'\x89MCAP0\r\n', 'broken or cut off'),
     ],
 )
@@ -180,7 +180,7 @@ def chunk_of(packed, claimed, compression=b'zstd'):
         (2**28, b'zstd', 'a record of kind|another size|cut'),
         (1000, b'lz4', 'broken'),
         (1000, b'', 'another size'),
-        (1000, b'snappy', 'compression'),
+        (1000, b'snappy', 'compressed'),
     ],
 )
 def test_a_decompression_bomb_takes_no_memory(tmp_path, claimed, compression, reason):

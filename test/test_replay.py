@@ -268,7 +268,7 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['none.mcap'], 3, 'No such file'),
-    ([__file__], 3, 'no MCAP file'),
+    ([__file__], 3, 'not an MCAP file'),
     (['{}', '--rate', '0'], 2, '--rate'),
     (['{}', '--every', 'nan'], 2, '--every'),
     (['{}', '--departure', '2'], 3, 'there are 1 departure'),

@@ -1,4 +1,7 @@
-"""The report in a real browser: pictures are there, nothing is asked of the net, it fits."""
+"""The report in a real browser: its map is used, nothing is asked of the net, it fits."""
+
+import json
+import re
 
 import numpy as np
 import pytest
@@ -6,10 +9,13 @@ import pytest
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 import report_browser
-from audit_samples import departure, drawn, record, sample_plan
+from audit_samples import departure, drawn, parameters, record, sample_plan
 from matplotlib.image import imread
 
 from ambush_planner.tools import report
+from ambush_planner.tools.figures import AMBUSHER, ROUTES
+
+MAP = 'figure.map'
 
 pytestmark = pytest.mark.skipif(
     report_browser.BINARY is None, reason='no Chromium here; on Debian: apt install chromium'
@@ -32,29 +38,166 @@ def browser(tmp_path_factory):
         yield browser
 
 
-@pytest.mark.parametrize('width', [390, 1100], ids=['phone', 'desk'])
-def test_the_page_shows_its_pictures_and_stays_at_home(browser, page, tmp_path, width):
+def opened(browser, page, width=1100):
+    """Open the page and wait until its maps are drawn."""
     browser.load(page, width)
-    pictures = browser.evaluate(
-        '[...document.images].map(i => [i.complete, i.naturalWidth, '
-        'i.getBoundingClientRect().width, i.alt.length])'
+    browser.evaluate('maps')
+    browser.evaluate(f'window.map = document.querySelector("{MAP}").view, 0')
+    settle(browser)
+
+
+def settle(browser):
+    twice = 'requestAnimationFrame(() => requestAnimationFrame(done))'
+    browser.evaluate(f'new Promise(done => {twice})')
+
+
+def near(browser, colour, tolerance=12):
+    """How many pixels of the map have this colour."""
+    red, green, blue = (int(colour[k:k + 2], 16) for k in (1, 3, 5))
+    settle(browser)
+    return browser.evaluate(
+        '(() => { const c = map.canvas, d = map.pen.getImageData(0, 0, c.width, c.height).data;'
+        'let n = 0; for (let k = 0; k < d.length; k += 4)'
+        f'n += Math.max(Math.abs(d[k] - {red}), Math.abs(d[k + 1] - {green}), '
+        f'Math.abs(d[k + 2] - {blue})) <= {tolerance}; return n; }})()'
     )
-    assert len(pictures) == 3
-    for complete, natural, shown, described in pictures:
-        assert complete and natural > 500 and 300 < shown <= width and described > 10
-    # Nothing but the page itself and what it holds.
-    asked = [url for url in browser.requests() if not url.startswith('data:')]
-    assert asked == [page.resolve().as_uri()]
+
+
+def state(browser):
+    return browser.evaluate('[map.x, map.y, map.zoom]')
+
+
+def readout(browser):
+    return browser.evaluate(f'document.querySelector("{MAP} .readout").textContent')
+
+
+@pytest.mark.parametrize('width', [390, 1100], ids=['phone', 'desk'])
+def test_the_page_shows_its_map_and_stays_at_home(browser, page, tmp_path, width):
+    opened(browser, page, width)
+    # Nothing but the page itself.
+    assert browser.requests() == [page.resolve().as_uri()]
     assert browser.complaints() == []
     # It does not scroll sideways, and has much to show.
     assert browser.evaluate('document.documentElement.scrollWidth') <= width
     browser.screenshot(tmp_path / 'page.png')
     image = imread(tmp_path / 'page.png')
     assert image.shape[1] == width and image.shape[0] > 2000
-    assert np.std(image[..., :3]) > 0.05
-    bluish = (image[..., 2] - image[..., 0] > 0.3).mean()
-    reddish = (image[..., 0] - image[..., 2] > 0.3).mean()
-    assert bluish > 0.004 and reddish > 0.008
+    assert near(browser, AMBUSHER) > 100 and near(browser, '#ffd92f') > 50
+    shown = browser.evaluate('map.canvas.getBoundingClientRect().toJSON()')
+    assert 0.8 * min(width, 900) < shown['width'] <= width
+    # Legend and controls can be read and hit with a finger, on a phone too.
+    sizes = browser.evaluate(
+        f'[...document.querySelectorAll("{MAP} .legend li, {MAP} label, {MAP} button")].map('
+        'e => [parseFloat(getComputedStyle(e).fontSize), e.getBoundingClientRect().height])'
+    )
+    assert len(sizes) >= 12 and all(font >= 15 and high >= 24 for font, high in sizes)
+
+
+@pytest.mark.parametrize('reach', [0.0, 25.0])
+def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, reach):
+    """An ambush at each site costs what the planner's core says, by the page's own sums."""
+    texts = {'parameters': json.dumps(parameters(**{'game.ambush_radius': reach}))}
+    a_plan = sample_plan(reach=reach)
+    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], texts=texts)])
+    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
+    opened(browser, tmp_path / 'out' / 'report.html')
+    game, p = a_plan.strategy.game, a_plan.strategy.edge_probability
+    at = a_plan.network.points[game.sites].round(9).tolist()
+    found = browser.evaluate(f'{at}.map(([x, y]) => map.measure(x, y))')
+    assert len(at) > 50 and not any(each['held'] for each in found)
+    costs = np.array([each['cost'] for each in found])
+    np.testing.assert_allclose(costs, game.site_losses(p), rtol=1e-4, atol=1e-4)
+    assert costs.max() == pytest.approx(a_plan.strategy.value, rel=1e-4)
+    ends = a_plan.network.points[[a_plan.network.source, a_plan.network.target]].tolist()
+    assert all(browser.evaluate(f'map.measure({x}, {y}).held') for x, y in ends)
+
+
+def test_layers_can_be_switched_by_clicking(browser, page):
+    opened(browser, page)
+    for layer, colour in (('sites', AMBUSHER), ('routes', ROUTES[3]), ('risk', '#a0a0a0')):
+        shown = near(browser, colour)
+        browser.click(f'{MAP} [data-layer={layer}]')
+        assert shown > 100 and near(browser, colour) < 0.05 * shown
+        browser.click(f'{MAP} [data-layer={layer}]')
+        assert near(browser, colour) == shown
+    browser.click(f'{MAP} [data-layer=routes]')
+    browser.click(f'{MAP} [data-layer=sites]')
+    shown = near(browser, '#1146b0', 40)
+    browser.click(f'{MAP} [data-layer=chances]')
+    assert shown > 500 and near(browser, '#1146b0', 40) == 0
+
+
+def test_a_departure_that_is_picked_is_drawn_alone(browser, page):
+    opened(browser, page)
+    browser.click(f'{MAP} [data-layer=sites]')
+    browser.click(f'{MAP} [data-layer=chances]')
+    browser.evaluate(f'document.querySelector("{MAP} select").focus()')
+    # By keyboard: the fifth one, the first with a colour of its own.
+    for _ in range(5):
+        browser.key('ArrowDown')
+    assert browser.evaluate(f'document.querySelector("{MAP} select").value') == '4'
+    assert near(browser, ROUTES[4]) > 200
+    for k in (0, 1, 2, 3, 5, 6):
+        assert near(browser, ROUTES[k]) < 20
+
+
+def test_the_mouse_moves_zooms_and_tells(browser, page):
+    opened(browser, page)
+    x, y = browser.centre(f'{MAP} canvas')
+    before = browser.evaluate('map.place(map.width / 2 + 50, map.height / 2)')
+    browser.mouse('mouseWheel', x + 50, y, deltaX=0, deltaY=-200)
+    settle(browser)
+    assert state(browser)[2] == 1, 'the wheel scrolls the page until the map is clicked'
+    x, y = browser.centre(f'{MAP} canvas')
+    browser.click(f'{MAP} canvas')
+    browser.mouse('mouseWheel', x + 50, y, deltaX=0, deltaY=-400)
+    settle(browser)
+    assert state(browser)[2] == pytest.approx(np.e, rel=1e-3)
+    after = browser.evaluate('map.place(map.width / 2 + 50, map.height / 2)')
+    assert after == pytest.approx(before, abs=1.0), 'what is under the pointer stays there'
+    place = browser.evaluate('map.place(map.width / 2, map.height / 2)')
+    browser.mouse('mousePressed', x, y)
+    browser.mouse('mouseMoved', x + 60, y + 30)
+    browser.mouse('mouseReleased', x + 60, y + 30)
+    moved = browser.evaluate('map.place(map.width / 2 + 60, map.height / 2 + 30)')
+    assert moved == pytest.approx(place, abs=1.0), 'the map follows the hand'
+    assert re.search(r'^x [\d.]+ m, y [\d.]+ m: (loss [\d.]+|impassable)\. [\d.]+ % of departures',
+                     readout(browser))
+    for name, zoom in (('in', np.e * 1.5), ('out', np.e), ('all', 1.0)):
+        browser.click(f'{MAP} [data-zoom={name}]')
+        assert state(browser)[2] == pytest.approx(zoom, rel=1e-3)
+
+
+def test_the_keyboard_does_it_all(browser, page):
+    opened(browser, page)
+    browser.evaluate(f'document.querySelector("{MAP} [data-zoom=all]").focus()')
+    browser.key('Tab')
+    assert browser.evaluate('document.activeElement === map.canvas')
+    x, y, _ = state(browser)
+    told = readout(browser)
+    browser.key('+', '+')
+    assert state(browser) == [x, y, 1.5] and readout(browser) != told
+    browser.key('ArrowRight')
+    browser.key('ArrowUp')
+    assert state(browser)[0] > x and state(browser)[1] > y
+    browser.key('-', '-')
+    assert state(browser)[2] == 1.0
+    browser.key('0', '0')
+    assert state(browser) == [x, y, 1.0]
+
+
+def test_two_fingers_zoom_and_one_moves(browser, page):
+    opened(browser, page, 390)
+    x, y = browser.centre(f'{MAP} canvas')
+    browser.touch('touchStart', (x - 30, y), (x + 30, y))
+    browser.touch('touchMove', (x - 60, y), (x + 60, y))
+    browser.touch('touchEnd')
+    assert state(browser)[2] == pytest.approx(2.0, rel=0.05)
+    before = state(browser)
+    browser.touch('touchStart', (x, y))
+    browser.touch('touchMove', (x - 40, y))
+    browser.touch('touchEnd')
+    assert state(browser)[0] > before[0] and state(browser)[1] == pytest.approx(before[1])
 
 
 def test_what_leaves_a_page_would_be_noticed(browser, tmp_path):
@@ -73,5 +216,9 @@ def test_the_policy_stops_scripts_and_pictures_from_elsewhere(browser, page, tmp
     changed.write_text(page.read_text().replace('</body>', hostile))
     browser.load(changed, 800)
     assert browser.evaluate('typeof x') == 'undefined'
-    assert browser.evaluate('document.images[3].naturalWidth') == 0
+    assert browser.evaluate('document.images[0].naturalWidth') == 0
     assert len(browser.complaints()) >= 2
+    # The page's own script runs as it is or not at all.
+    changed.write_text(page.read_text().replace("'use strict';", "'use strict'; var x = 7;"))
+    browser.load(changed, 800)
+    assert browser.evaluate('typeof maps + typeof x') == 'undefinedundefined'

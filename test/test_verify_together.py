@@ -1,8 +1,12 @@
 """What nobody sees in one recording: the chain of all of them, their folder, their sources."""
 
 import json
+import re
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -154,7 +158,24 @@ def break_the_middle(files):
     return files[1].name, 'is exchanged'
 
 
+def another_name_of_the_one_before(files):
+    """In the newest file, whose hash no later one states."""
+    forger = Forger(files[-1])
+    forger.set_entry('chain', {**forger.entry('chain'), 'follows': files[0].name})
+    forger.save(files[-1])
+    return files[-1].name, 'states another name of the file before it'
+
+
+def number_of_another(files):
+    """The newest departure under the number of the one before it, in all that tells it."""
+    forger = Forger(files[-1])
+    forger.metadata['departure'] = '1'
+    forger.save(files[-1])
+    return files[-1].name, 'has the number of'
+
+
 @pytest.mark.parametrize('manipulate', [
+    another_name_of_the_one_before, number_of_another,
     delete, delete_the_last_of_a_session, delete_the_first, exchange, swap, rename, insert,
     insert_without_a_predecessor, renumber, copy, break_the_middle,
 ], ids=lambda each: each.__name__)
@@ -187,6 +208,36 @@ def test_the_last_file_is_missed_by_a_hash_noted_elsewhere(runs, check):
     assert code == 1 and 'expected hash is not here' in found['findings'][0]
 
 
+@pytest.mark.skipif(not shutil.which('ssh-keygen'), reason='ssh-keygen is not installed')
+def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
+    """As they stand there, but for the names of the folder, of the key and of who signs."""
+    root = Path(__file__).resolve().parent.parent
+    texts = [path.read_text() for path in (root / 'README.md', *sorted(root.glob('docs/*.md')))]
+    (block,) = [
+        each for text in texts for each in re.findall(r'```sh\n(.*?)```', text, re.DOTALL)
+        if 'ssh-keygen -Y sign' in each
+    ]
+    key = tmp_path / 'key'
+    subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
+    (tmp_path / 'signers').write_text(f'me {key.with_suffix(".pub").read_text()}')
+    for name, real in (('RUNS', runs), ('~/.ssh/id_ed25519', key), ('-I NAME', '-I me')):
+        assert name in block
+        block = block.replace(name, str(real))
+    shell = f'ambush() {{ "{sys.executable}" -m ambush_planner.tools.cli "$@"; }}\n{block}'
+
+    def run():
+        return subprocess.run(['sh', '-e', '-c', shell], cwd=tmp_path, capture_output=True,
+                              text=True, timeout=110, check=False)
+
+    done = run()
+    assert done.returncode == 0, done.stderr
+    assert 'Good "ambush_planner" signature for me' in done.stdout
+    assert '6 departures: all hold' in done.stdout
+    (tmp_path / 'newest').write_text('0' * 64)  # another hash than was signed
+    shell = shell[shell.index('ssh-keygen -Y verify'):]
+    assert run().returncode != 0
+
+
 def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check):
     for folder in ('first', 'second'):
         with stage(tmp_path / folder) as running:
@@ -214,6 +265,28 @@ def test_metadata_yaml_names_just_the_files_that_are_there(runs, check, change, 
     path.write_text(json.dumps(document))
     code, found = check(runs)
     assert code == 1 and said in found['findings'][0]
+
+
+@pytest.mark.parametrize(('key', 'value'), [
+    ('message_count', 7), ('custom_data', {'by': 'me'}), ('duration', {'nanoseconds': 1}),
+    ('topics_with_message_count', []), ('approved', 'yes'),
+])
+def test_metadata_yaml_says_what_is_in_the_files(runs, check, key, value):
+    path = recordings_in(runs)[0].parent / 'metadata.yaml'
+    document = json.loads(path.read_text())
+    document['rosbag2_bagfile_information'][key] = value
+    path.write_text(json.dumps(document))
+    code, found = check(runs)
+    assert code == 1 and f'{key} is not that of the files' in found['findings'][0]
+
+
+def test_a_folder_that_rosbag2_listed_anew_holds(runs, check):
+    folder = recordings_in(runs)[0].parent
+    names = ''.join(f'    - {path.name}\n' for path in recordings_in(folder))
+    (folder / 'metadata.yaml').write_text(
+        f'rosbag2_bagfile_information:\n  version: 9\n  relative_file_paths:\n{names}  files: []\n'
+    )
+    assert check(runs)[0] == 0
 
 
 def test_a_stuck_random_source_is_found_though_each_file_holds(tmp_path, check, monkeypatch):
@@ -291,17 +364,17 @@ def type_hash(content):
 
 MANIPULATIONS = {
     channel_of_another: 'quality-of-service',
-    channel_metadata: 'channels:',
+    channel_metadata: 'file: it is not laid out',
     quality_of_service_text: "quality of service's text",
     publish_time: 'file: it is not laid out',
     sequence: 'file: it is not laid out',
     attachment_created: 'file: it is not laid out',
     attachment_logged: 'file: it is not laid out',
     attachment_kind: 'file: it is not laid out',
-    more_metadata: 'metadata: there are records beside',
+    more_metadata: 'file: it is not laid out',
     other_profile: 'file: it is not laid out',
     order_of_messages: 'file: it is not laid out',
-    type_hash: 'definition of',
+    type_hash: 'file: it is not laid out',
 }
 
 

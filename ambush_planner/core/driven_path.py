@@ -1,10 +1,7 @@
 """The path that is driven: the shortest one beside the drawn route, with round corners.
 
-A route's strips and discs (``corridors``) overlap in a *portal* at each of its nodes: a piece of
-the line that halves the angle between its two edges. Strips are convex, so what leads from portal
-to portal in straight lines stays in them, and the shortest such path, the taut string, is found by
-the funnel algorithm (Lee and Preparata 1984) in one pass. It uses a part of the portals only; its
-corners are rounded in what is left.
+The taut string leaves a margin at both ends of each portal, in which its corners are rounded. Where
+that makes too tight a turn, the margin is widened.
 """
 
 from __future__ import annotations
@@ -20,26 +17,17 @@ from .corridors import Corridors
 from .errors import InvalidOption
 from .risk_map import to_map_axes, to_world
 from .routes import MOST_POSES
+from .taut_string import Portals, cross, portals_along, taut_string
 
-# Of the portals, for the taut string; the more is left, the wider the turns can be.
-TAUT = (0.8, 0.5, 0.2)
-# Portals reach at most so far along their edges [lengths], so that those next to each other never
-# cross.
-ALONG = 0.45
+# Of a portal's width: the margin at first, how much wider it gets where a turn is too tight, in so
+# many passes, and the most.
+MARGIN, WIDER, PASSES, MOST = 0.1, 3.0, 3, 0.49
+# Turns are wanted at least so wide [length of the shorter edge at the node].
+ROUND = 0.3
 # Poses in a turn are at most so far from one another [rad].
 TURN = math.radians(20.0)
 # Along a path where it is compared with others.
 PLACES = 64
-
-
-@dataclass(frozen=True, eq=False)
-class _Portals:
-    """``nodes`` (K, 2) of a route, unit vectors (K, 2) to the left, and room to both sides (K,)."""
-
-    nodes: FloatArray
-    leftward: FloatArray
-    left: FloatArray
-    right: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +40,17 @@ class _Corners:
     cut: FloatArray
 
     @property
+    def radii(self) -> FloatArray:
+        """Of the turns (C - 2,) [m]; inf where there is none."""
+        bent = np.abs(self.turn) > 1e-9
+        tangent = np.tan(np.where(bent, np.abs(self.turn), 1.0) / 2)
+        radii: FloatArray = np.where(bent, self.cut / tangent, math.inf)
+        return radii
+
+    @property
     def radius(self) -> float:
         """The smallest of the turns' radii [m]; inf without a turn."""
-        bent = np.abs(self.turn) > 1e-9
-        return float((self.cut[bent] / np.tan(np.abs(self.turn[bent]) / 2)).min(initial=math.inf))
+        return float(self.radii.min(initial=math.inf))
 
 
 def driven_path(
@@ -66,9 +61,9 @@ def driven_path(
 
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
-    are as round as the corridors allow; where that is less than ``turning_radius`` [m], the
-    string is pulled less taut, and what the corridors do not allow stays sharper. It meets each
-    stop of a trip exactly, with the yaw of the arrival; there the convoy may turn on the spot.
+    have at least ``turning_radius`` [m], or ``ROUND`` edges if that is more, where the corridors
+    have the room; elsewhere they are as round as these allow (``smallest_radius``). Each stop of a
+    trip is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
 
     Parameters
     ----------
@@ -102,15 +97,8 @@ def _driven_leg(
     ends: tuple[tuple[float, float], tuple[float, float]],
 ) -> FloatArray:
     route, portals = _way(corridors, route, ends)
-    best = None
-    for share in TAUT:
-        line = _rounded(portals, _taut(portals, share), share)
-        if best is None or line.radius > best.radius:
-            best = line
-        if best.radius >= turning_radius:
-            break
-    assert best is not None  # TAUT is not empty
-    uv, yaw = _poses(best, spacing)
+    line = _smooth(portals, turning_radius)
+    uv, yaw = _poses(line, spacing)
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
     # Turning to the world and back may have cost a digit.
@@ -123,6 +111,15 @@ def driven_paths(
 ) -> list[FloatArray]:
     """``driven_path`` of each route."""
     return [driven_path(corridors, route, spacing, turning_radius) for route in routes]
+
+
+def smallest_radius(poses: FloatArray) -> float:
+    """Radius [m] of the tightest turn of a path (L, 3) as ``driven_path`` makes them; inf if it has
+    none. From pose to pose it is straight or part of a circle."""
+    half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
+    bent = half > 1e-9
+    chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)[bent]
+    return float((chord / (2.0 * np.sin(half[bent]))).min(initial=math.inf))
 
 
 def different_paths(paths: list[FloatArray], distance: float) -> int:
@@ -145,7 +142,7 @@ def different_paths(paths: list[FloatArray], distance: float) -> int:
 def _way(
     corridors: Corridors, route: IndexArray,
     ends: tuple[tuple[float, float], tuple[float, float]],
-) -> tuple[IndexArray, _Portals]:
+) -> tuple[IndexArray, Portals]:
     """The route that is followed, and its portals."""
     at = corridors.network.points[route[[0, -1]]]
     moved = [not np.array_equal(*pair) for pair in zip(at, np.array(ends), strict=True)]
@@ -153,7 +150,7 @@ def _way(
     if last - first > 1:
         inner = corridors.shortened(route[first:last])
         route = np.concatenate((route[:first], inner, route[last:]))
-    portals = _portals(corridors, route)
+    portals = portals_along(corridors, route)
     for end, next_to_it in ((0, 1), (-1, -2)):
         if moved[end]:
             portals.nodes[end] = to_map_axes(corridors.origin, ends[end])
@@ -161,104 +158,81 @@ def _way(
     return route, portals
 
 
-def _portals(corridors: Corridors, route: IndexArray) -> _Portals:
-    nodes = corridors.uv[route]
-    edges = corridors.edges_along(route)
-    step = np.diff(nodes, axis=0)
-    length = np.hypot(*step.T)
-    unit = step / length[:, None]
-    left, right = corridors.left[edges], corridors.right[edges]
-    halves = unit[:-1] + unit[1:]
-    size = np.hypot(*halves.T)
-    # Half the turn: how much of a portal leads along the edges, and how much off them.
-    off = np.maximum(size / 2, 1e-9)
-    leftward = np.stack((-halves[:, 1], halves[:, 0]), axis=1) / np.maximum(size, 1e-9)[:, None]
-    along = np.sqrt(np.maximum(1.0 - off**2, 0.0))
-    shortest = np.minimum(length[:-1], length[1:])
-    least = np.minimum(np.minimum(left, right)[:-1], np.minimum(left, right)[1:])
-    disc = np.minimum(corridors.disc[route[1:-1]], least)
-    # Leaving the disc behind an edge's end for the far side of a strip must not lead out of it.
-    widest = np.maximum(np.maximum(left, right)[:-1], np.maximum(left, right)[1:])
-    outer = disc / np.hypot(1.0, (widest + disc) / ((1.0 - ALONG) * shortest))
-    limit = ALONG * shortest / np.maximum(along, 1e-9)
-    inner_left = np.minimum(np.minimum(left[:-1], left[1:]) / off, limit)
-    inner_right = np.minimum(np.minimum(right[:-1], right[1:]) / off, limit)
-    turn = unit[:-1, 0] * unit[1:, 1] - unit[:-1, 1] * unit[1:, 0]
-    usable = size > 1e-6
-    zero = np.zeros(1)
-    return _Portals(
-        nodes,
-        np.concatenate((np.zeros((1, 2)), leftward, np.zeros((1, 2)))),
-        np.concatenate((zero, np.where(turn >= 0, inner_left, outer) * usable, zero)),
-        np.concatenate((zero, np.where(turn <= 0, inner_right, outer) * usable, zero)),
-    )
+def _smooth(portals: Portals, turning_radius: float) -> _Corners:
+    """The taut string with round corners; where they are too tight it keeps further inside."""
+    margin = MARGIN * portals.width
+    wanted = np.maximum(ROUND * portals.length, turning_radius)
+    best = None
+    for _ in range(PASSES):
+        taut = taut_string(portals, margin)
+        line = _rounded(portals, taut, margin)
+        if best is None or line.radius >= best.radius:
+            best = line
+        at = np.array([portal for portal, _ in taut[1:-1]], dtype=np.int64)
+        tight = at[line.radii < wanted[at]]
+        tight = tight[margin[tight] < MOST * portals.width[tight]]
+        if len(tight) == 0:
+            break
+        margin[tight] = np.minimum(WIDER * margin[tight], MOST * portals.width[tight])
+    assert best is not None  # PASSES is not 0
+    return best
 
 
-def _taut(portals: _Portals, share: float) -> list[tuple[int, int]]:
-    """The taut string's corners as (portal, side), side 1 its left end, -1 its right end, 0 for the
-    ends of the route: the funnel algorithm."""
-    left = portals.nodes + share * portals.left[:, None] * portals.leftward
-    right = portals.nodes - share * portals.right[:, None] * portals.leftward
-    ends = {1: left.tolist(), -1: right.tolist()}
-    last = len(left) - 1
-    first_side = np.where(_left_first(left, right), 1, -1).tolist()
-    corners, apex, k, half = [(0, 0)], ends[1][0], 1, 0
-    tip = {1: apex, -1: apex}
-    at = {1: 0, -1: 0}
-    while k <= last:
-        side = first_side[k] if half == 0 else -first_side[k]
-        (ax, ay), (x, y), (sx, sy), (ox, oy) = apex, ends[side][k], tip[side], tip[-side]
-        # The funnel is as wide as its tips say; a side moves in where the next end is within.
-        if side * ((sx - ax) * (y - ay) - (sy - ay) * (x - ax)) <= 0.0:
-            if tip[side] == apex or side * ((ox - ax) * (y - ay) - (oy - ay) * (x - ax)) > 0.0:
-                tip[side], at[side] = ends[side][k], k
-            else:  # beyond the other side: a corner there, from which it goes on
-                corners.append((at[-side], -side))
-                apex, k, half = tip[-side], at[-side] + 1, 0
-                tip = {1: apex, -1: apex}
-                at = {1: at[-side], -1: at[-side]}
-                continue
-        k, half = (k, 1) if half == 0 else (k + 1, 0)
-    return [*(corner for corner in corners if corner[0] != last), (last, 0)]
-
-
-def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
-    """Whether, from one portal to the next, the left end may move before the right one does: if
-    the diagonal from the old right to the new left end lies between the portals."""
-    old, new = right[:-1], left[1:]
-    before = _cross(old - left[:-1], new - left[:-1]) >= 0.0
-    after = _cross(right[1:] - old, new - old) >= 0.0
-    return [True, *(before & after).tolist()]
-
-
-def _rounded(portals: _Portals, taut: list[tuple[int, int]], share: float) -> _Corners:
+def _rounded(
+    portals: Portals, taut: list[tuple[int, int]], margin: FloatArray
+) -> _Corners:
     """Let each turn begin as early as segments, portals and the room beyond the string allow."""
     at, side = np.array(taut).T
-    room = np.where(side > 0, portals.left[at], np.where(side < 0, portals.right[at], 0.0))
-    points = portals.nodes[at] + (share * side * room)[:, None] * portals.leftward[at]
+    left, right = (portals.places(margin, side)[at] for side in (1, -1))
+    points = np.where(side[:, None] > 0, left, right)
     step = np.diff(points, axis=0)
     length = np.hypot(*step.T)
     unit = step / np.maximum(length, np.finfo(float).tiny)[:, None]
     before, after, inner = unit[:-1], unit[1:], at[1:-1]
-    turn = np.arctan2(_cross(before, after), (before * after).sum(axis=1))
+    turn = np.arctan2(cross(before, after), (before * after).sum(axis=1))
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # The chord of the turn leaves the corner by this share of the cut, along the portal.
-        leaves = np.abs(_cross(before, after) / _cross(outward, before + after))
-        most = (1.0 - share) * room[1:-1] / leaves
-    cut = np.fmin(most, np.minimum(length[:-1], length[1:]) / 2)
+        cut = margin[inner] / _leaves(turn, outward, after - before)
     cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
     cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
+    cut = _shared(cut, np.tan(np.abs(turn) / 2), length)
     return _Corners(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0))
 
 
+def _leaves(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatArray:
+    """How far poses along turns (C,) leave the corners, in cuts, along portals (C, 2).
+
+    ``aside`` (C, 2) is the change of direction. The poses' chords are outside a circle of ``k``
+    times the turn's radius, and no further from the corner than the chord of the whole turn.
+    """
+    half, k = np.abs(turn) / 2, math.cos(TURN / 2)
+    cosine = np.abs((outward * aside).sum(axis=1)) / np.hypot(*aside.T)
+    within = (k * np.cos(half)) ** 2 - (1.0 - cosine**2)
+    chord = np.sin(half) / cosine
+    circle = (cosine - np.sqrt(np.maximum(within, 0.0))) / np.sin(half)
+    leaves: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
+    return leaves
+
+
+def _shared(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:
+    """Cuts (C,), next to each other no longer than the lengths (C + 1,) between their corners: both
+    turns get equal radii, and the one what the other does not need."""
+    tangent = np.concatenate(([0.0], np.maximum(tangent, 1e-12), [0.0]))
+    most = np.concatenate(([0.0], cut, [0.0]))
+    fair = length / np.maximum(tangent[:-1] + tangent[1:], 1e-12)
+    ahead = np.maximum(fair * tangent[:-1], length - most[1:])
+    behind = np.maximum(fair * tangent[1:], length - most[:-1])
+    shared: FloatArray = np.minimum(cut, np.minimum(ahead[1:], behind[:-1]))
+    return shared
+
+
 def _reach(
-    portals: _Portals, points: FloatArray, direction: FloatArray, portal: IndexArray
+    portals: Portals, points: FloatArray, direction: FloatArray, portal: IndexArray
 ) -> FloatArray:
     """Distance (C,) along lines through the points to the lines of portals; nan: no such line."""
     line = portals.leftward[portal]
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.abs(_cross(portals.nodes[portal] - points, line) / _cross(direction, line))
+        return np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
 
 
 def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
@@ -300,11 +274,6 @@ def _check_count(poses: float, spacing: float) -> None:
             f"a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, "
             f"and {MOST_POSES} are the most; choose a larger distance"
         )
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-    return product
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

@@ -18,7 +18,8 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import InvalidOption
+from ..tools import cli
 from . import environment as environment
 from .report import Comparison, compare, report
 from .results import DRAWS, Results, Say, compute
@@ -27,37 +28,55 @@ EPILOG = """\
 The folder then holds results.json, tables.md and the figures 2 to 7 of the paper with one of our
 own strategy. The paper's numbers stand beside ours; on its 8-node network they can be compared
 themselves, on the map, which it does not publish, only their order can. Takes about a minute.
-Exit code: 0; 1 if a comparison fails or something went wrong.
-"""
+A comparison that fails is a finding.
+--json: {"verdict", "folder", "failed": [statements], "seconds"}
+""" + cli.EXIT_CODES
 BEGIN, END = '<!-- ambush_paper: begin -->', '<!-- ambush_paper: end -->'
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Repeat the paper and return the exit code."""
-    options = _parser().parse_args(arguments)
-    try:
-        # Here, so that --help and the message below need no matplotlib.
-        from .figures import draw_all
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition('.')[0]
-        return _fail(f"{package} is not installed; try: pip install 'ambush_planner[figures]'")
+    return cli.run(parser(), _work, arguments)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser(
+        'paper', "Repeat the paper's tables and figures on an environment that is stated.", EPILOG
+    )
+    made.add_argument(
+        '-o', '--output', type=Path, default=Path('out/paper'), metavar='FOLDER',
+        help='where the results go; made if missing (default: %(default)s)',
+    )
+    made.add_argument(
+        '--docs', type=Path, metavar='FILE',
+        help='also renew the tables in this Markdown file, between its marks',
+    )
+    return made
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> int:
+    from .figures import draw_all  # --help needs no matplotlib
+
     begin = time.monotonic()
 
     def say(text: str) -> None:
-        print(f'{time.monotonic() - begin:5.1f} s  {text}', flush=True)
+        console.say(f'{time.monotonic() - begin:5.1f} s  {text}')
 
-    try:
-        options.output.mkdir(parents=True, exist_ok=True)
-        results, comparisons = _compute(options.output, options.docs, say)
-        draw_all(results, options.output, say)
-    except (AmbushPlannerError, OSError, ValueError) as error:
-        return _fail(str(error))
-    except KeyboardInterrupt:
-        return _fail('interrupted')
-    say('done')
-    print(f'\n{report(results)}\n{options.output}: results.json, tables.md and the figures')
+    options.output.mkdir(parents=True, exist_ok=True)
+    results, comparisons = _compute(options.output, options.docs, say)
+    draw_all(results, options.output, say)
+    console.line(report(results))
+    console.line(f'{cli.place(options.output)}: results.json, tables.md and the figures')
     failed = [comparison.statement for comparison in comparisons if not comparison.holds]
-    return _fail(f"does not hold: {'; '.join(failed)}") if failed else 0
+    for statement in failed:
+        console.error(f'does not hold: {statement}')
+    code = cli.Exit.FINDING if failed else cli.Exit.HOLDS
+    console.result = {
+        'verdict': code.name.lower(), 'folder': cli.place(options.output), 'failed': failed,
+        'seconds': round(time.monotonic() - begin, 1),
+    }
+    return code
 
 
 def _compute(folder: Path, docs: Path | None, say: Say) -> tuple[Results, list[Comparison]]:
@@ -79,13 +98,13 @@ def with_tables(document: str, tables: str) -> str:
 
     Raises
     ------
-    ValueError
+    InvalidOption
         The document does not hold both marks, one after the other.
     """
     before, begin, rest = document.partition(BEGIN)
     _, end, after = rest.partition(END)
     if not (begin and end):
-        raise ValueError(f'the document needs the lines {BEGIN} and {END}')
+        raise InvalidOption(f'the document needs the lines {BEGIN} and {END}')
     return f'{before}{BEGIN}\n\n{tables}\n{END}{after}'
 
 
@@ -107,35 +126,6 @@ def _as_json(results: Results, comparisons: Sequence[Comparison]) -> str:
         'comparisons': [asdict(comparison) for comparison in comparisons],
     }
     return json.dumps(content, indent=2, allow_nan=False) + '\n'
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog='ambush_paper',
-        description="Repeat the paper's tables and figures on an environment that is stated.",
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        '-o',
-        '--output',
-        type=Path,
-        default=Path('out/paper'),
-        metavar='FOLDER',
-        help='where the results go; made if missing (default: %(default)s)',
-    )
-    parser.add_argument(
-        '--docs',
-        type=Path,
-        metavar='FILE',
-        help='also renew the tables in this Markdown file, between its marks',
-    )
-    return parser
-
-
-def _fail(message: str) -> int:
-    print(f'ambush_paper: {message}', file=sys.stderr)
-    return 1
 
 
 if __name__ == '__main__':

@@ -14,6 +14,9 @@ from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy, StrategyOptions, solve
 from .environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
 
+MEASURES = (
+    'value', 'lower_bound', 'edge_entropy', 'route_entropy', 'expected_length', 'shortest_length',
+)
 SOLVERS = ('interior_point', 'simplex', 'max_entropy')
 # The network of the paper's table III.
 METHOD_3 = 'Method 3'
@@ -206,12 +209,7 @@ def _spread(network: str, solver: str, strategy: Strategy) -> Spread:
         nodes=len(strategy.network.points),
         edges=len(strategy.network.edges),
         edges_used=int((strategy.edge_probability > UNUSED).sum()),
-        value=strategy.value,
-        lower_bound=strategy.lower_bound,
-        edge_entropy=strategy.edge_entropy,
-        route_entropy=strategy.route_entropy,
-        expected_length=strategy.expected_length,
-        shortest_length=strategy.shortest_length,
+        **{name: getattr(strategy, name) for name in MEASURES},
         routes=distinct_routes(strategy, DRAWS),
         high_alpha_share=float(visits[high].sum() / visits.sum()),
         paper_edge_entropy=PAPER_ENTROPY.get((network, solver)),

@@ -1,6 +1,7 @@
 """``metadata.yaml``, by which rosbag2 (version 9, Jazzy) takes a folder of files as a bag.
 
-It is written as JSON, which is YAML.
+It is written as JSON, which is YAML: yaml-cpp 0.8.0, with the conversions that rosbag2_storage
+uses, reads every key of it, and so does the package rosbags in the tests.
 """
 
 from __future__ import annotations
@@ -11,21 +12,16 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from mcap.exceptions import McapError
-from mcap.reader import SeekingReader
-
+from .mcap_file import Content
 from .qos import fields_from_yaml
 
 FILE_NAME = 'metadata.yaml'
 _ROOT = 'rosbag2_bagfile_information'
 # Some 60 000 files.
 _MOST_BYTES = 2**24
-# Of a file's index, which stands at its end.
-_MOST_INDEX_BYTES = 2**22
 # A line of a metadata.yaml that rosbag2 wrote itself.
 _LISTED = re.compile(r'^ *- *"?([^"\n]+\.mcap)"? *$', re.MULTILINE)
 
@@ -42,7 +38,7 @@ class RecordedTopic:
 
 @dataclass(frozen=True, slots=True)
 class BagFile:
-    """One finished MCAP file: its name in the folder, first and last time [ns], and topics."""
+    """One MCAP file: its name in the folder, first and last time [ns], and messages by topic."""
 
     name: str
     start_ns: int
@@ -50,37 +46,28 @@ class BagFile:
     counts: tuple[tuple[RecordedTopic, int], ...]
 
 
-def describe_file(name: str, file: bytes | IO[bytes]) -> BagFile:
-    """Describe a finished MCAP file from its own index.
-
-    Raises
-    ------
-    ValueError
-        The file has no whole index.
-    """
-    stream = BytesIO(file) if isinstance(file, bytes) else file
-    try:
-        summary = SeekingReader(stream, record_size_limit=_MOST_INDEX_BYTES).get_summary()
-        times = summary.statistics
-        counts = [
-            (
-                RecordedTopic(
-                    channel.topic, summary.schemas[channel.schema_id].name,
-                    channel.metadata.get('offered_qos_profiles', ''),
-                    channel.metadata.get('topic_type_hash', ''),
-                ),
-                times.channel_message_counts.get(channel.id, 0),
-            )
-            for channel in summary.channels.values()
-        ]
-        return BagFile(name, times.message_start_time, times.message_end_time, tuple(counts))
-    except (McapError, LookupError, AttributeError, OSError, ArithmeticError, EOFError,
-            TypeError, MemoryError) as error:
-        raise ValueError(f'it has no whole index ({type(error).__name__})') from error
+def describe_file(name: str, content: Content) -> BagFile:
+    """Describe the content of a file for ``metadata.yaml``."""
+    topics = {
+        number: RecordedTopic(
+            channel.topic, content.schemas[channel.schema_id].name,
+            channel.metadata.get('offered_qos_profiles', ''),
+            channel.metadata.get('topic_type_hash', ''),
+        )
+        for number, channel in content.channels.items()
+    }
+    times = [each.log_time for each in content.messages] or [0]
+    counts = Counter(topics[each.channel_id] for each in content.messages)
+    return BagFile(name, min(times), max(times), tuple(counts.items()))
 
 
 def bag_text(files: Iterable[BagFile]) -> bytes:
-    """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
+    """Return ``metadata.yaml`` of a folder with these files."""
+    return json.dumps({_ROOT: bag_of(files)}, indent=1, ensure_ascii=False).encode()
+
+
+def bag_of(files: Iterable[BagFile]) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` says of these files; rosbag2 demands every key."""
     files = list(files)
     counts: Counter[RecordedTopic] = Counter()
     for each in files:
@@ -88,7 +75,7 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
     filled = [each for each in files if sum(number for _, number in each.counts)]
     start = min((each.start_ns for each in filled), default=0)
     end = max((each.end_ns for each in filled), default=0)
-    document = {
+    return {
         'version': 9,
         'storage_identifier': 'mcap',
         **_time_span(start, end),
@@ -110,28 +97,34 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
             for each in files
         ],
     }
-    return json.dumps({_ROOT: document}, indent=1, ensure_ascii=False).encode()
 
 
 def listed_files(folder: Path) -> list[str] | None:
     """Return the files that a folder's ``metadata.yaml`` lists; None if it does not say."""
+    names = read_bag(folder).get('relative_file_paths')
+    good = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    return names if good else None
+
+
+def read_bag(folder: Path) -> dict[str, Any]:
+    """Return what a folder's ``metadata.yaml`` says; nothing where it cannot be read.
+
+    Of one that rosbag2 wrote itself (``ros2 bag reindex``) only the files are read, line by line:
+    YAML of unknown origin can take any time and memory.
+    """
     path = folder / FILE_NAME
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            return None
+            return {}
         text = path.read_text()
-    except (OSError, ValueError):
-        return None
-    try:
-        names = json.loads(text)[_ROOT]['relative_file_paths']
-    except ValueError:
-        # As rosbag2 writes it: a block of lines, ended by one that is less indented.
-        block = re.search(r'^ *relative_file_paths:\n((?: *- .*\n)*)', text, re.MULTILINE)
-        return _LISTED.findall(block[1]) if block else None
-    except (LookupError, TypeError, RecursionError):
-        return None
-    good = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    return names if good else None
+        if not text.startswith('{'):
+            # A block of lines, ended by one that is less indented.
+            block = re.search(r'^ *relative_file_paths:\n((?: *- .*\n)*)', text, re.MULTILINE)
+            return {'relative_file_paths': _LISTED.findall(block[1])} if block else {}
+        bag = json.loads(text)[_ROOT]
+        return bag if isinstance(bag, dict) else {}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        return {}
 
 
 def _described(topic: RecordedTopic) -> dict[str, Any]:

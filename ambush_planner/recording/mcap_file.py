@@ -47,7 +47,7 @@ BROKEN = (
 
 
 class BadFile(ValueError):
-    """The bytes are no whole MCAP file; the text says why."""
+    """The bytes are not a whole MCAP file; the text says why."""
 
 
 @dataclass
@@ -156,7 +156,7 @@ def whole_part(data: bytes) -> tuple[Content, str]:
     """Return the whole records up to the first fault, and what the fault is ('': none)."""
     content, place = Content(), 0
     if not data.startswith(MAGIC):
-        return content, 'it is no MCAP file' if data else 'it is empty'
+        return content, 'it is not an MCAP file' if data else 'it is empty'
     stream = BytesIO(data)
     left, ended = MOST_BYTES, False
     try:
@@ -206,7 +206,7 @@ def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
     elif chunk.compression == '':
         data = chunk.data
     else:
-        raise BadFile('its compression is none of zstd, lz4 and none')
+        raise BadFile('its chunks are compressed by something else than zstd or lz4')
     if len(data) != size:
         raise BadFile('a chunk unpacks to another size than it states')
     _check_lengths(data)

@@ -10,21 +10,18 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 # What the entries mean; another number where that changes.
-FORMAT = '4'
+FORMAT = '5'
 ROLES = ('map', 'start', 'goal', 'path')
 # Only in recordings of trips with stops.
 VIA = 'via'
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
-KEYS = frozenset({
-    'format', 'planner_version', 'versions', 'service', 'departure', 'departure_id', 'frame',
-    'inputs', 'parameters', 'route_entropy_source', 'route', 'trip', 'ends', 'sha256', 'chain',
-})
+_NAMES = ('departure_id', 'service', 'frame', 'planner_version')
 # More than any node writes; reports and messages repeat what is below these.
 _LONGEST_NAME, _LONGEST_VALUE, _LONGEST_ENTRY, _MOST_VALUES = 255, 4096, 2**22, 1000
 
@@ -32,7 +29,7 @@ Position = tuple[float, float]
 
 
 class BadMetadata(ValueError):
-    """The entries are none of a departure; the text says why."""
+    """The entries are not those of a departure; the text says why."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +43,21 @@ class RecordedTrip:
     goal_xy: Position
     tolerance: float
     stops: tuple[Position, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecordedCall:
+    """A request and its answer: the service, its type, the times [ns], and the messages' fields.
+
+    A path that was answered is left out: it is the one that is recorded.
+    """
+
+    service: str
+    type: str
+    request_ns: int
+    response_ns: int
+    request: Mapping[str, Any]
+    response: Mapping[str, Any] = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -84,6 +96,8 @@ class Metadata:
         From where to where was planned.
     ends
         Where the path begins and ends [m]: at the trip's ends, or somewhat beside them.
+    call
+        What was asked for and answered.
     route
         Node indices, at least 2.
     route_entropy_source
@@ -106,16 +120,12 @@ class Metadata:
     parameters: Mapping[str, Any]
     trip: RecordedTrip
     ends: tuple[Position, Position]
+    call: RecordedCall
     route: list[int] = field(repr=False)
     route_entropy_source: list[int] = field(repr=False)
     sha256: Mapping[str, str] = field(repr=False)
     link: Link
     texts: Mapping[str, str] = field(repr=False)
-
-    @property
-    def roles(self) -> tuple[str, ...]:
-        """The roles that messages have in it."""
-        return _roles(self.trip)
 
 
 def metadata_texts(
@@ -134,7 +144,8 @@ def metadata_texts(
     contents
         The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
-        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends`` and ``versions``.
+        ``parameters``, ``route_entropy_source``, ``route``, ``trip``, ``ends``, ``versions`` and
+        ``call``, the fields of a ``RecordedCall``.
     texts
         The other entries.
     """
@@ -169,23 +180,28 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         raise BadMetadata(f'metadata: an entry {unknown[0][:60]!r} is not known')
     if missing := sorted(KEYS - set(texts)):
         raise BadMetadata(f'the metadata has no entry {missing[0]!r}')
-    trip = _trip(texts)
-    roles = _roles(trip)
+    for key in _NAMES:
+        if len(texts[key]) > _LONGEST_NAME:
+            raise BadMetadata(f'the recorded {key} is longer than {_LONGEST_NAME}')
+    read = {key: _read(texts, key) for key in _JSON}
+    trip, ends = read['trip'], read['ends']
+    if set(read['sha256']) != {*read['inputs'], *_HASHED, *_FILES}:
+        raise BadMetadata('the recorded sha256 is not that of the recorded inputs')
+    if (VIA in read['inputs']) != bool(trip['stops']):
+        raise BadMetadata('the recorded trip has stops without their message, or the other way')
     return Metadata(
-        id=_name(texts, 'departure_id'),
-        number=_whole(texts, 'departure'),
-        service=_name(texts, 'service'),
-        frame=_name(texts, 'frame'),
-        planner_version=_name(texts, 'planner_version'),
-        versions=_scalars(texts, 'versions'),
-        inputs=_names(texts, 'inputs', roles),
-        parameters=_scalars(texts, 'parameters'),
-        trip=trip,
-        ends=_ends(texts),
-        route=_wholes(texts, 'route', 2, 63),
-        route_entropy_source=_wholes(texts, 'route_entropy_source', 1, 4096),
-        sha256=_names(texts, 'sha256', (*roles, *_HASHED, *_FILES)),
-        link=Link(**_names(texts, 'chain', ('file', 'follows', 'sha256'))),
+        **{key: texts[key] for key in _NAMES if key != 'departure_id'},
+        **{key: read[key] for key in
+           ('versions', 'inputs', 'parameters', 'route', 'route_entropy_source', 'sha256')},
+        id=texts['departure_id'],
+        number=read['departure'],
+        trip=RecordedTrip(
+            _position(trip['start']), _position(trip['goal']), float(trip['tolerance']),
+            tuple(map(_position, trip['stops'])),
+        ),
+        ends=(_position(ends[0]), _position(ends[1])),
+        call=RecordedCall(**read['call']),
+        link=Link(**read['chain']),
         texts=dict(texts),
     )
 
@@ -199,41 +215,44 @@ def broken_hashes(metadata: Metadata, contents: Mapping[str, bytes]) -> list[str
     ]
 
 
-def _json(texts: Mapping[str, str], key: str) -> Any:
-    text = texts[key]
+def _read(texts: Mapping[str, str], key: str) -> Any:
+    """What an entry of JSON says; it has to be written as the recorder writes it.
+
+    So nothing hides in it: no key twice, of which readers take this or that value.
+    """
+    text, (what, is_good) = texts[key], _JSON[key]
     if len(text) > _LONGEST_ENTRY:
         raise BadMetadata(f'the recorded {key} has {len(text)} characters')
     try:
-        return json.loads(text, object_pairs_hook=_mapping_of)
-    except BadMetadata as error:
-        raise BadMetadata(f'the recorded {key} has {error}') from None
-    except (ValueError, RecursionError) as error:
+        content = json.loads(text)
+        good, plain = is_good(content), json.dumps(content) == text
+    except (ValueError, ArithmeticError, RecursionError) as error:
         # Its own words are left out (and not chained): they may hold a route.
         raise BadMetadata(f'the recorded {key} is not JSON ({type(error).__name__})') from None
-
-
-def _mapping_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Readers differ in which value they take of a key that comes twice."""
-    mapping = dict(pairs)
-    if len(mapping) < len(pairs):
-        raise BadMetadata('a key that comes twice')
-    return mapping
-
-
-def _mapping(texts: Mapping[str, str], key: str) -> dict[str, Any]:
-    content = _json(texts, key)
-    if not isinstance(content, dict) or len(content) > _MOST_VALUES:
-        raise BadMetadata(f'the recorded {key} is not a mapping of names')
+    if not good:
+        raise BadMetadata(f'the recorded {key} is not {what}')
+    if not plain:
+        raise BadMetadata(f'the recorded {key} is not written as the recorder does it')
     return content
 
 
-def _scalars(texts: Mapping[str, str], key: str) -> dict[str, Any]:
-    """A mapping of names to single texts and numbers, none over-long."""
-    content = _mapping(texts, key)
-    for name, value in content.items():
-        if len(name) > _LONGEST_NAME or not _is_scalar(value):
-            raise BadMetadata(f'the recorded {key}: {name[:60]!r} is not one text or number')
-    return content
+def _position(numbers: list[float]) -> Position:
+    return float(numbers[0]), float(numbers[1])
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and math.isfinite(float(value))
+
+
+def _is_place(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+
+
+def _is_trip(value: Any) -> bool:
+    return isinstance(value, dict) and set(value) == {'start', 'goal', 'stops', 'tolerance'} and (
+        _is_place(value['start']) and _is_place(value['goal']) and _is_number(value['tolerance'])
+        and isinstance(value['stops'], list) and all(map(_is_place, value['stops']))
+    )
 
 
 def _is_scalar(value: Any) -> bool:
@@ -242,67 +261,50 @@ def _is_scalar(value: Any) -> bool:
     return isinstance(value, float) or isinstance(value, int) and abs(value) < 2**63
 
 
-def _names(texts: Mapping[str, str], key: str, expected: Iterable[str]) -> dict[str, str]:
-    content = _mapping(texts, key)
-    good = all(isinstance(each, str) and len(each) <= _LONGEST_VALUE for each in content.values())
-    if not good or set(content) != set(expected):
-        raise BadMetadata(f'the recorded {key} does not name just {", ".join(expected)}')
-    return content
-
-
-def _name(texts: Mapping[str, str], key: str) -> str:
-    if len(texts[key]) > _LONGEST_NAME:
-        raise BadMetadata(f'the recorded {key} is longer than {_LONGEST_NAME}')
-    return texts[key]
-
-
-def _whole(texts: Mapping[str, str], key: str) -> int:
-    text = texts[key]
-    if not (text.isascii() and text.isdecimal() and len(text) < 19):
-        raise BadMetadata(f'the recorded {key} is not a whole number')
-    return int(text)
-
-
-def _wholes(texts: Mapping[str, str], key: str, least: int, bits: int) -> list[int]:
-    values = _json(texts, key)
-    good = isinstance(values, list) and len(values) >= least and all(
-        type(value) is int and value >= 0 and value.bit_length() <= bits for value in values
+def _are_scalars(value: Any) -> bool:
+    return isinstance(value, dict) and len(value) <= _MOST_VALUES and all(
+        len(name) <= _LONGEST_NAME and _is_scalar(each) for name, each in value.items()
     )
-    if not good:
-        raise BadMetadata(f'the recorded {key} is not a list of whole numbers')
-    return values
 
 
-def _roles(trip: RecordedTrip) -> tuple[str, ...]:
-    return (*ROLES, VIA) if trip.stops else ROLES
+def _texts_of(*names: str, also: tuple[str, ...] = ()) -> tuple[str, Callable[[Any], bool]]:
+    """An entry that is a mapping of just these names to texts, and of others that may be there."""
+    return f'a text for each of {", ".join(names)}', lambda value: (
+        _are_scalars(value) and set(names) <= set(value) <= {*names, *also}
+        and all(isinstance(each, str) for each in value.values())
+    )
 
 
-def _trip(texts: Mapping[str, str]) -> RecordedTrip:
-    trip = _mapping(texts, 'trip')
-    stops = trip.pop('stops', [])
-    if set(trip) != {'start', 'goal', 'tolerance'}:
-        raise BadMetadata('the recorded trip is not two places in metres')
-    if not isinstance(stops, list):
-        raise BadMetadata('the stops of the recorded trip are not a list of places')
-    start, goal, *by = _places('trip', [trip['start'], trip['goal'], *stops])
-    tolerance = trip['tolerance']
-    if type(tolerance) not in (int, float) or not abs(tolerance) < math.inf:
-        raise BadMetadata('the recorded trip has no tolerance in metres')
-    return RecordedTrip(start, goal, float(tolerance), tuple(by))
+def _whole_numbers(least: int, bits: int) -> tuple[str, Callable[[Any], bool]]:
+    """An entry that is a list of at least so many numbers of so many bits."""
+    return 'a list of whole numbers', lambda value: (
+        isinstance(value, list) and len(value) >= least and all(
+            type(each) is int and each >= 0 and each.bit_length() <= bits for each in value
+        )
+    )
 
 
-def _ends(texts: Mapping[str, str]) -> tuple[Position, Position]:
-    ends = _places('ends', _json(texts, 'ends'))
-    if len(ends) != 2:
-        raise BadMetadata('the recorded ends is not two places in metres')
-    return ends[0], ends[1]
-
-
-def _places(key: str, places: Any) -> list[Position]:
-    try:
-        read = [(float(x), float(y)) for x, y in places]
-    except (TypeError, ValueError, OverflowError):
-        read = [(math.nan, math.nan)]
-    if not all(math.isfinite(number) for place in read for number in place):
-        raise BadMetadata(f'the recorded {key} is not two places in metres')
-    return read
+_CALL = {
+    'service': str, 'type': str, 'request_ns': int, 'response_ns': int, 'request': dict,
+    'response': dict,
+}
+# The entries that are JSON: what each is, and whether a value is that.
+_SCALARS = 'a text or a number for each name', _are_scalars
+_JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    'departure': ('a whole number', lambda value: type(value) is int and 0 <= value < 2**63),
+    'versions': _SCALARS,
+    'parameters': _SCALARS,
+    'inputs': _texts_of(*ROLES, also=(VIA,)),
+    'sha256': _texts_of(*ROLES, *_HASHED, *_FILES, also=(VIA,)),
+    'chain': _texts_of('file', 'follows', 'sha256'),
+    'call': (f'just {", ".join(_CALL)}', lambda value: (
+        isinstance(value, dict) and {name: type(each) for name, each in value.items()} == _CALL
+    )),
+    'trip': ('two places, stops and a tolerance in metres', _is_trip),
+    'ends': ('two places in metres', lambda value: (
+        isinstance(value, list) and len(value) == 2 and all(map(_is_place, value))
+    )),
+    'route': _whole_numbers(2, 63),
+    'route_entropy_source': _whole_numbers(1, 4096),
+}
+KEYS = frozenset({'format', *_NAMES, *_JSON})

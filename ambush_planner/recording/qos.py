@@ -45,15 +45,15 @@ def fields_from_yaml(text: str) -> dict[str, Any]:
         The text does not list complete profiles.
     """
     if len(text) > _MOST_CHARACTERS or _COSTLY.search(text):
-        raise ValueError('a quality of service that is over-long or has anchors or tags')
+        raise ValueError('its quality of service is over-long, or has anchors or tags')
     try:
         fields = yaml.safe_load(text)[0]
         whole = set(fields) == set(FIELDS) and isinstance(fields, dict)
         durations = [set(fields[name]) for name in _DURATIONS]
     except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError) as error:
-        raise ValueError('no quality-of-service profile') from error
+        raise ValueError('it has no quality-of-service profile') from error
     if not whole or any(each != {'sec', 'nsec'} for each in durations):
-        raise ValueError('no complete quality-of-service profile')
+        raise ValueError('it has no complete quality-of-service profile')
     return fields
 
 

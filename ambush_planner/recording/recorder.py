@@ -59,7 +59,7 @@ class Recorder:
     def __init__(self, directory: Path, compression: str = 'zstd') -> None:
         if compression not in COMPRESSIONS:
             names = ', '.join(COMPRESSIONS)
-            raise InvalidOption(f'compression {compression!r} is none of {names}')
+            raise InvalidOption(f'compression {compression!r} is not one of {names}')
         self._directory = Path(directory).expanduser()
         self._compression = compression
         self._session: _Session | None = None
@@ -208,7 +208,7 @@ class _Session:
         with recording_to(path):
             write_durably(path, data)
         self._last = Link(path.name, sha256=hashlib.sha256(data).hexdigest())
-        self._list(describe_file(path.name, data))
+        self._list(describe_file(path.name, content))
         return path
 
     def end(self) -> None:

@@ -92,20 +92,14 @@ def list_files(folder: Path) -> tuple[int, list[str]]:
     OSError
         The folder cannot be read or written.
     """
-    known = listed_files(folder) or ()
-    files, broken = [], []
-    for name in _recordings(folder):
-        described = _described(folder / name, name in known)
-        if described is None:
-            broken.append(name)
-        else:
-            files.append(described)
+    described = {name: _described(folder / name) for name in _recordings(folder)}
+    files = [each for each in described.values() if each is not None]
     if files:
         write_durably(folder / FILE_NAME, bag_text(files))
     elif (folder / FILE_NAME).exists():
         (folder / FILE_NAME).unlink()
         flush_folder(folder)
-    return len(files), broken
+    return len(files), [name for name, each in described.items() if each is None]
 
 
 @contextmanager
@@ -135,7 +129,7 @@ def _is_in_order(folder: Path) -> bool:
         return FILE_NAME not in names and not recordings
     unlisted = set(recordings) - set(listed)
     return len(listed) + len(unlisted) == len(recordings) and not any(
-        _described(folder / name, False) for name in unlisted
+        _described(folder / name) for name in unlisted
     )
 
 
@@ -151,20 +145,11 @@ def _is_utf8(name: str) -> bool:
     return all(not '\ud800' <= each <= '\udfff' for each in name)
 
 
-def _described(path: Path, known: bool) -> BagFile | None:
-    """Describe a recording; None if it is broken.
-
-    One that metadata.yaml listed was finished before it, so its index is believed; one that it
-    did not list may be broken anywhere.
-    """
-    if not path.is_file():
-        return None
+def _described(path: Path) -> BagFile | None:
+    """Describe a recording; None if it is broken."""
     try:
-        if not known:
-            decode(read_bytes(path))
-        with path.open('rb') as file:
-            return describe_file(path.name, file)
-    except (ValueError, UnreadableRecording):
+        return describe_file(path.name, decode(read_bytes(path)))
+    except (ValueError, LookupError, UnreadableRecording):
         return None
 
 

@@ -20,7 +20,8 @@ from ..core.errors import AmbushPlannerError
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from ..recording import RecordedDeparture, RecordedMessage, UnreadableRecording, type_name
-from ..recording.strategy_file import BadStrategy, strategy_from_file
+from ..recording.npz import BadAttachment
+from ..recording.strategy_file import strategy_from_file
 from ..ros.conversions import risk_map_from_ros
 from ..ros.parameters import PARAMETERS, NodeParameters, parameters_from
 
@@ -49,7 +50,7 @@ class Case:
     Raises
     ------
     UnreadableRecording
-        The recorded parameters are none of this planner.
+        The recorded parameters are not those of this planner.
     """
 
     def __init__(self, recorded: RecordedDeparture) -> None:
@@ -75,7 +76,7 @@ class Case:
         """Return the message in a role, which must be of one of these types."""
         message = self.decode(self.recorded.recorded(role))
         if not isinstance(message, kinds or object):
-            raise self.unreadable(f'{role}: it is not a {kinds[0].__name__}')
+            raise self.unreadable(f'{role}: it is not of the type {kinds[0].__name__}')
         return message
 
     def decode(self, recorded: RecordedMessage) -> Any:
@@ -84,7 +85,7 @@ class Case:
         Raises
         ------
         UnreadableRecording
-            Its type is none that the planner records, or its data is not a message of it.
+            The planner records nothing of its type, or its data is not a message of it.
         """
         if id(recorded) not in self._decoded:
             try:
@@ -100,11 +101,11 @@ class Case:
         Raises
         ------
         UnreadableRecording
-            The attachment is no strategy, or its numbers do not agree.
+            The attachment is not a strategy, or its numbers do not agree.
         """
         try:
             return strategy_from_file(self.recorded.strategy, self.parameters.planning.game)
-        except BadStrategy as error:
+        except BadAttachment as error:
             raise self.unreadable(f'the recorded strategy: {error}') from error
 
     def risk_map(self) -> RiskMap:
@@ -144,7 +145,7 @@ def _deserialised(recorded: RecordedMessage) -> Any:
         size = len(serialize_message(message))
     except Exception as error:
         # The middleware chooses what it raises: RMWError, RuntimeError, UnicodeDecodeError, ...
-        raise ValueError(f'not a {kind.__name__} ({type(error).__name__})') from error
+        raise ValueError(f'it is not a {kind.__name__} message ({type(error).__name__})') from error
     if not 0 <= len(recorded.data) - size <= _MOST_PADDING:
         raise ValueError(
             f'{len(recorded.data)} bytes where a {kind.__name__} of its fields has {size}'

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.errors import shown
-from ..recording.bag_folder import FILE_NAME, listed_files
+from ..recording.bag_folder import FILE_NAME, bag_of, listed_files, read_bag
 from ..recording.metadata import Link
 from .departures import source_findings
 from .verify import Verdict
@@ -43,7 +43,7 @@ def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str]
         for each in verdicts
     ]
     faults, notes = chain_faults(files)
-    faults += folder_faults([each.path for each in verdicts])
+    faults += folder_faults(verdicts)
     faults += [
         f'random source: {each}' for each in source_findings(
             (each.path.name, each.metadata) for each in verdicts if each.metadata
@@ -86,7 +86,9 @@ def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:
                 notes.append(f'{_shown(each.name)} begins a chain of its own')
             continue
         followed.setdefault(each.link.sha256, []).append(each.name)
-        if each.link.sha256 in by_hash:
+        if before := by_hash.get(each.link.sha256):
+            if before.link and before.link.file != each.link.follows:
+                faults.append(f'{_shown(each.name)} states another name of the file before it')
             continue
         what, is_fault = _unfollowed(each, by_name, number)
         (faults if is_fault else notes).append(what)
@@ -111,23 +113,42 @@ def _unfollowed(each: Linked, by_name: dict[str, Linked], number: int) -> tuple[
     return f'{_shown(before)} is missing: {_shown(each.name)} followed it', True
 
 
-def folder_faults(paths: Sequence[Path]) -> list[str]:
-    """Check that each folder's ``metadata.yaml`` names exactly the recordings that are there."""
+def folder_faults(verdicts: Sequence[Verdict]) -> list[str]:
+    """Check that each folder's ``metadata.yaml`` says just what the recordings in it are."""
     faults = []
-    for folder in dict.fromkeys(path.parent for path in paths):
-        present = {name for name in os.listdir(folder) if name.endswith('.mcap')}
-        listed = listed_files(folder)
+    for folder in dict.fromkeys(each.path.parent for each in verdicts):
+        inside = [each for each in verdicts if each.path.parent == folder]
+        faults += _number_faults(inside)
+        bag, listed = read_bag(folder), listed_files(folder)
+        yaml = _shown(folder / FILE_NAME)
         if listed is None:
             if (folder / FILE_NAME).exists():
-                faults.append(f'{_shown(folder / FILE_NAME)} lists no files')
+                faults.append(f'{yaml} lists no files')
             continue
+        present = {name for name in os.listdir(folder) if name.endswith('.mcap')}
         for name in sorted(present - set(listed)):
             faults.append(f'{_shown(folder / name)} is there, but {FILE_NAME} does not name it')
         for name in sorted(set(listed) - present):
             faults.append(f'{_shown(folder / name)} is not there, but {FILE_NAME} names it')
         if len(listed) > len(set(listed)):
-            faults.append(f'{_shown(folder / FILE_NAME)} names a file twice')
+            faults.append(f'{yaml} names a file twice')
+        files = {each.path.name: each.file for each in inside if each.file}
+        if 'version' in bag and set(files) == set(listed):
+            known = bag_of(files[name] for name in listed)
+            wrong = [key for key in {**known, **bag}
+                     if key != 'ros_distro' and bag.get(key) != known.get(key)]
+            faults += [f'{yaml}: {_shown(key)} is not that of the files' for key in wrong]
     return faults
+
+
+def _number_faults(verdicts: Sequence[Verdict]) -> list[str]:
+    first: dict[int, str] = {}
+    return [
+        f'{_shown(each.path.name)} has the number of {_shown(other)}, departure {each.number}'
+        for each in verdicts
+        if each.number and (other := first.setdefault(each.number, each.path.name))
+        != each.path.name
+    ]
 
 
 def _session(name: str) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from ..core.errors import AmbushPlannerError
 from ..core.planner import PlanningOptions, PlanRequest
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording
+from ..recording.bag_folder import BagFile, describe_file
 from ..recording.metadata import Metadata
 from ..recording.reader import departure_from, read_bytes
 from ..ros.conversions import occupancy_from_ros
@@ -26,25 +27,25 @@ from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
 from .case import Case
 from .verify_file import file_faults
-from .verify_ground import changed_route_faults
 from .verify_messages import (
+    call_faults,
+    kind_faults,
     marker_faults,
-    message_faults,
     path_faults,
-    service_faults,
     solve_seconds,
     status_faults,
     time_faults,
 )
-from .verify_plan import PlannedAgain
-from .verify_strategy import (
+from .verify_plan import (
+    PlannedAgain,
     certificate_faults,
+    changed_route_faults,
     route_faults,
     source_faults,
     strategy_faults,
     was_hurried,
 )
-from .verify_trip import PosedTrip, ends_faults, frame_faults, posed_trip
+from .verify_trip import PosedTrip, ends_faults, metadata_faults, posed_trip
 
 # There and back again, as the node keeps plans.
 _KEPT = 4
@@ -68,8 +69,8 @@ class Verdict:
         What does not hold; each begins with the part of the recording that it is about.
     notes
         What could not be checked, and how the computers differ.
-    metadata
-        What the file says; None if it could not be read.
+    metadata, file
+        What the file says, and how ``metadata.yaml`` lists it; None if it could not be read.
     """
 
     path: Path
@@ -79,7 +80,8 @@ class Verdict:
     value: float = math.nan
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    metadata: Metadata | None = None
+    metadata: Metadata | None = field(default=None, repr=False)
+    file: BagFile | None = field(default=None, repr=False)
 
     @property
     def holds(self) -> bool:
@@ -138,17 +140,15 @@ class Verifier:
         data = read_bytes(check.path)
         recorded = departure_from(check.path, data)
         check.metadata, check.sha256 = recorded.metadata, recorded.sha256
+        check.file = describe_file(check.path.name, recorded.content)
         case = Case(recorded)
         check.problems += file_faults(recorded)
-        check.problems += frame_faults(case, software_versions())
         check.problems += self._copy_faults(case.metadata, check.path)
-        check.problems += message_faults(case)
-        check.problems += service_faults(case)
-        check.problems += time_faults(case)
+        for faults in (metadata_faults, kind_faults, call_faults, time_faults, source_faults):
+            check.problems += faults(case)
         strategy = self._kept['strategy'].get(_strategy_key(case), case.strategy)
         check.nodes, check.value = len(strategy.network.points), strategy.value
         check.problems += self._marker_faults(case, strategy)
-        check.problems += source_faults(case)
         certificate = certificate_faults(strategy, case.parameters.planning)
         check.problems += certificate
         if not certificate and not case.recorded.map_changes:
@@ -194,7 +194,7 @@ class Verifier:
             return
         faults, notes = self._kept['comparison'].get(
             (key, _strategy_key(case), hurried),
-            lambda: strategy_faults(case.recorded.strategy, strategy, plan.strategy, hurried),
+            lambda: strategy_faults(strategy, plan.strategy, hurried),
         )
         # On the recorded strategy, which may differ by rounding, or where time was up.
         used = replace(plan, strategy=strategy)
@@ -211,7 +211,7 @@ class Verifier:
         return PlannedAgain(PlanRequest(
             *occupancy_from_ros(case.message('map')),
             case.parameters.occupancy,
-            trip.start_xy,
+            case.metadata.trip.start_xy,
             trip.goal_xy,
             case.metadata.trip.tolerance,
             _options(case),
@@ -242,6 +242,7 @@ class _Check:
     def __init__(self, path: Path) -> None:
         self.path, self.sha256 = path, ''
         self.metadata: Metadata | None = None
+        self.file: BagFile | None = None
         self.nodes, self.value = 0, math.nan
         self.problems: list[str] = []
         self.notes: list[str] = []
@@ -250,7 +251,7 @@ class _Check:
         number = self.metadata.number if self.metadata else 0
         return Verdict(
             self.path, self.sha256, number, self.nodes, self.value, tuple(self.problems),
-            tuple(self.notes), self.metadata,
+            tuple(self.notes), self.metadata, self.file,
         )
 
 
@@ -276,9 +277,8 @@ def _strategy_key(case: Case) -> Hashable:
 
 def _plan_key(case: Case, trip: PosedTrip) -> Hashable:
     return (
-        case.metadata.sha256['map'], trip.start_xy, trip.goal_xy, trip.stops_xy,
-        case.metadata.trip, case.parameters.trip_order,
-        case.parameters.occupancy, _options(case),
+        case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, trip.stops_xy,
+        case.parameters.trip_order, case.parameters.occupancy, _options(case),
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from geometry_msgs.msg import Pose, PoseArray, PoseStamped, PoseWithCovarianceStamped
@@ -12,6 +11,7 @@ from nav_msgs.msg import Path as PathMessage
 
 from ..recording.metadata import VIA
 from ..ros.conversions import position_from_ros
+from ..ros.departure_record import software_versions
 from .case import Case
 
 
@@ -20,19 +20,17 @@ class PosedTrip:
     """The trip that follows from the recorded poses, as far as it does.
 
     ``start`` and ``goal`` are the poses, or None where they are not in the map's frame;
-    ``start_xy`` and ``goal_xy`` where the trip that was planned begins, and the goal that it was
-    planned for [m]; ``stops_xy`` the stops, in the order of the message where that is in the map's
-    frame, else as they were visited; ``faults`` where the metadata says something else; ``notes``
-    what could not be checked.
+    ``goal_xy`` [m] is the goal that was planned for, ``stops_xy`` the stops, in the order of the
+    message where that is in the map's frame, else as they were visited; ``faults`` where the
+    metadata says something else; ``notes`` what could not be checked.
     """
 
     start: Pose | None
     goal: Pose | None
-    start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
+    stops_xy: tuple[tuple[float, float], ...]
     faults: tuple[str, ...]
     notes: tuple[str, ...]
-    stops_xy: tuple[tuple[float, float], ...] = ()
 
 
 def posed_trip(case: Case) -> PosedTrip:
@@ -41,46 +39,46 @@ def posed_trip(case: Case) -> PosedTrip:
     Raises
     ------
     InvalidPose
-        The numbers of a pose are no pose.
+        The numbers of a pose do not make a pose.
     UnreadableRecording
         A message is not a pose.
     """
-    start, goal = _pose(case, 'start'), _pose(case, 'goal')
-    frame, told = case.metadata.frame, case.metadata.trip
-    notes = [
-        f'not checked: the {name} pose is in the frame {pose.header.frame_id[:60]!r}, the '
-        f'map in {frame[:60]!r}'
-        for name, pose in (('start', start), ('goal', goal))
-        if pose.header.frame_id != frame
-    ]
-    faults = []
-    (begin, end), goal_xy = case.metadata.ends, told.goal_xy
-    if start.header.frame_id == frame and position_from_ros(start, 'start') != begin:
-        faults.append('ends: the first one is not the position of the start pose')
-    if goal.header.frame_id == frame and (asked := position_from_ros(goal, 'goal')) != end:
-        # Whether the goal was moved as it had to be is seen when it is planned again.
-        goal_xy = asked
-        if told.tolerance == 0.0 or end != told.goal_xy:
-            faults.append('ends: the last one is not the position of the goal pose')
+    metadata, trip = case.metadata, case.metadata.trip
+    poses, faults, notes, goal_xy = {}, [], [], trip.goal_xy
+    for role, which, end in zip(('start', 'goal'), ('first', 'last'), metadata.ends, strict=True):
+        message = _pose(case, role)
+        frame = message.header.frame_id
+        if frame != metadata.frame:
+            notes.append(
+                f'not checked: the {role} pose is in the frame {frame[:60]!r}, the map in '
+                f'{metadata.frame[:60]!r}'
+            )
+            continue
+        poses[role] = message.pose
+        if (asked := position_from_ros(message, role)) == end:
+            continue
+        if role == 'goal':
+            # Whether the goal was moved as it had to be is seen when it is planned again.
+            goal_xy = asked
+        if role == 'start' or trip.tolerance == 0.0 or end != trip.goal_xy:
+            faults.append(f'ends: the {which} one is not the position of the {role} pose')
     stops = _stops(case, faults, notes)
     return PosedTrip(
-        start.pose if start.header.frame_id == frame else None,
-        goal.pose if goal.header.frame_id == frame else None,
-        told.start_xy, goal_xy, tuple(faults), tuple(notes), stops,
+        poses.get('start'), poses.get('goal'), goal_xy, stops, tuple(faults), tuple(notes)
     )
 
 
 def _stops(
     case: Case, faults: list[str], notes: list[str]
 ) -> tuple[tuple[float, float], ...]:
-    visited = case.metadata.trip.stops
+    visited, frame = case.metadata.trip.stops, case.metadata.frame
     if not visited:
         return ()
     via = case.message(VIA, PoseArray)
-    if via.header.frame_id != case.metadata.frame:
+    if via.header.frame_id != frame:
         notes.append(
             f'not checked: the stops are in the frame {via.header.frame_id[:60]!r}, the map in '
-            f'{case.metadata.frame[:60]!r}'
+            f'{frame[:60]!r}'
         )
         return visited
     given = tuple(
@@ -102,29 +100,31 @@ def ends_faults(case: Case, spacing: float) -> list[str]:
     return ['ends: they are further from the trip than route.start_tolerance allows']
 
 
-def frame_faults(case: Case, software: Iterable[str]) -> list[str]:
+def metadata_faults(case: Case) -> list[str]:
     """Check what the metadata says about the messages and about itself.
-
-    ``software`` are the names of what versions are stated of.
 
     Raises
     ------
     UnreadableRecording
-        The map or the path is none.
+        The map or the path is of another type.
     """
-    metadata = case.metadata
+    metadata, trip = case.metadata, case.metadata.trip
+    frames = {
+        role: case.message(role, kind).header.frame_id
+        for role, kind in (('map', OccupancyGrid), ('path', PathMessage))
+    }
     faults = [
-        f'versions: an entry {name[:60]!r} is not known'
-        for name in sorted(set(metadata.versions) - set(software))
+        f'frame: the {role} is in the frame {frame[:60]!r}'
+        for role, frame in frames.items() if frame != metadata.frame
     ]
-    for role, kind in (('map', OccupancyGrid), ('path', PathMessage)):
-        frame = case.message(role, kind).header.frame_id
-        if frame != metadata.frame:
-            faults.append(f'frame: the {role} is in the frame {frame[:60]!r}')
+    if unknown := sorted(set(metadata.versions) - set(software_versions())):
+        faults.append(f'versions: an entry {unknown[0][:60]!r} is not known')
     if metadata.number < 1:
         faults.append('departure: departures are numbered from 1')
-    if metadata.trip.tolerance < 0.0:
-        faults.append('trip: its tolerance is negative')
+    if trip.tolerance < 0.0 or (trip.tolerance and metadata.service == 'new_route'):
+        faults.append('trip: its tolerance is negative, or not 0 at new_route')
+    if trip.stops and metadata.service != 'new_route':
+        faults.append('trip: only new_route has stops')
     return faults
 
 

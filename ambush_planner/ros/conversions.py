@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import array
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -185,3 +186,42 @@ def _tilt_fault(q: Quaternion) -> str | None:
             'rotation about z is possible'
         )
     return None
+
+
+def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the fields of a message, those of messages in it too, as JSON can hold them.
+
+    For messages of numbers and texts, without arrays. ``but`` are left out.
+    """
+    values = {name: getattr(message, name) for name in _field_names(message) if name not in but}
+    return {name: fields_of(value) if _field_names(value) else value
+            for name, value in values.items()}
+
+
+def message_of(kind: Any, fields: Mapping[str, Any], but: tuple[str, ...] = ()) -> Any:
+    """Return the message with these fields, whatever they hold; the way back from ``fields_of``.
+
+    Raises
+    ------
+    ValueError
+        They are not those of the message, or of other types.
+    """
+    message = kind()
+    if set(fields) != set(_field_names(message)) - set(but):
+        raise ValueError(f'they are not the fields of a {kind.__name__}')
+    for name, value in fields.items():
+        default = getattr(message, name)
+        if _field_names(default) and isinstance(value, dict):
+            value = message_of(type(default), value)
+        if type(value) is not type(default):
+            raise ValueError(f'{name} is not a {type(default).__name__}')
+        try:
+            setattr(message, name, value)
+        except AssertionError as error:
+            raise ValueError(f'{name} is out of its range') from error
+    return message
+
+
+def _field_names(message: Any) -> Mapping[str, str]:
+    names: Mapping[str, str] = getattr(message, 'get_fields_and_field_types', dict)()
+    return names

@@ -23,11 +23,15 @@ from ..recording.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recording.metadata import VIA, metadata_texts
 from ..recording.strategy_file import STRATEGY_FILE
 from .cdr import plan_event_bytes
+from .conversions import fields_of
 from .inputs import Received, Trip
 from .parameters import NodeParameters
 from .paths import DeparturePath
 from .planning import HeldPlan
 from .qos import LATEST
+
+# `ros2 bag play` sends them that much before the request, which needs them.
+INPUTS_LEAD_NS = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +81,23 @@ class Departure:
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
-    """Return inputs, request, publications and answer.
+    """Return inputs and publications, and request and answer where that is asked for.
 
-    None is earlier than the request or later than the answer: markers may be of a departure
-    before, and the clock may have been set since.
+    Inputs are from half a second before the request. Nothing else is earlier than that or later
+    than the answer: markers may be of a departure before, and the clock may have been set since.
     """
     trip, begin = departure.trip, departure.begin_ns
     planned_on = departure.held.trip.map.received
+    before = max(0, begin - INPUTS_LEAD_NS)
     inputs = [
-        _received(each, begin) for each in (planned_on, trip.start, trip.goal, trip.via) if each
+        _received(each, before) for each in (planned_on, trip.start, trip.goal, trip.via) if each
     ]
     published = [
         replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
         for each in (*departure.others, departure.published)
     ]
+    if not departure.parameters.recording.service_events:
+        return [*inputs, *published]
     return [*inputs, _request(departure), *published, _response(departure)]
 
 
@@ -115,10 +122,10 @@ def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> 
             'route': departure.route.nodes.tolist(),
             'trip': {
                 'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
-                'tolerance': trip.goal_tolerance,
-                **({'stops': [*map(list, plan.stops_xy)]} if trip.via else {}),
+                'stops': [*map(list, plan.stops_xy)], 'tolerance': trip.goal_tolerance,
             },
             'ends': [*map(list, departure.held.ends(trip))],
+            'call': _call(departure),
         },
         texts={
             'planner_version': planner_version(),
@@ -144,6 +151,15 @@ def attachments(strategy: bytes, changes: bytes) -> list[Attachment]:
 
 def _received(received: Received, stamp_ns: int) -> RecordedMessage:
     return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
+
+
+def _call(departure: Departure) -> dict[str, Any]:
+    answer = fields_of(departure.response, but=('plan',))  # the path that is recorded
+    return {
+        'service': departure.call.name, 'type': type_name(departure.call.kind),
+        'request_ns': departure.begin_ns, 'response_ns': departure.end_ns,
+        'request': fields_of(departure.call.request), 'response': answer,
+    }
 
 
 def _request(departure: Departure) -> RecordedMessage:

@@ -32,13 +32,17 @@ class Problem(NamedTuple):
 class Status:
     """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'.
 
-    ``standing`` tells how the plan stands on the map in force; ``stale`` says in words, if it
-    is so, that the plan has to be solved anew.
+    ``lifecycle`` is the state of the node: unconfigured, inactive, active or finalized.
+    ``warnings`` are texts by what they concern: 'parameters' or 'alpha_map'. ``standing`` tells how
+    the plan stands on the map in force; ``stale`` says in words, if it is so, that the plan has to
+    be solved anew.
     """
 
+    lifecycle: str = 'active'
     missing: tuple[str, ...] = ()
     solving: bool = False
     problems: Mapping[str, Problem] = field(default_factory=dict)
+    warnings: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
     standing: Standing | None = None
     stale: str = ''
@@ -48,7 +52,9 @@ class Status:
 
     @property
     def state(self) -> str:
-        """'solving', 'waiting' (for inputs) or 'ready'."""
+        """'solving', 'waiting' (for inputs) or 'ready'; where it is not active, its lifecycle's."""
+        if self.lifecycle != 'active':
+            return self.lifecycle
         if self.solving:
             return 'solving'
         return 'waiting' if self.missing else 'ready'
@@ -98,8 +104,12 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         problems = [status.problems[concern] for concern in concerns]
         message = '; '.join(problem.message for problem in problems)
         return max(problem.level for problem in problems), problems[0].code, message
-    if status.missing:
-        return DiagnosticStatus.WARN, OK_CODE, f'waiting for {", ".join(status.missing)}'
+    if status.lifecycle != 'active':
+        return DiagnosticStatus.OK, OK_CODE, status.lifecycle
+    waiting = (f'waiting for {", ".join(status.missing)}',) if status.missing else ()
+    if status.warnings or waiting:
+        message = '; '.join((*waiting, *status.warnings.values()))
+        return DiagnosticStatus.WARN, OK_CODE, message
     if status.stale:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {status.stale}'
     if status.plan is not None and (warning := _gap_warning(status.plan)):

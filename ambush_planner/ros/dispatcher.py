@@ -10,18 +10,20 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 import numpy as np
+from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
-from ..core.errors import AmbushPlannerError
+from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, Route
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from . import markers
 from .departure_record import Departure, ServiceCall
-from .errors import GroundChanges
+from .errors import GroundChanges, NotActive
 from .futures import settle
 from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
@@ -35,6 +37,8 @@ from .reporter import Reporter
 _LAST_RECORDINGS = 1.0  # s
 # So many solves are waited for where map or robot have moved on each time.
 _MOST_SOLVES = 4
+
+INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
 
 _Outcome = TypeVar('_Outcome')
 
@@ -72,12 +76,14 @@ class Dispatcher:
         self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
         self._start_topic = start_topic
         self._reporter, self._clock, self._logger = reporter, clock, logger
-        self._plans = Plans()
+        self._plans = Plans(self._tell_solved)
         self._shown: HeldPlan | None = None
         self._markers: tuple[RecordedMessage, ...] = ()
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
         self._count = 0
         self._told_to_end: float | None = None
+        self._paused = True
+        self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
     @property
@@ -92,6 +98,18 @@ class Dispatcher:
         self._recordings.hurry()
         self._plans.close()
 
+    def pause(self) -> None:
+        """Refuse requests; whoever waits is told, and no route is drawn once this has returned."""
+        self._paused = True
+        self._departures.submit(lambda: None).result()  # what has begun is done
+        self._plans.cancel()
+
+    def resume(self) -> None:
+        """Take requests, as it does not from the beginning."""
+        self._paused = False
+        if self._shown is not None:
+            self.ground_changed()
+
     def close(self) -> None:
         """Answer all who wait, write the last recordings, and end."""
         self.stop_solving()
@@ -102,14 +120,29 @@ class Dispatcher:
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
-        self._parameters = parameters
+        if self._parameters.publish_path and not parameters.publish_path:
+            self._in_turn(self._withdraw_path)
+        self._parameters, self._contradiction = parameters, None
+
+    def refuse(self, error: InvalidOption) -> None:
+        """Refuse requests for this reason until there are parameters that can be used."""
+        self._contradiction = error
 
     def ground_changed(self) -> None:
         """See how plans stand on the map that has just come, and solve anew where it is wanted."""
         self._in_turn(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
-        """Depart as asked."""
+        """Depart as asked, unless the future that is returned is cancelled before.
+
+        Where paths are not published, a request must have them answered.
+        """
+        self._refuse_contradictions()
+        if call.kind is Trigger and not self._parameters.publish_path:
+            raise InvalidOption(
+                'path.publish is false, so that new_route, whose answer has no room for a path, '
+                'would leave nobody with it: call get_plan'
+            )
         request = _Request(call, asked, self._parameters, self._now())
         self._in_turn(lambda: self._try(request), request.departure)
         return request.departure
@@ -126,9 +159,11 @@ class Dispatcher:
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
+        self._refuse_contradictions()
         outcome: Future[Plan] = Future()
 
         def begin() -> None:
+            self._refuse_unless_active()
             parameters = self._parameters
             trip = self._inputs.locate(asked, self._robot(parameters))
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
@@ -148,7 +183,9 @@ class Dispatcher:
 
     def _try(self, request: _Request, solved: HeldPlan | None = None) -> None:
         """Depart on a plan that is there, or have one solved and try again with it."""
-        self._refuse_when_closing()
+        if request.departure.cancelled():
+            return
+        self._refuse_unless_active()
         parameters = request.parameters
         trip = self._inputs.locate(request.asked, self._robot(parameters))
         good = solved is not None and usable(solved, trip, parameters)
@@ -179,6 +216,9 @@ class Dispatcher:
             self._in_turn(lambda: go_on(done.result()), outcome)
 
         solve.add_done_callback(solved)
+        outcome.add_done_callback(
+            lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
+        )
 
     def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
         """Have work done in the thread of departures; an error is the outcome."""
@@ -190,19 +230,19 @@ class Dispatcher:
             except Exception as error:
                 if outcome is None:
                     self._reporter.failed('request', error)
-                else:
+                elif not outcome.cancelled():
                     outcome.set_exception(error)
 
         try:
             self._departures.submit(attempt)
         except RuntimeError:  # the thread has ended
             if outcome is not None:
-                settle(outcome, self._refuse_when_closing)
+                settle(outcome, self._refuse_unless_active)
 
     def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
-        self._refuse_when_closing()
+        self._refuse_unless_active()
         if held is not self._shown:
             self._show(held)
             if held.trip.map is not trip.map:
@@ -216,15 +256,35 @@ class Dispatcher:
         if drawn is None:
             self._wait(request, self._plans.solve(trip, parameters))
             return
+        if not request.departure.set_running_or_notify_cancel():
+            return
         route, path = drawn
-        published = self._outbox.publish('path', path.to_bytes())
+        published = self._path_out(path, request)
         self._count = number
+        self._logger.info(f'departure {number} ({departure_id})')
         report, trouble = self._reporter.departed(number, departure_id)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
             published, tuple(filter(None, (*self._markers, report))), request.begin_ns,
             max(leaving, self._now()), trouble,
         ))
+
+    def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:
+        """Publish the path, if it may be; return what the recording keeps of it."""
+        if request.parameters.publish_path:
+            return self._outbox.publish('path', path.to_bytes())
+        return self._outbox.as_recorded('path', path.to_bytes(), f'{request.call.name}/path')
+
+    def _tell_solved(self, plan: Plan) -> None:
+        self._logger.info(
+            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
+            f'{len(plan.network.points)} nodes'
+        )
+
+    def _withdraw_path(self) -> None:
+        """Put an empty path where late joiners would get the last one."""
+        if self._count:
+            self._outbox.publish('path', Path())
 
     def _draw(
         self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
@@ -239,9 +299,17 @@ class Dispatcher:
         poses = trip.start_pose.pose, trip.goal_pose.pose
         return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
-    def _refuse_when_closing(self) -> None:
+    def _refuse_contradictions(self) -> None:
+        if self._contradiction is not None:
+            raise InvalidOption(
+                f'parameters contradict each other: {self._contradiction}'
+            ) from self._contradiction
+
+    def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:
             raise SolveCancelled('the planner is shutting down')
+        if self._paused:
+            raise NotActive(INACTIVE)
 
     def _review(self) -> None:
         """Tell how the plan that is shown stands on the map in force; solve anew if it is stale."""
@@ -259,6 +327,9 @@ class Dispatcher:
             f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
             else f'the value has risen to {standing.value:.4g}'
         )
+        if self._paused:
+            self._reporter.stands(standing, f'the map has changed: {why}')
+            return
         self._reporter.stands(standing, f'the map has changed: {why}; it is being solved anew')
         trip = replace(held.trip, map=newest)
         self._solve_in_background(trip, held.parameters, f'the map has changed: {why}')

@@ -49,6 +49,14 @@ class GroundChanges(AmbushPlannerError):
     """The map, or the robot, changes faster than it can be planned for."""
 
 
+class InvalidPlanner(AmbushPlannerError):
+    """Another planner was asked for."""
+
+
+class NotActive(AmbushPlannerError):
+    """The node is not in the state in which it answers."""
+
+
 class UnreadableMessage(AmbushPlannerError):
     """What came on a topic is no message of the topic's type."""
 
@@ -78,6 +86,8 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (SolverFailed, 'SOLVER_FAILED'),
     (SolveCancelled, 'CANCELLED'),
     (QueueFull, 'BUSY'),
+    (NotActive, 'INACTIVE'),
+    (InvalidPlanner, 'INVALID_PLANNER'),
     (GroundChanges, 'NO_VALID_PATH'),
     (WorkerFailed, 'WORKER_FAILED'),
     (RecordingFailed, 'RECORDING_FAILED'),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,21 +45,25 @@ _Options = TypeVar('_Options')
 
 @dataclass(frozen=True)
 class Declaration:
-    """One parameter; ``low`` and ``high`` belong to the range, its type is the default's."""
+    """One parameter; ``low`` and ``high`` belong to the range, its type is the default's.
+
+    One that is ``fixed`` keeps the value that it has at the start. To ROS it is not read-only: it
+    may be set to that value, as ``ros2 param load`` does with what ``dump`` has written.
+    """
 
     default: bool | int | float | str
     description: str
     low: float = 0.0
     high: float = math.inf
     choices: tuple[str, ...] = ()
-    read_only: bool = False
+    fixed: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what ``ros2 param describe`` shows."""
+        constraint = f'one of {", ".join(self.choices)}' if self.choices else ''
         result = ParameterDescriptor(
             description=self.description,
-            read_only=self.read_only,
-            additional_constraints=', '.join(self.choices) and f'one of {", ".join(self.choices)}',
+            additional_constraints='read at the start only' if self.fixed else constraint,
         )
         if isinstance(self.default, float):
             result.floating_point_range = [
@@ -142,6 +147,11 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'solved anew.'),
     'queue.size': Declaration(
         8, 'How many solves may wait beside the one that runs; others are refused.', 1, 1000),
+    'autostart': Declaration(
+        True,
+        'Whether the node configures and activates itself at the start; false: something else '
+        "does, like Nav2's lifecycle manager.",
+        fixed=True),
     'robot_base_frame': Declaration(
         '',
         'Frame of the robot, like base_link: where no start is given, it is where TF has the robot '
@@ -166,6 +176,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         0.0,
         "Largest distance of poses on the path [m]; 0: the map's resolution or the distance of "
         'nodes, whichever is larger. A path of more than 20000 poses is refused.'),
+    'path.publish': Declaration(
+        True,
+        'Whether the path is published. If not, only the answers of get_plan carry routes, and '
+        'new_route, whose answer has no room for one, is refused.'),
     'trip.order': Declaration(
         'given',
         'In which order the stops of via_poses are visited: as given, or (best) in the order of '
@@ -176,13 +190,18 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
     'recording.compression': Declaration(
         'zstd', 'Compression of the recordings.', choices=tuple(COMPRESSIONS)),
+    'recording.service_events': Declaration(
+        False,
+        'Whether request and answer are recorded as messages, too, which `ros2 bag play '
+        '--publish-service-requests` asks again; many other readers refuse files with such '
+        'messages.'),
     'diagnostics.error_hold': Declaration(
         30.0, 'How long the diagnostics tell of a request that failed [s]; a success ends it, '
         'too.'),
     'seed': Declaration(
         -1,
         "-1: routes are drawn with the operating system's entropy. From 0: always the same "
-        'sequence of routes, for tests and replay only.', -1, math.inf, read_only=True),
+        'sequence of routes, for tests and replay only.', -1, math.inf, fixed=True),
 })
 
 
@@ -199,6 +218,7 @@ class RecordingOptions:
     enabled: bool
     directory: str
     compression: str
+    service_events: bool = False
 
     def __post_init__(self) -> None:
         if not self.directory.strip():
@@ -222,6 +242,7 @@ class NodeParameters:
     occupancy: OccupancyOptions
     planning: PlanningOptions
     recording: RecordingOptions
+    publish_path: bool
     path_spacing: float
     start_tolerance: float
     replan_tolerance: float
@@ -258,6 +279,7 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
             values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
+        publish_path=values['path.publish'],
         path_spacing=values['route.path_spacing'],
         start_tolerance=values['route.start_tolerance'],
         replan_tolerance=values['replan.tolerance'],
@@ -301,9 +323,15 @@ def _drive(values: Mapping[str, Any]) -> DriveOptions:
 
 
 def declare_parameters(
-    node: Node, changed: Callable[[NodeParameters], None]
+    node: Node,
+    changed: Callable[[NodeParameters], None],
+    contradicting: Callable[[InvalidOption], None],
 ) -> NodeParameters:
-    """Declare all parameters; from now on ``changed`` is called with each new set that is valid.
+    """Declare all parameters, and tell of each new set from now on.
+
+    What one request sets must be possible together, whatever the others are. Where it contradicts
+    the others, as happens while ``ros2 param load`` sets one after the other, ``contradicting`` is
+    called with the reason, else ``changed``.
 
     Raises
     ------
@@ -317,10 +345,18 @@ def declare_parameters(
     )
     _warn_of_unknown(node)
     parameters = parameters_from(_values(node))
+
+    def tell(_: list[Parameter]) -> None:
+        try:
+            now = parameters_from(_values(node))
+        except InvalidOption as error:
+            contradicting(error)
+        else:
+            changed(now)
+
+    node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
     node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
-    node.add_post_set_parameters_callback(
-        lambda changes: changed(parameters_from(_values(node)))
-    )
+    node.add_post_set_parameters_callback(tell)
     return parameters
 
 
@@ -359,11 +395,39 @@ def _values(node: Node) -> dict[str, Any]:
     return {name: node.get_parameter(name).value for name in PARAMETERS}
 
 
+def _infinity_as_number(change: Parameter) -> Parameter:
+    """Undo what ``ros2 param load`` makes of ``.inf``: a text."""
+    declared = PARAMETERS.get(change.name)
+    if declared and isinstance(declared.default, float) and change.value == 'inf':
+        return Parameter(change.name, value=math.inf)
+    return change
+
+
 def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
-    """Answer whether the set would be valid with ``changes``; other parameters are not ours."""
+    """Answer whether ``changes`` are possible together; other parameters are not ours."""
     ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
+    for name, value in ours.items():
+        if PARAMETERS[name].fixed and value != node.get_parameter(name).value:
+            return SetParametersResult(
+                successful=False, reason=f'{name} is read-only: it is read at the start'
+            )
     try:
-        parameters_from({**_values(node), **ours})
+        _check_possible(ours)
     except InvalidOption as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
+
+
+def _check_possible(changes: Mapping[str, Any]) -> None:
+    """Raise InvalidOption where no values of the other parameters go with the changes."""
+    others = {name: each.default for name, each in PARAMETERS.items()}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': sys.float_info.max}
+    refused: list[InvalidOption] = []
+    for solver in SOLVERS:
+        try:
+            parameters_from({**others, 'strategy.solver': solver, **changes})
+        except InvalidOption as error:
+            refused.append(error)
+        else:
+            return
+    raise refused[0]

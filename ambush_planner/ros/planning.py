@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import secrets
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
@@ -54,10 +55,11 @@ class _Pending:
 class Plans:
     """Plans by what they follow from: kept, or worked out in the worker process.
 
-    Safe to be used from several threads.
+    ``solved`` is called with each that has been worked out. Safe to be used from several threads.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, solved: Callable[[Plan], None]) -> None:
+        self._solved = solved
         self._kept: list[HeldPlan] = []  # the one used last is the last
         self._pending: list[_Pending] = []
         self._lock = RLock()
@@ -115,6 +117,10 @@ class Plans:
         with self._lock:
             self._kept = [held for held in self._kept if held.trip.map.same_ground(newest)]
 
+    def withdraw(self, solve: Future[HeldPlan]) -> None:
+        """Tell that one of those who asked for a solve no longer waits for it."""
+        self._solves.withdraw(solve)
+
     def withdraw_background(self) -> None:
         """Withdraw what waits in the background."""
         self._solves.withdraw_background()
@@ -148,6 +154,7 @@ class Plans:
             self._pending = [each for each in self._pending if each.solve is not solve]
             if solve.exception() is None:
                 self._keep(solve.result())
+                self._solved(solve.result().plan)
 
     def _keep(self, held: HeldPlan) -> None:
         others = [each for each in self._kept if not _supersedes(held, each)]

@@ -30,7 +30,7 @@ class Reporter:
         self._name, self._outbox, self._clock, self._solving = name, outbox, clock, solving
         self.error_hold = error_hold
         self._failed_at = 0.0
-        self._status = Status()
+        self._status = Status(lifecycle='unconfigured')
         self._lock = RLock()
 
     def report(self) -> RecordedMessage:
@@ -44,6 +44,13 @@ class Reporter:
             return self._outbox.publish(
                 '/diagnostics', status_to_ros(self._status, self._name, stamp)
             )
+
+    def lifecycle(self, state: str) -> None:
+        """Tell the node's state; what was planned and done is forgotten in 'unconfigured'."""
+        if state == 'unconfigured':
+            self._change(lambda status: Status(lifecycle=state, recording=status.recording))
+        else:
+            self._change(lambda status: replace(status, lifecycle=state))
 
     def refresh(self) -> None:
         """Publish the diagnostics if a solve has begun or ended."""
@@ -59,6 +66,14 @@ class Reporter:
     def succeeded(self) -> None:
         """Forget what was wrong with a request."""
         self._change(lambda status: status.without_problem('request'))
+
+    def warn(self, concern: str, text: str) -> None:
+        """Warn of something as long as it lasts; '' when it is over."""
+        def change(status: Status) -> Status:
+            rest = {key: value for key, value in status.warnings.items() if key != concern}
+            return replace(status, warnings=rest | ({concern: text} if text else {}))
+
+        self._change(change)
 
     def inputs(self, missing: tuple[str, ...]) -> None:
         """Tell which inputs are missing."""

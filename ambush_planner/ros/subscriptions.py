@@ -9,20 +9,23 @@ from typing import Any
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from ..recording import type_name
 from .cdr import read_grid_update
 from .errors import UnreadableMessage
 from .guard import Guard
-from .inputs import Inputs, Received
+from .inputs import Inputs, MapInForce, Received
 from .qos import LATCHED, LATEST, UPDATES
 
 try:
     from map_msgs.msg import OccupancyGridUpdate  # comes with ROS, not from PyPI
 except ImportError:
     OccupancyGridUpdate = None
+
+_SELDOM = 10.0  # s
 
 
 class Subscriptions:
@@ -41,9 +44,12 @@ class Subscriptions:
         map_accepted: Callable[[], None],
     ) -> None:
         self._node, self._guard = node, guard
+        self._all: list[Subscription] = []
+        self._map_topic = node.resolve_topic_name('alpha_map')
+        self._map: MapInForce | None = None  # the last one that was told
 
         def accept_map(got: Received) -> None:
-            inputs.accept_map(got)
+            self._tell_map(inputs.accept_map(got))
             map_accepted()
 
         def update_map(got: Received) -> None:
@@ -75,6 +81,34 @@ class Subscriptions:
             lambda got: set_start(_without_covariance(got)),
         )
 
+    def unheard_maps(self) -> str:
+        """Say so where maps are published without the durability that this node asks for."""
+        volatile = sorted({
+            f'{each.node_namespace.rstrip("/")}/{each.node_name}'
+            for each in self._node.get_publishers_info_by_topic(self._map_topic)
+            if each.qos_profile.durability == DurabilityPolicy.VOLATILE
+        })
+        if not volatile:
+            return ''
+        return (
+            f'{", ".join(volatile)[:200]} publishes {self._map_topic} with volatile durability, '
+            'so that nothing of it arrives here: publish it transient local'
+        )
+
+    def _tell_map(self, new: MapInForce) -> None:
+        before, self._map = self._map, new
+        if new is before:
+            return
+        height, width = new.values.shape
+        text = (
+            f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
+            f'{new.frame[:80]!r}'
+        )
+        if before is not None and new.same_ground(before):  # a costmap's comes every second
+            self._node.get_logger().info(text, throttle_duration_sec=_SELDOM)
+        else:
+            self._node.get_logger().info(text)
+
     def _subscribe(
         self,
         kind: type,
@@ -91,8 +125,13 @@ class Subscriptions:
             self._guard.attempt(name, concern, lambda: use(_received(kind, name, data, qos, read)))
 
         # Raw: what cannot be read would end the executor, and recordings keep the bytes that came.
-        self._node.create_subscription(kind, topic, receive, qos, raw=True)
+        self._all.append(self._node.create_subscription(kind, topic, receive, qos, raw=True))
         return name
+
+    def close(self) -> None:
+        """Listen to nothing any more."""
+        for subscription in self._all:
+            self._node.destroy_subscription(subscription)
 
 
 def _received(

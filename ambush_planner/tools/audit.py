@@ -15,7 +15,7 @@ from ..recording import UnreadableRecording, recordings_in
 from ..review.departures import Departure, read_departures, source_findings
 from . import audit_text, cli
 from .audit_figures import audit_figure
-from .report_figures import as_png
+from .figures import as_png
 
 TEXT, PICTURE, PASSAGES = 'audit.txt', 'audit.png', 'audit_passages.csv'
 EPILOG = """\

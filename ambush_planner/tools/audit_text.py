@@ -133,7 +133,7 @@ def findings(audit: Audit) -> list[str]:
 
 
 def impossible_steps(count: int) -> str:
-    """Say that so many steps and ends of routes are none of the strategy's."""
+    """Say how many steps and ends of routes the strategy cannot have drawn."""
     return (
         f'Steps and ends of routes that cannot have been drawn: {count}. Something else was driven '
         'than was planned, or the files do not belong together.'

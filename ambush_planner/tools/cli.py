@@ -259,7 +259,7 @@ def _entry_parser() -> argparse.ArgumentParser:
 
 def _run(command: str, arguments: Sequence[str]) -> int:
     try:
-        module = _module(command)
+        return _module(command).main(arguments)
     except ModuleNotFoundError as error:
         package = str(error.name).partition('.')[0]
         print(
@@ -267,7 +267,6 @@ def _run(command: str, arguments: Sequence[str]) -> int:
             "'ambush_planner[jazzy,figures]'", file=sys.stderr,
         )
         return Exit.UNREADABLE
-    return module.main(arguments)
 
 
 def _module(command: str) -> Any:

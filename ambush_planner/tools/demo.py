@@ -25,10 +25,10 @@ from . import cli
 from .demo_client import DemoClient, NoAnswer
 from .demo_figures import FixedRoute, routes_figure
 from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
+from .figures import as_png
 from .frontier_run import write_frontier
 from .node_process import NodeFailed, NodeProcess, free_domain
 from .report import write_report
-from .report_figures import as_png
 
 # Four cells: about 6000 nodes.
 SPACING = 360.0

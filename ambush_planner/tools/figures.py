@@ -8,12 +8,14 @@ orange the ambusher: told apart by colour-blind readers too.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle
 from matplotlib.patheffects import Normal, Stroke
@@ -36,6 +38,7 @@ ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#11
 # Edges that are driven less often than this are left out of pictures.
 LEAST_PROBABILITY = 1e-3
 SECURED_DASHES = (0, (4, 3))
+DOTS_PER_INCH = 140
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 
 
@@ -171,3 +174,17 @@ def draw_routes(
             solid_joinstyle='round',
             zorder=4,
         )
+
+
+def as_png(figure: Figure) -> bytes:
+    """Return the picture as a PNG file, without the name of the program that made it."""
+    stream = BytesIO()
+    figure.savefig(
+        stream,
+        format='png',
+        dpi=DOTS_PER_INCH,
+        bbox_inches='tight',
+        pad_inches=0.08,
+        metadata={'Software': None},
+    )
+    return stream.getvalue()

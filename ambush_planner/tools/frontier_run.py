@@ -60,7 +60,7 @@ def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
     Raises
     ------
     InvalidTerrain, InvalidRiskMap
-        It is no such map; what is wrong is named.
+        It is not such a map; what is wrong is named.
     OSError
         It cannot be opened.
     """

@@ -162,7 +162,7 @@ def qos_from_yaml(text: str) -> QoSProfile:
     Raises
     ------
     ValueError
-        The text does not list complete profiles, or the first is none that a publisher can have.
+        The text does not list complete profiles, or no publisher can have the first.
     """
     fields = fields_from_yaml(text)
     kinds = {
@@ -183,10 +183,10 @@ def qos_from_yaml(text: str) -> QoSProfile:
     except (
         LookupError, TypeError, ValueError, ArithmeticError, AttributeError, AssertionError,
     ) as error:
-        raise ValueError('no complete quality-of-service profile') from error
+        raise ValueError('it has no complete quality-of-service profile') from error
     unknown = any(getattr(profile, name).name == 'UNKNOWN' for name in kinds)
     if unknown or not 0 <= profile.depth < 2**31:
-        raise ValueError('a quality-of-service profile that no publisher can have')
+        raise ValueError('no publisher can have its quality-of-service profile')
     return profile
 
 
@@ -206,7 +206,7 @@ def check_channels(path: Path, channels: Iterable[Channel]) -> None:
             qos_from_yaml(channel.qos)
         except InvalidTopicNameException as error:
             # Its own words repeat the name as it is, control characters and all.
-            reason = f'{channel.topic[:60]!r} is no name of a topic'
+            reason = f'{channel.topic[:60]!r} is not the name of a topic'
             raise UnreadableRecording(path, reason) from error
         except ValueError as error:
             raise UnreadableRecording(path, f'{channel.topic[:60]!r}: {error}') from error

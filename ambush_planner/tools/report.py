@@ -12,7 +12,6 @@ from ..recording import recordings_in
 from ..review.chain import together
 from . import cli
 from .audit import read_all
-from .report_figures import as_png, ground_figure, routes_figure, strategy_figure
 from .report_page import page
 from .report_sections import Section, sections_of
 from .verify import verify_files
@@ -20,10 +19,11 @@ from .verify import verify_files
 PAGE = 'report.html'
 EPILOG = """\
 The page, report.html, has the map, the strategy, the routes, how they compare with planners that
-leave no choice, and what is promised, in words; a section for a map and a pair of places. It holds
-its pictures itself, needs no network and runs no scripts. It shows secret routes: it has mode
-0600, a new folder 0700. It says "verified" only with --verify, which plans and draws every
-departure again, as ambush_verify does.
+leave no choice, and what is promised, in words; a section for a map and a pair of places. The map
+can be moved and zoomed, its layers switched, departures picked one by one; it tells what an ambush
+at the pointer would cost. The page needs no network, and its one script is its own. It shows
+secret routes: it has mode 0600, a new folder 0700. It says "verified" only with --verify, which
+plans and draws every departure again, as ambush_verify does.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
 """ + cli.EXIT_CODES
 
@@ -76,8 +76,7 @@ def write_report(place: Path, output: Path, verify: bool, console: cli.Console) 
         if place.is_dir():
             faults, _ = together(verdicts)
     sections = sections_of(departures)
-    drawn = [(each, _pictures(each)) for each in console.progress(sections, 'drawn')]
-    html = page(drawn, len(unreadable), verdicts, faults)
+    html = page(sections, len(unreadable), verdicts, faults)
     cli.write_private(output, {PAGE: html.encode()})
     wrong = bool(faults) or any(each.readable and not each.holds for each in verdicts)
     code = cli.Exit.FINDING if wrong else (
@@ -102,18 +101,6 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
         'verified': written.code == cli.Exit.HOLDS if options.verify else None,
     }
     return written.code
-
-
-def _pictures(section: Section) -> list[bytes]:
-    risk_map, strategy = section.risk_map, section.strategy
-    secured = section.departures[-1].parameters.planning.game.secured_radius
-    routes = [each.strategy.network.points[each.route] for each in section.departures]
-    figures = (
-        ground_figure(risk_map, strategy, secured),
-        strategy_figure(risk_map, strategy, secured),
-        routes_figure(risk_map, strategy, routes, section.colours(), secured),
-    )
-    return [as_png(figure) for figure in figures]
 
 
 if __name__ == '__main__':

@@ -1,11 +1,12 @@
-"""The report as one HTML page that needs nothing else: no network, no scripts, pictures inline.
+"""The report as one HTML page that needs nothing else: no network, its one script inline.
 
-Everything that comes from files passes ``html.escape``; the Content-Security-Policy forbids
-whatever might get through all the same.
+Everything that comes from files passes ``html.escape``; the Content-Security-Policy names the one
+script by its hash, and forbids whatever might get through all the same.
 """
 
 from __future__ import annotations
 
+import hashlib
 from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
@@ -13,6 +14,7 @@ from html import escape
 from ..review.verify import Verdict
 from . import report_words as words
 from .audit_text import how_many, span
+from .report_map import map_figure, script
 from .report_sections import Section
 
 STYLE = """\
@@ -29,9 +31,26 @@ h3 { font-size: 1.1rem; margin: 1.8rem 0 0.4rem; }
   padding: 0.5rem 0.8rem; }
 .tiles b { display: block; font-size: 1.6rem; }
 figure { margin: 1.2rem 0; break-inside: avoid; }
-figure img { width: 100%; max-width: 46rem; height: auto; display: block; }
 figcaption { color: #444; max-width: 46rem; }
+.map .controls { display: flex; flex-wrap: wrap; align-items: center;
+  gap: 0.4rem 1.2rem; padding: 0.3rem 0; }
+.map label { white-space: nowrap; padding: 0.2rem 0.4rem 0.2rem 0; }
+.map .controls > label { display: flex; align-items: center; gap: 0.4rem; max-width: 100%; }
+.map input { width: 1.1rem; height: 1.1rem; vertical-align: -0.15rem; margin-right: 0.25rem; }
+.map button, .map select { font: inherit; min-height: 2rem; min-width: 2rem; }
+.map .canvas { position: relative; overflow: hidden; line-height: 0; }
+.map canvas { width: 100%; touch-action: none; cursor: crosshair; background: #eee; }
+.map canvas:focus-visible { outline: 3px solid #1146b0; outline-offset: -3px; }
+.map .reach { display: none; position: absolute; transform: translate(-50%, -50%);
+  border: 1.5px solid #e66100; border-radius: 50%; box-sizing: border-box; pointer-events: none;
+  min-width: 8px; min-height: 8px; }
+.map .readout { min-height: 3rem; margin: 0.4rem 0; }
+.legend { list-style: none; padding: 0; margin: 0.4rem 0; display: flex; flex-wrap: wrap;
+  gap: 0.2rem 1.4rem; }
+.legend i { display: inline-block; width: 1rem; height: 1rem; margin-right: 0.4rem;
+  vertical-align: -0.15rem; box-sizing: border-box; outline: 1px solid #999; }
 .wide { overflow-x: auto; }
+.tall { overflow-y: auto; max-height: 36rem; }
 table { border-collapse: collapse; font-size: 0.93rem; min-width: 60%; }
 th, td { text-align: left; padding: 0.3rem 0.7rem 0.3rem 0; border-bottom: 1px solid #ddd;
   vertical-align: top; }
@@ -40,11 +59,12 @@ tbody th { font-weight: normal; }
 .better td, .better th { font-weight: bold; }
 .small td, .small th { font-size: 0.85rem; }
 @media print { body { font-size: 10.5pt; max-width: none; padding: 0; }
-  h2, h3 { break-after: avoid; } tr { break-inside: avoid; } .wide { overflow: visible; }
-  figure img { max-height: 21cm; width: auto; max-width: 100%; }
+  h2, h3 { break-after: avoid; } tr { break-inside: avoid; }
+  .wide { overflow: visible; max-height: none; }
+  .map .controls, .map .readout { display: none; }
   section { break-before: page; } section:first-of-type { break-before: auto; } }
 """
-POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{}'"
 SECRET = (
     'This page shows where convoys drive and drove. Whoever has it knows the routes of past '
     'departures and the odds of coming ones. Treat it like the recordings that it was made from: '
@@ -69,6 +89,12 @@ FIXED_SEED = (
     'At least one of these departures was drawn with a fixed seed: whoever knows the seed can '
     'foretell such routes. Use fixed seeds for tests only.'
 )
+MAP = (
+    'Grey: the darker, the more an ambush would cost there. Blue: where the convoy may drive; the '
+    'darker and thicker, the likelier. Orange: where the best ambusher waits, one place at a time; '
+    'these lie where the ways are few. Each route was drawn afresh by the odds that held then; '
+    'colours and numbers are those of the table below, and thin lines are earlier departures.'
+)
 MEASURES = (
     'E is the mean length of the way. P_1 is the chance of meeting the ambusher who plays best '
     'against an unknown draw; P_inf and V_inf are chance and mean loss once he knows how this '
@@ -77,7 +103,7 @@ MEASURES = (
 
 
 def page(
-    sections: Sequence[tuple[Section, Sequence[bytes]]],
+    sections: Sequence[Section],
     unreadable: int,
     verdicts: Sequence[Verdict],
     faults: Sequence[str],
@@ -87,13 +113,13 @@ def page(
     Parameters
     ----------
     sections
-        Each with its pictures (PNG): ground, odds, routes.
+        One for each trip.
     unreadable
         How many files could not be read and are missing here.
     verdicts, faults
         What verifying the files one by one and together found; empty where it was not done.
     """
-    count = sum(len(section.departures) for section, _ in sections)
+    count = sum(len(section.departures) for section in sections)
     title = f"Convoy routes: {count} departure{'s' * (count != 1)}"
     body = [
         _element('h1', title),
@@ -104,19 +130,20 @@ def page(
     if unreadable:
         missing = 'Recordings that could not be read and are missing here'
         body.append(_warning(f'{missing}: {unreadable}.'))
-    for number, (section, pictures) in enumerate(sections, start=1):
+    for number, section in enumerate(sections, start=1):
         several = f'Trip {number} of {len(sections)}' if len(sections) > 1 else ''
-        body += ['<section>', *_section(section, pictures, several), '</section>']
+        body += ['<section>', *_section(section, several), '</section>']
+    policy = POLICY.format(b64encode(hashlib.sha256(script().encode()).digest()).decode('ascii'))
     return '\n'.join((
         '<!DOCTYPE html>',
         '<html lang="en"><head><meta charset="utf-8">',
-        f'<meta http-equiv="Content-Security-Policy" content="{escape(POLICY)}">',
+        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
         '<meta name="referrer" content="no-referrer"><meta name="robots" content="noindex">',
         f'<title>{escape(title)}</title>',
         f'<style>\n{STYLE}</style></head><body>',
         *body,
-        '</body></html>\n',
+        f'<script>{script()}</script></body></html>\n',
     ))
 
 
@@ -128,11 +155,9 @@ def _verification(verdicts: Sequence[Verdict], faults: Sequence[str]) -> list[st
     return [_element('p', each) for each in said]
 
 
-def _section(section: Section, pictures: Sequence[bytes], several: str) -> list[str]:
+def _section(section: Section, several: str) -> list[str]:
     strategy, records = section.strategy, section.departures
-    ground, odds, routes = pictures
-    count = how_many(records)
-    heading = (f'{several}: ' if several else '') + f'{count}, {span(records)}'
+    heading = (f'{several}: ' if several else '') + f'{how_many(records)}, {span(records)}'
     parts = [_element('h2', heading)]
     if any(record.parameters.seed >= 0 for record in records):
         parts.append(_warning(FIXED_SEED))
@@ -140,18 +165,9 @@ def _section(section: Section, pictures: Sequence[bytes], several: str) -> list[
         parts.append(_element('p', SEVERAL.format(section.strategies)))
     parts += [
         _tiles(words.tiles(section)), _element('p', UNITS),
-        _element('h3', 'The ground'),
-        _figure(ground, 'Map of the risk with start and goal',
-                'The redder, the more an ambush would cost there. Black: nobody can drive.'),
-        _element('h3', 'Where the convoy may drive, and where the ambusher waits'),
-        _figure(odds, 'Map of the odds of each stretch, with the places of the ambusher',
-                'Blue: where the convoy may drive; the darker and thicker, the likelier. Orange: '
-                'where the best ambusher waits, one place at a time; the larger, the likelier. '
-                'They lie where the ways are few. The grey is the risk of the picture above.'),
-        _element('h3', 'The routes that were drawn'),
-        _figure(routes, 'Map of the routes of the departures',
-                f'{count}; each route was drawn afresh by the odds that held then. The numbers are '
-                'those of the table below.'),
+        _element('h3', 'The ground, the odds and the routes'),
+        map_figure(section),
+        _element('p', MAP),
         _element('h3', 'Departures'),
         _departures(section),
         _element('h3', 'What is promised'),
@@ -181,7 +197,7 @@ def _departures(section: Section) -> str:
         lines.append(f'<tr><th scope="row">{escape(name)}{dot}</th>{data}</tr>')
     content = '\n'.join(lines)
     return (
-        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>\n'
+        f'<div class="wide tall" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
         f'<tbody>{content}</tbody></table></div>'
     )
 
@@ -197,14 +213,6 @@ def _warning(text: str) -> str:
 def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
     items = (f'<li><b>{escape(number)}</b> {escape(text)}</li>' for number, text in tiles)
     return f'<ul class="tiles">{"".join(items)}</ul>'
-
-
-def _figure(png: bytes, alternative: str, caption: str) -> str:
-    data = b64encode(png).decode('ascii')
-    return (
-        f'<figure><img alt="{escape(alternative)}" src="data:image/png;base64,{data}">'
-        f'<figcaption>{escape(caption)}</figcaption></figure>'
-    )
 
 
 def _table(rows: Sequence[Sequence[str]], first: str = '') -> str:

@@ -38,7 +38,7 @@ def certificate(section: Section) -> list[str]:
     """Say what the value and its lower bound promise, with their numbers."""
     strategy, game = section.strategy, section.departures[0].parameters.planning.game
     # An ambush whose reach holds the start or the goal is no site either.
-    held = max(game.secured_radius, game.ambush_radius)
+    held = max(game.secured_radius, strategy.game.ambush_radius)
     outside = f' that waits over {distance(held)} from start and goal' if held > 0.0 else ''
     value, bound = strategy.value, strategy.lower_bound
     bounded = math.isfinite(strategy.length_budget)

@@ -83,7 +83,7 @@ class TableFile:
     Raises
     ------
     BadTable
-        At the path is something that is no such table.
+        At the path is something else than such a table.
     OSError
         It cannot be read, or the part cannot be written.
     """
@@ -125,7 +125,7 @@ class TableFile:
                 self._part.unlink()
 
     def has(self, inputs: str) -> bool:
-        """Whether the row of these inputs is there, and is no error."""
+        """Whether the row of these inputs is there, without an error."""
         return inputs in self._rows
 
     def add(self, row: Row) -> None:

@@ -21,28 +21,35 @@ EPILOG = """\
 Each departure is planned again from its recorded map, start, goal and parameters, and its route
 drawn again. It holds if network, strategy, value and route are the same (numbers to 1e-9, the
 probabilities to 1e-6 where another processor or release of numpy or scipy rounds otherwise), if
-the strategy's certificate closes (where the solve took a fifth of max_planning_time or more, it
-may have been cut short: then certificate and strategy.max_gap count, whatever is found with more
-time),
-if path, markers, answer and the strategy's numbers in the diagnostics follow from these, if the
-request came first and the answer last, and if the file is laid out as the recorder does it, with
-nothing else in it. Of a folder it is also checked that each file states the SHA-256 of the one
-before it, so that none is missing, exchanged, moved or inserted; that metadata.yaml names just the
-files that are there; and that no two departures were drawn from the same random numbers. The
+path, markers, request, answer and the strategy's numbers in the diagnostics are what follows from
+these, if the request came first and the answer last, and if the file is, record by record, what
+the recorder writes of that. Of a folder it is also checked that each file states the SHA-256 of
+the one before it, so that none is missing, exchanged, moved or inserted; that metadata.yaml says
+just what the files hold; and that no two departures were drawn from the same random numbers. The
 newest recording's hash is told last: note it elsewhere, or sign it, and give it with --expect the
 next time.
+
+The certificate is computed anew from the recorded probabilities alone, whatever time the solve
+had: it proves the value, and that no strategy within the budgets has less than the lower bound. It
+must close up to risk_slack, or, where time was up, up to strategy.max_gap of the value. Where the
+solve took a fifth of max_planning_time or more, that is all: another strategy than the one that
+follows with more time is then told, with both entropies, and is not a finding.
 
 What is not found, by somebody who corrects checksums and hashes:
 * a recording that was made anew as a whole, from another seed with all that follows, if no later
   one states its hash and it is not expected; the last files, taken away, and the first of all,
-  if the recording that they follow is not here; a whole folder, made anew
-* times: only their order within a departure is checked
-* map cells whose change alters neither an edge (obstacles) nor the loss of a node (others)
-* max_planning_time and the solve's seconds, quality of service, stamps of markers and inputs,
-  versions of software; in the diagnostics the state, the name, the kind of warning, and trouble
-  with a map or with recording, which the answer repeats; names of topics that were remapped;
-  orientation and height of a goal in another frame than the map's; where departures are missing
-  that were not recorded at all
+  if the recording that they follow is not here; a whole folder, made anew; files of other kinds
+* another strategy of less entropy, within strategy.max_gap, where the diagnostics state that its
+  solve took long: nothing recorded proves the time that it took
+* times: only their order within a departure is checked; stamps of inputs, markers and diagnostics
+* map cells whose change alters neither an edge (obstacles) nor the loss of a node (others); the
+  height of the map, the covariance of a start that was estimated
+* parameters that nothing recorded follows from, as replan.tolerance, queue.size and those of TF;
+  max_planning_time; quality of service; versions of software; names of topics that were remapped
+* in the diagnostics the state, the node's name, the solve's seconds, the kind of warning, how the
+  strategy stands on a newer map, and trouble with a map or a recording, which the answer repeats
+* orientation and height of a goal in another frame than the map's; frames that a decompressor
+  skips; where departures are missing that were not recorded at all
 
 Output: a line a departure, what does not hold below it; progress on standard error.
 --json: {"verdict", "departures": [{"file", "sha256", "number", "holds", "value", "problems",

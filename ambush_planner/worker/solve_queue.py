@@ -18,6 +18,7 @@ from .process import WorkerProcess
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
 _SUPERSEDED = 'a later map has taken the place of this one'
+_WITHDRAWN = 'nobody waits for this solve any more'
 
 _Outcome = TypeVar('_Outcome')
 
@@ -36,6 +37,7 @@ class _Solve(Generic[_Outcome]):
     outcome: Future[_Outcome] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
+    submitted: int = 1
 
 
 class SolveQueue(Generic[_Outcome]):
@@ -94,6 +96,7 @@ class SolveQueue(Generic[_Outcome]):
             solve = self._same(key)
             if solve is not None:
                 solve.background = solve.background and background
+                solve.submitted += 1
                 return solve.outcome
             superseded = self._drop_background() if background else []
             if sum(not each.background for each in self._waiting.values()) >= size:
@@ -103,6 +106,19 @@ class SolveQueue(Generic[_Outcome]):
             self._condition.notify()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
+
+    def withdraw(self, outcome: Future[_Outcome]) -> None:
+        """Take one submission back: a solve that nobody waits for any more is ended."""
+        with self._condition:
+            here = [each for each in (self._running, *self._waiting.values())
+                    if each is not None and each.outcome is outcome]
+            for solve in here:
+                solve.submitted -= 1
+            ended = [solve for solve in here if not solve.submitted]
+            if self._running in ended:
+                self._end_running(_WITHDRAWN)
+            waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
+        _end(waited, _WITHDRAWN)
 
     def withdraw_background(self) -> None:
         """Withdraw the solves in the background that have not begun."""

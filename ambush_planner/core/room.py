@@ -1,0 +1,216 @@
+"""How much room there is beside edges and beyond their ends: to other nodes, obstacles, the map's
+edge. Geometry for ``corridors``, in map axes, whole arrays at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_erosion
+from scipy.spatial import cKDTree
+
+from .arrays import FloatArray, IndexArray
+from .risk_map import RiskMap
+
+# Of the distance to the next node, so that strips and quarters stay away from it.
+SHARE = 0.95
+# Of a cell: what is kept from obstacles beyond the clearance. More than what counts as touching
+# them; what lies nearer than this to an obstacle has no room at all.
+KEPT = 1e-5
+# Nodes looked at around an edge; nothing is taken for granted beyond the furthest of them.
+NEAREST = 12
+# Of a cell of side 1, one after the other.
+CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """Widths (P, 2) of the strips on the left and right of P pairs of nodes [m], and radii
+    (P, 2, 2) of the quarters beyond their start and end, on the left and right."""
+
+    widths: FloatArray
+    beyond: FloatArray
+
+
+def among_nodes(uv: FloatArray, pairs: IndexArray) -> Room:
+    """As far as strips and quarters hold no other node; never wider than the edge is long."""
+    start, direction, length = _frame(uv, pairs)
+    count = min(NEAREST, len(uv))
+    far, near = cKDTree(uv).query(uv[pairs].mean(axis=1), k=count)
+    # Beyond the furthest node that was looked at there may be others.
+    known = far[:, -1] if count < len(uv) else np.full(len(pairs), np.inf)
+    along, aside = _turned(uv[near] - start[:, None], direction[:, None])
+    tiny = 1e-9 * length[:, None]
+    other = (near != pairs[:, :1]) & (near != pairs[:, 1:])
+    beside = other & (along > -tiny) & (along < length[:, None] + tiny)
+    widths, beyond = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
+    for side, offset in ((0, aside), (1, -aside)):
+        widths[:, side] = np.where(beside & (offset > -tiny), offset, np.inf).min(axis=1)
+        for end, ahead in ((0, -along), (1, along - length[:, None])):
+            there = other & (ahead > -tiny) & (offset > -tiny)
+            beyond[:, end, side] = np.where(there, np.hypot(ahead, offset), np.inf).min(axis=1)
+    reach = np.sqrt(np.maximum(known**2 - length**2 / 4, 0.0))
+    widths = np.minimum(widths, np.minimum(reach, length)[:, None])
+    beyond = np.minimum(beyond, np.maximum(known - length / 2, 0.0)[:, None, None])
+    return Room(SHARE * widths, SHARE * beyond)
+
+
+def on_the_map(
+    room: Room,
+    uv: FloatArray,
+    pairs: IndexArray,
+    risk_map: RiskMap,
+    clearance: float,
+    clear_of_edge: bool,
+) -> Room:
+    """Of a room, what keeps the clearance [m]; quarters are no wider than the strips."""
+    cells, resolution = _rim_cells(risk_map), risk_map.resolution
+    kept = clearance + KEPT * resolution
+    margin = kept if clear_of_edge else KEPT * resolution
+    strips, quarters = _to_map_edge(uv, pairs, np.array(risk_map.size), margin)
+    widths = np.minimum(room.widths, strips)
+    widths = np.minimum(widths, _strips(uv, pairs, cells, widths, kept, resolution))
+    beyond = np.minimum(np.minimum(room.beyond, quarters), widths[:, None])
+    beyond = np.minimum(beyond, _quarters(uv, pairs, cells, beyond, kept, resolution))
+    return Room(np.maximum(widths, 0.0), np.maximum(beyond, 0.0))
+
+
+def _frame(uv: FloatArray, pairs: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Start (P, 2), unit direction (P, 2) and length (P,) of each pair."""
+    start = uv[pairs[:, 0]]
+    step = uv[pairs[:, 1]] - start
+    length = np.hypot(*step.T)
+    return start, step / np.maximum(length, np.finfo(float).tiny)[:, None], length
+
+
+def _turned(vector: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far vectors lead along unit directions, and to their left."""
+    along = (vector * direction).sum(axis=-1)
+    aside = direction[..., 0] * vector[..., 1] - direction[..., 1] * vector[..., 0]
+    return along, aside
+
+
+def _ahead(direction: FloatArray) -> list[tuple[int, FloatArray]]:
+    """For both ends of pairs, where the way out of the strip leads."""
+    return [(0, -direction), (1, direction)]
+
+
+def _rim_cells(risk_map: RiskMap) -> FloatArray:
+    """Centres (C, 2) in map axes of the obstacle cells that touch free ground."""
+    inner = binary_erosion(risk_map.obstacles, border_value=1)
+    cells = np.argwhere(risk_map.obstacles & ~inner)
+    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
+
+
+def _near(
+    cells: FloatArray, places: FloatArray, radius: FloatArray
+) -> tuple[IndexArray, FloatArray]:
+    """Which of the places (P, 2) has which cell within its radius (P,): both (C,)."""
+    found = cKDTree(cells).query_ball_point(places, radius, return_sorted=False)
+    place = np.repeat(np.arange(len(places)), [len(some) for some in found])
+    index = np.concatenate([*found, []]).astype(np.int64)
+    return place, cells[index]
+
+
+def _strips(
+    uv: FloatArray,
+    pairs: IndexArray,
+    cells: FloatArray,
+    widths: FloatArray,
+    kept: float,
+    resolution: float,
+) -> FloatArray:
+    """Widths (P, 2) at which the strips come within ``kept`` of an obstacle cell."""
+    room = np.full(widths.shape, np.inf)
+    if len(cells) == 0:
+        return room
+    start, direction, length = _frame(uv, pairs)
+    radius = np.hypot(length / 2, widths.max(axis=1)) + kept + resolution
+    pair, cell = _near(cells, uv[pairs].mean(axis=1), radius)
+    to = cell[:, None] + CORNERS * resolution - start[pair, None]
+    along, aside = _turned(to, direction[pair, None])
+    for side, offset in ((0, aside), (1, -aside)):
+        first, last = _within([along + kept, length[pair, None] + kept - along, offset])
+        change = np.roll(offset, -1, axis=1) - offset
+        nearest = offset + np.minimum(first * change, last * change)
+        nearest = np.where(first <= last, nearest, np.inf).min(axis=1)
+        np.minimum.at(room[:, side], pair, nearest - kept)
+    return room
+
+
+def _quarters(
+    uv: FloatArray,
+    pairs: IndexArray,
+    cells: FloatArray,
+    beyond: FloatArray,
+    kept: float,
+    resolution: float,
+) -> FloatArray:
+    """Radii (P, 2, 2) at which the quarters come within ``kept`` of an obstacle cell."""
+    room = np.full(beyond.shape, np.inf)
+    if len(cells) == 0:
+        return room
+    for end, ahead in _ahead(_frame(uv, pairs)[1]):
+        node = uv[pairs[:, end]]
+        pair, cell = _near(cells, node, beyond[:, end].max(axis=1) + kept + resolution)
+        to = cell[:, None] + CORNERS * resolution - node[pair, None]
+        along, aside = _turned(to, ahead[pair, None])
+        for side in (0, 1):
+            # Who looks back from a pair's start has its left on the right.
+            nearest = _from_corner(along, aside if side != end else -aside, kept)
+            np.minimum.at(room[:, end, side], pair, nearest - kept)
+    return room
+
+
+def _from_corner(along: FloatArray, aside: FloatArray, kept: float) -> FloatArray:
+    """Distance (C,) from 0, which lies in none of them, of those parts of squares with corners
+    (C, 4) that have both offsets at least ``-kept``; inf where there is no such part."""
+    first, last = _within([along + kept, aside + kept])
+    forward, sideward = (np.roll(offset, -1, axis=1) - offset for offset in (along, aside))
+    foot = -(along * forward + aside * sideward) / (forward**2 + sideward**2)
+    share = np.clip(foot, first, np.maximum(first, last))
+    far = np.hypot(along + share * forward, aside + share * sideward)
+    nearest: FloatArray = np.where(first <= last, far, np.inf).min(axis=1)
+    return nearest
+
+
+def _within(offsets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """From which to which share (C, 4) of the sides of squares all offsets are at least 0; they are
+    given at the corners (C, 4). Nowhere if the first share is the larger one."""
+    first, last = np.zeros(offsets[0].shape), np.ones(offsets[0].shape)
+    for offset in offsets:
+        change = np.roll(offset, -1, axis=1) - offset
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = -offset / change
+        first = np.where(change > 0.0, np.fmax(first, share), first)
+        last = np.where(change < 0.0, np.fmin(last, share), last)
+        last = np.where((change == 0.0) & (offset < 0.0), -1.0, last)
+    return first, last
+
+
+def _to_map_edge(
+    uv: FloatArray, pairs: IndexArray, size: FloatArray, margin: float
+) -> tuple[FloatArray, FloatArray]:
+    """Widths (P, 2) and radii (P, 2, 2) at which strips and quarters come within ``margin`` of the
+    map's outer edge."""
+    direction = _frame(uv, pairs)[1]
+    leftward = np.stack((-direction[:, 1], direction[:, 0]), axis=1)
+    strips, quarters = np.full((len(pairs), 2), np.inf), np.full((len(pairs), 2, 2), np.inf)
+    gaps = [(uv[pairs] - margin, -1.0), (size - margin - uv[pairs], 1.0)]
+    for side, aside in ((0, leftward), (1, -leftward)):
+        for gap, sign in gaps:
+            strips[:, side] = np.minimum(strips[:, side], _first(gap.min(axis=1), sign * aside))
+            for end, ahead in _ahead(direction):
+                out = sign * np.stack((ahead, aside))
+                # Between its two sides a quarter leads straight outward if both lead outward.
+                speed = np.where((out > 0.0).all(axis=0), 1.0, out.max(axis=0))
+                radius = _first(gap[:, end], speed)
+                quarters[:, end, side] = np.minimum(quarters[:, end, side], radius)
+    return strips, quarters
+
+
+def _first(gap: FloatArray, speed: FloatArray) -> FloatArray:
+    """How far (P,) one gets until a gap (P, 2) is used up at a speed (P, 2) along its axis."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        far: FloatArray = np.where(speed > 0.0, gap / speed, np.inf).min(axis=1)
+    return far

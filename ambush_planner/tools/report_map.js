@@ -1,0 +1,378 @@
+'use strict';
+// The maps of a report: pan, zoom, layers, one departure after the other, numbers at the pointer.
+// Positions are metres from the risk map's corner, along the world's axes.
+
+const LEAST = 1e-3; // Stretches that are driven less often are not drawn.
+const CLASSES = 12; // So many colours and widths for the others.
+const BLUES = [[127, 184, 230], [47, 127, 208], [17, 70, 176], [20, 7, 92]];
+const BLACK = '#1c1714', ORANGE = '#e66100', YELLOW = '#ffd92f', THIN = '#33557f';
+const OBSTACLE = 255;
+const TYPES = {
+  cells: Uint8Array, points: Float32Array, edges: Uint32Array, chances: Float32Array,
+  sites: Float32Array, routes: Float32Array,
+};
+
+async function unpack(text, Type) {
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
+  return new Type(await new Response(stream).arrayBuffer());
+}
+
+function blue(share) {
+  const at = share * (BLUES.length - 1), k = Math.min(Math.floor(at), BLUES.length - 2);
+  return `rgb(${BLUES[k].map((c, i) => Math.round(c + (at - k) * (BLUES[k + 1][i] - c)))})`;
+}
+
+const digits = (number) => Number(number.toPrecision(3)).toString();
+
+class View {
+  constructor(figure, data) {
+    Object.assign(this, { figure, data });
+    this.canvas = figure.querySelector('canvas');
+    this.pen = this.canvas.getContext('2d');
+    this.layers = Object.fromEntries(
+      [...figure.querySelectorAll('[data-layer]')].map((box) => [box.dataset.layer, box]));
+    this.pick = figure.querySelector('select');
+    this.readout = figure.querySelector('.readout');
+    this.circle = figure.querySelector('.reach');
+    this.fingers = new Map();
+    this.ground = this.#paint(true);
+    this.bare = this.#paint(false);
+    this.stretches = this.#stretches();
+    this.visits = this.#visits();
+    this.lines = this.#lines();
+    this.#listen();
+    this.showAll();
+    new ResizeObserver(() => this.#resize()).observe(figure);
+  }
+
+  // The map as a picture, a pixel a cell: losses in grey, or obstacles only.
+  #paint(losses) {
+    const { columns, rows, cells, levels } = this.data;
+    const picture = new OffscreenCanvas(columns, rows), pen = picture.getContext('2d');
+    const image = pen.createImageData(columns, rows), pixels = new Uint32Array(image.data.buffer);
+    const most = Math.max(...levels), span = most - Math.min(...levels) || 1;
+    const grey = levels.map((loss) => {
+      const light = Math.round(255 - 123 * (1 - (most - loss) / span));
+      return (255 << 24 | light << 16 | light << 8 | light) >>> 0;
+    });
+    cells.forEach((level, k) => {
+      const at = (rows - 1 - Math.floor(k / columns)) * columns + k % columns;
+      pixels[at] = level === OBSTACLE ? 0xff31353a : losses ? grey[level] : 0;
+    });
+    pen.putImageData(image, 0, 0);
+    return picture;
+  }
+
+  // Stretches in use by how likely they are: one path, colour and width for each class.
+  #stretches() {
+    const { points, edges, chances } = this.data;
+    const most = chances.reduce((a, b) => Math.max(a, b), 2 * LEAST);
+    const classes = Array.from({ length: CLASSES }, (_, k) => {
+      const share = k / (CLASSES - 1);
+      return { path: new Path2D(), colour: blue(share), width: 0.5 + 2.5 * share ** 2 };
+    });
+    chances.forEach((p, k) => {
+      if (p < LEAST) return;
+      const share = Math.log(p / LEAST) / Math.log(most / LEAST);
+      const { path } = classes[Math.min(Math.floor(share * CLASSES), CLASSES - 1)];
+      const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
+      path.moveTo(points[i], points[i + 1]);
+      path.lineTo(points[j], points[j + 1]);
+    });
+    return classes;
+  }
+
+  #visits() {
+    const { points, edges, chances } = this.data, visits = new Float64Array(points.length / 2);
+    chances.forEach((p, k) => { visits[edges[2 * k + 1]] += p; });
+    return visits;
+  }
+
+  #lines() {
+    let at = 0;
+    return this.data.counts.map((count) => {
+      const path = new Path2D();
+      for (let k = 0; k < count; k += 1, at += 2) {
+        path.lineTo(this.data.routes[at], this.data.routes[at + 1]);
+      }
+      return path;
+    });
+  }
+
+  // What an ambush at a place costs: the loss there times the share of departures that it hits.
+  measure(x, y) {
+    const { reach, held, ends } = this.data;
+    let [u, v, hit] = [x, y, 0];
+    if (reach > 0) hit = this.#entering(x, y);
+    else [u, v, hit] = this.#nearest(x, y);
+    const near = Math.min(...ends.map(([a, b]) => Math.hypot(u - a, v - b)));
+    const loss = this.#loss(u, v);
+    return { here: this.#loss(x, y), loss, hit, cost: loss * hit, held: near <= held };
+  }
+
+  // Loss by the map: NaN in obstacles, undefined beside the map.
+  #loss(x, y) {
+    const { yaw, cell, columns, rows, cells, levels } = this.data;
+    const column = Math.floor((x * Math.cos(yaw) + y * Math.sin(yaw)) / cell);
+    const row = Math.floor((y * Math.cos(yaw) - x * Math.sin(yaw)) / cell);
+    if (column < 0 || row < 0 || column >= columns || row >= rows) return undefined;
+    const level = cells[row * columns + column];
+    return level === OBSTACLE ? NaN : levels[level];
+  }
+
+  // Chance that a departure comes into the disc: stretches that begin outside and meet it.
+  #entering(x, y) {
+    const { points, edges, chances, reach } = this.data;
+    let hit = 0;
+    for (let k = 0; k < chances.length; k += 1) {
+      const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
+      const [a, b] = [points[i] - x, points[i + 1] - y];
+      if (Math.hypot(a, b) <= reach) continue;
+      const [c, d] = [points[j] - points[i], points[j + 1] - points[i + 1]];
+      const t = Math.min(Math.max(-(a * c + b * d) / (c * c + d * d || 1), 0), 1);
+      if (Math.hypot(a + t * c, b + t * d) <= reach) hit += chances[k];
+    }
+    return hit;
+  }
+
+  #nearest(x, y) {
+    const { points } = this.data;
+    let [best, least] = [0, Infinity];
+    for (let k = 0; k < this.visits.length; k += 1) {
+      const far = (points[2 * k] - x) ** 2 + (points[2 * k + 1] - y) ** 2;
+      if (far < least) [best, least] = [k, far];
+    }
+    return [points[2 * best], points[2 * best + 1], this.visits[best]];
+  }
+
+  showAll() {
+    const { box: [left, bottom, right, top] } = this.data;
+    [this.x, this.y] = [(left + right) / 2, (bottom + top) / 2];
+    this.zoom = 1;
+    this.#resize();
+  }
+
+  #resize() {
+    const { box: [left, bottom, right, top] } = this.data;
+    const width = this.figure.clientWidth;
+    const wanted = width * (top - bottom) / (right - left);
+    const height = Math.round(Math.min(Math.max(wanted, 220), 0.75 * window.innerHeight));
+    const fine = window.devicePixelRatio || 1;
+    Object.assign(this, { width, height, fine });
+    Object.assign(this.canvas, { width: width * fine, height: height * fine });
+    this.canvas.style.height = `${height}px`;
+    this.whole = 0.97 * Math.min(width / (right - left), height / (top - bottom));
+    this.draw();
+  }
+
+  get scale() { return this.whole * this.zoom; }
+
+  place(px, py) {
+    return [this.x + (px - this.width / 2) / this.scale,
+      this.y - (py - this.height / 2) / this.scale];
+  }
+
+  zoomBy(factor, px = this.width / 2, py = this.height / 2) {
+    const [x, y] = this.place(px, py);
+    const zoom = Math.min(Math.max(this.zoom * factor, 1), 200);
+    this.x = x + (this.x - x) * this.zoom / zoom;
+    this.y = y + (this.y - y) * this.zoom / zoom;
+    this.zoom = zoom;
+    this.draw();
+  }
+
+  move(px, py) {
+    const { box: [left, bottom, right, top] } = this.data;
+    this.x = Math.min(Math.max(this.x - px / this.scale, left), right);
+    this.y = Math.min(Math.max(this.y + py / this.scale, bottom), top);
+    this.draw();
+  }
+
+  draw() {
+    if (!this.drawing) this.drawing = requestAnimationFrame(() => this.#draw());
+  }
+
+  #draw() {
+    this.drawing = 0;
+    const { pen, data, scale, fine } = this, { yaw, cell, columns, rows, held } = data;
+    pen.setTransform(1, 0, 0, 1, 0, 0);
+    pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    pen.setTransform(fine * scale, 0, 0, -fine * scale,
+      fine * (this.width / 2 - this.x * scale), fine * (this.height / 2 + this.y * scale));
+    Object.assign(pen, { lineCap: 'round', lineJoin: 'round', imageSmoothingEnabled: false });
+    pen.save();
+    pen.rotate(yaw);
+    pen.scale(cell, -cell);
+    pen.drawImage(this.layers.risk.checked ? this.ground : this.bare, 0, -rows, columns, rows);
+    pen.restore();
+    if (this.layers.chances.checked) {
+      pen.globalAlpha = this.layers.routes.checked ? 0.6 : 1;
+      for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
+      pen.globalAlpha = 1;
+    }
+    if (held > 0) {
+      pen.setLineDash([6 / scale, 4 / scale]);
+      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'black', 1.2);
+      pen.setLineDash([]);
+    }
+    if (this.layers.routes.checked) this.#drawRoutes();
+    if (this.layers.sites.checked) this.#drawSites();
+    data.ends.forEach(([x, y], k) => this.#drawEnd(x, y, ['start', 'goal'][k]));
+    this.#drawScale();
+  }
+
+  #stroke(path, colour, width) {
+    Object.assign(this.pen, { strokeStyle: colour, lineWidth: width / this.scale });
+    this.pen.stroke(path);
+  }
+
+  #drawRoutes() {
+    const picked = this.pick.value, { colours } = this.data;
+    this.lines.forEach((path, k) => {
+      if (picked !== 'all' && picked !== String(k)) return;
+      const faint = picked === 'all' && !colours[k];
+      if (!faint) this.#stroke(path, 'white', 5);
+      this.#stroke(path, colours[k] || THIN, faint ? 0.8 : 2.6);
+    });
+  }
+
+  #drawSites() {
+    const { sites } = this.data, size = Math.min(1, 0.4 + this.width / 1200) / this.scale;
+    for (let k = 0; k < sites.length; k += 3) {
+      const path = disc(sites[k], sites[k + 1], (3 + 5 * Math.sqrt(sites[k + 2])) * size);
+      this.pen.fillStyle = ORANGE;
+      this.pen.fill(path);
+      this.#stroke(path, 'white', 1);
+    }
+  }
+
+  #drawEnd(x, y, name) {
+    const { pen, scale } = this, half = 6 / scale, path = disc(x, y, name === 'goal' ? half : 0);
+    if (name === 'start') path.rect(x - half, y - half, 2 * half, 2 * half);
+    pen.fillStyle = YELLOW;
+    pen.fill(path);
+    this.#stroke(path, 'black', 1.2);
+    const px = (x - this.x) * scale + this.width / 2;
+    const room = px > -6 && px < this.width + 6 ? 22 : Infinity;
+    this.#label(name, Math.min(Math.max(px - 17, 2), this.width - 36),
+      (this.y - y) * scale + this.height / 2 + room);
+  }
+
+  #label(text, px, py) {
+    const { pen } = this;
+    pen.save();
+    pen.setTransform(this.fine, 0, 0, this.fine, 0, 0);
+    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', lineWidth: 3,
+      strokeStyle: 'white', fillStyle: BLACK });
+    pen.strokeText(text, px, py);
+    pen.fillText(text, px, py);
+    pen.restore();
+  }
+
+  #drawScale() {
+    const long = 0.3 * this.width / this.scale, power = 10 ** Math.floor(Math.log10(long));
+    const metres = [5, 2, 1].find((n) => n * power <= long) * power;
+    const [x, y] = this.place(10, this.height - 10), path = new Path2D();
+    path.moveTo(x, y);
+    path.lineTo(x + metres, y);
+    this.#stroke(path, 'white', 6);
+    this.#stroke(path, BLACK, 3);
+    this.#label(this.#far(metres), 10, this.height - 18);
+  }
+
+  #far(metres) { return metres >= 1000 ? `${digits(metres / 1000)} km` : `${digits(metres)} m`; }
+
+  // Say what is at a place of the canvas.
+  tell(px, py) {
+    const [x, y] = this.place(px, py), { reach, held, origin, value } = this.data;
+    const found = this.measure(x, y), percent = `${digits(100 * found.hit)} % of departures`;
+    const across = `${2 * reach * this.scale}px`;
+    Object.assign(this.circle.style, { left: `${px}px`, top: `${py}px`, width: across,
+      height: across, display: 'block' });
+    if (found.here === undefined) this.readout.textContent = 'Beside the map.';
+    else {
+      const where = `x ${(x + origin[0]).toFixed(1)} m, y ${(y + origin[1]).toFixed(1)} m: `;
+      const loss = Number.isNaN(found.here) ? 'impassable. ' : `loss ${digits(found.here)}. `;
+      const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
+      let cost = ` An ambush costs ${digits(found.cost)} on average (the best ${digits(value)}).`;
+      if (found.held) cost = held > 0 ? ' Held ground: nobody waits here.' : '';
+      else if (!(found.cost >= 0)) cost = '';
+      this.readout.textContent = `${where}${loss}${percent} ${pass}.${cost}`;
+    }
+  }
+
+  #listen() {
+    const { canvas, figure } = this;
+    for (const box of [...Object.values(this.layers), this.pick]) {
+      box.addEventListener('change', () => this.draw());
+    }
+    const actions = { in: () => this.zoomBy(1.5), out: () => this.zoomBy(1 / 1.5),
+      all: () => this.showAll() };
+    for (const button of figure.querySelectorAll('[data-zoom]')) {
+      button.addEventListener('click', actions[button.dataset.zoom]);
+    }
+    canvas.addEventListener('keydown', (event) => this.#key(event, actions));
+    canvas.addEventListener('pointerdown', (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      this.fingers.set(event.pointerId, event);
+    });
+    for (const end of ['pointerup', 'pointercancel']) {
+      canvas.addEventListener(end, (event) => this.fingers.delete(event.pointerId));
+    }
+    canvas.addEventListener('pointermove', (event) => this.#pointer(event));
+    canvas.addEventListener('pointerleave', () => { this.circle.style.display = 'none'; });
+    // The wheel scrolls the page until the map has been clicked; pinching a touchpad is ctrl.
+    canvas.addEventListener('wheel', (event) => {
+      if (document.activeElement !== canvas && !event.ctrlKey) return;
+      event.preventDefault();
+      this.zoomBy(Math.exp(-event.deltaY / (event.ctrlKey ? 100 : 400)), event.offsetX,
+        event.offsetY);
+      this.tell(event.offsetX, event.offsetY);
+    }, { passive: false });
+  }
+
+  #pointer(event) {
+    const before = this.fingers.get(event.pointerId);
+    if (before) {
+      const other = [...this.fingers.values()].find((each) => each.pointerId !== event.pointerId);
+      const apart = (one) => Math.hypot(one.offsetX - other.offsetX, one.offsetY - other.offsetY);
+      if (other) this.zoomBy(apart(event) / (apart(before) || 1), other.offsetX, other.offsetY);
+      else this.move(event.offsetX - before.offsetX, event.offsetY - before.offsetY);
+      this.fingers.set(event.pointerId, event);
+    }
+    this.tell(event.offsetX, event.offsetY);
+  }
+
+  #key(event, actions) {
+    const step = 0.1 * this.width;
+    const keys = { ArrowLeft: [step, 0], ArrowRight: [-step, 0], ArrowUp: [0, step],
+      ArrowDown: [0, -step] };
+    const zooms = { '+': 'in', '=': 'in', '-': 'out', 0: 'all' };
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (keys[event.key]) this.move(...keys[event.key]);
+    else if (zooms[event.key]) actions[zooms[event.key]]();
+    else return;
+    event.preventDefault();
+    this.tell(this.width / 2, this.height / 2);
+  }
+}
+
+function disc(x, y, radius) {
+  const path = new Path2D();
+  path.arc(x, y, radius, 0, 2 * Math.PI);
+  return path;
+}
+
+async function show(figure) {
+  try {
+    const data = JSON.parse(figure.querySelector('script').textContent);
+    for (const [name, Type] of Object.entries(TYPES)) data[name] = await unpack(data[name], Type);
+    figure.view = new View(figure, data);
+  } catch (error) {
+    figure.querySelector('.readout').textContent = `This browser cannot show the map: ${error}`;
+    throw error;
+  }
+}
+
+window.maps = Promise.all([...document.querySelectorAll('figure.map')].map(show));

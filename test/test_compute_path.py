@@ -1,0 +1,207 @@
+"""Nav2's action, built from its definition, and called as Nav2 calls it."""
+
+import sys
+from contextlib import contextmanager
+from importlib import invalidate_caches
+
+import interfaces
+import pytest
+from action_msgs.msg import GoalStatus
+from rclpy.action import ActionClient
+from recording_samples import read_with_rosbags
+from ros_harness import pose, stage, wait_until
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(interfaces.missing()), reason=interfaces.missing()),
+]
+# The fields of Nav2's for Jazzy; what stands in comments there makes no difference.
+DEFINITION = """
+geometry_msgs/PoseStamped goal
+geometry_msgs/PoseStamped start
+string planner_id
+bool use_start
+---
+uint16 NONE=0
+uint16 UNKNOWN=200
+uint16 INVALID_PLANNER=201
+uint16 TF_ERROR=202
+uint16 START_OUTSIDE_MAP=203
+uint16 GOAL_OUTSIDE_MAP=204
+uint16 START_OCCUPIED=205
+uint16 GOAL_OCCUPIED=206
+uint16 TIMEOUT=207
+uint16 NO_VALID_PATH=208
+nav_msgs/Path path
+builtin_interfaces/Duration planning_time
+uint16 error_code
+string error_msg
+---
+"""
+START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
+# Minutes: nobody waits for its end here.
+LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
+# What the parts of Nav2 read, with their numbers there.
+CODES = {
+    'UNKNOWN': 200, 'INVALID_PLANNER': 201, 'TF_ERROR': 202, 'GOAL_OUTSIDE_MAP': 204,
+    'START_OCCUPIED': 205,
+}
+
+
+@pytest.fixture(scope='module')
+def action(tmp_path_factory):
+    """The action's type, installed for this file's tests; Nav2's own where it is installed."""
+    try:
+        from nav2_msgs.action import ComputePathToPose
+    except ImportError:
+        folder = interfaces.build_interface(
+            tmp_path_factory.mktemp('nav2'), 'nav2_msgs', 'action/ComputePathToPose.action',
+            DEFINITION)
+        sys.path.insert(0, str(folder))
+        invalidate_caches()
+        from nav2_msgs.action import ComputePathToPose
+        yield ComputePathToPose
+        sys.path.remove(str(folder))
+        for name in [name for name in sys.modules if name.split('.')[0] == 'nav2_msgs']:
+            del sys.modules[name]
+    else:
+        yield ComputePathToPose
+
+
+class Goals:
+    """Sends goals as BasicNavigator does, but waits for nothing."""
+
+    def __init__(self, action, running):
+        self.action, self.client = action, running.client
+        self._client = ActionClient(
+            running.client.node, action, 'ambush_planner/compute_path_to_pose')
+        wait_until(self._client.server_is_ready, 'the action')
+
+    def send(self, start=START, goal=GOAL, **fields):
+        """Return the goal's handle, once it is accepted."""
+        fields = {'use_start': start is not None, **fields}
+        if start is not None:
+            fields['start'] = start
+        sent = self._client.send_goal_async(self.action.Goal(goal=goal, **fields))
+        wait_until(sent.done, 'the goal being taken')
+        assert sent.result().accepted
+        return sent.result()
+
+    def result(self, handle):
+        """Return the status and the result of a goal, once it is there."""
+        got = handle.get_result_async()
+        wait_until(got.done, 'a result')
+        return got.result().status, got.result().result
+
+    def cancel(self, handle):
+        """Return how many goals are being cancelled."""
+        asked = handle.cancel_goal_async()
+        wait_until(asked.done, 'an answer to the wish to cancel')
+        return len(asked.result().goals_canceling)
+
+    def refused(self, **fields):
+        """Return the code and the message of a goal that is given up."""
+        status, result = self.result(self.send(**fields))
+        assert status == GoalStatus.STATUS_ABORTED
+        assert not result.path.poses
+        return result.error_code, result.error_msg
+
+    def close(self):
+        self._client.destroy()
+
+
+@contextmanager
+def asking(action, *arguments, **options):
+    with stage(*arguments, **options) as running:
+        running.give()
+        goals = Goals(action, running)
+        try:
+            yield goals
+        finally:
+            goals.close()
+
+
+def test_a_goal_is_a_departure(action, tmp_path):
+    with asking(action, tmp_path) as goals:
+        status, result = goals.result(goals.send())
+        assert (status, result.error_code) == (GoalStatus.STATUS_SUCCEEDED, 0)
+        assert (result.path.poses[0].pose, result.path.poses[-1].pose) == (START.pose, GOAL.pose)
+        assert result.path == goals.client.last('path')
+        spent = result.planning_time
+        assert spent.sec + 1e-9 * spent.nanosec > 0.0
+        goals.client.diagnostics(departures='1', code='NONE')
+        again = goals.result(goals.send(planner_id='ambush_planner'))[1]
+        assert goals.client.last('path', 2) == again.path
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 2, 'the recordings')
+    for file in tmp_path.rglob('*.mcap'):
+        assert read_with_rosbags(file)
+
+
+def test_a_drive_from_where_the_robot_is_needs_its_frame(action):
+    with asking(action) as goals:
+        code, message = goals.refused(start=None)
+        assert code == CODES['TF_ERROR']
+        assert 'robot_base_frame' in message
+    with asking(action, None, {'robot_base_frame': 'base_link'}) as goals:
+        code, message = goals.refused(start=None)
+        assert code == CODES['TF_ERROR']
+        assert "'base_link'" in message
+
+
+def test_what_cannot_be_done_has_nav2s_code_and_says_why(action):
+    with asking(action) as goals:
+        for code, part, fields in (
+            ('INVALID_PLANNER', "'GridBased'", {'planner_id': 'GridBased'}),
+            ('TF_ERROR', 'frame_id', {'start': pose(1.5, 5.5, frame='')}),
+            ('START_OCCUPIED', 'obstacle', {'start': pose(5.0, 5.5)}),
+            ('GOAL_OUTSIDE_MAP', 'outside', {'goal': pose(99.0, 5.5)}),
+            ('UNKNOWN', 'position', {'goal': pose(float('nan'), 5.5)}),
+        ):
+            got, message = goals.refused(**fields)
+            assert got == CODES[code], message
+            assert part in message
+        assert not goals.client.received['path']
+        goals.client.diagnostics(code='INVALID_POSE')
+        assert goals.result(goals.send())[0] == GoalStatus.STATUS_SUCCEEDED
+
+
+def test_cancelling_takes_one_goal_back_and_leaves_the_others(action):
+    with asking(action, None, LONG) as goals:
+        one, other = goals.send(), goals.send()
+        goals.client.diagnostics(state='solving')
+        asked = goals.client.send('new_route')
+        assert goals.cancel(one) == 1
+        assert goals.result(one)[0] == GoalStatus.STATUS_CANCELED
+        assert goals.client.diagnostics()['state'] == 'solving', 'the others wait for this solve'
+        assert not asked.done()
+        assert goals.client.call('cancel').message == 'the solve was cancelled'
+        assert goals.result(other)[0] == GoalStatus.STATUS_ABORTED
+        wait_until(asked.done, 'the answer of new_route')
+        assert not goals.client.received['path']
+
+
+def test_a_solve_that_nobody_waits_for_any_more_ends(action):
+    with asking(action, None, LONG) as goals:
+        handle = goals.send()
+        goals.client.diagnostics(state='solving')
+        assert goals.cancel(handle) == 1
+        goals.client.diagnostics(state='ready')
+        assert goals.result(handle)[0] == GoalStatus.STATUS_CANCELED
+        assert goals.client.call('cancel').message == 'no solve is running'
+
+
+def test_it_is_too_late_to_cancel_once_the_route_is_drawn(action):
+    with asking(action) as goals:
+        handle = goals.send()
+        status, result = goals.result(handle)
+        assert goals.cancel(handle) == 0
+        assert status == GoalStatus.STATUS_SUCCEEDED
+        assert result.path == goals.client.last('path')
+
+
+def test_many_goals_at_once(action):
+    with asking(action) as goals:
+        results = [goals.result(each) for each in [goals.send() for _ in range(20)]]
+        assert {status for status, _ in results} == {GoalStatus.STATUS_SUCCEEDED}
+        goals.client.last('path')
+        goals.client.diagnostics(departures='20')

@@ -1,0 +1,205 @@
+"""Who may read routes: the SROS2 policy held against a running node, and routes not published."""
+
+import xml.etree.ElementTree as ElementTree
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nav_msgs.msg import Path as PathMessage
+from rclpy.action.graph import get_action_server_names_and_types_by_node
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from ros_harness import MARKER_TOPICS, pose, stage, wait_until
+
+from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.review.verify import Verifier
+
+POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
+# Each node has them, and neither tells of routes.
+EVERYBODYS = {'/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static', '/clock'}
+INPUTS = ('alpha_map', 'start_pose', 'goal_pose', 'initialpose')
+START, GOAL = (1.5, 5.5), (8.5, 5.5)
+
+
+class Profile:
+    """The rules of one enclave's profile; names as SROS2 writes them out."""
+
+    def __init__(self, enclave):
+        (self._element,) = ElementTree.parse(POLICY).findall(
+            f"enclaves/enclave[@path='{enclave}']/profiles/profile")
+
+    def listed(self, kind, access, rule='ALLOW'):
+        """The full names in a rule, like listed('topic', 'publish')."""
+        return {
+            self._full(each.text) for group in self._element.findall(f'{kind}s')
+            if group.get(access) == rule for each in group
+        }
+
+    def may(self, kind, access, name):
+        """What DDS answers: the first rule that matches, those that deny first; else no."""
+        for rule in ('DENY', 'ALLOW'):
+            if any(fnmatchcase(name, each) for each in self.listed(kind, access, rule)):
+                return rule == 'ALLOW'
+        return False
+
+    def _full(self, name):
+        node = self._element.get('node')
+        assert self._element.get('ns') == '/'
+        return name if name.startswith('/') else '/' + name.replace('~', node, 1)
+
+
+class Names:
+    """The names that a node has in the graph."""
+
+    def __init__(self, node):
+        who = node.get_name(), node.get_namespace()
+        wait_until(lambda: node.get_service_names_and_types_by_node(*who), 'the graph')
+
+        def names(found):
+            return {name for name, _ in found if '/_action/' not in name}
+
+        self.published = names(node.get_publisher_names_and_types_by_node(*who))
+        self.subscribed = names(node.get_subscriber_names_and_types_by_node(*who))
+        self.served = names(node.get_service_names_and_types_by_node(*who))
+        self.actions = names(get_action_server_names_and_types_by_node(node, *who))
+
+
+@pytest.fixture(scope='module')
+def names():
+    with stage(parameters={'use_sim_time': True}) as running:
+        yield Names(running.planner)
+
+
+def test_the_node_may_do_all_that_it_does(names):
+    profile = Profile('/ambush_planner')
+    assert {f'/{topic}' for topic in (*MARKER_TOPICS, 'path')} <= names.published
+    assert {f'/{topic}' for topic in INPUTS} <= names.subscribed
+    assert '/ambush_planner/get_plan' in names.served
+    assert names.published <= profile.listed('topic', 'publish')
+    assert names.subscribed <= profile.listed('topic', 'subscribe')
+    assert names.served <= profile.listed('service', 'reply')
+    assert names.actions <= profile.listed('action', 'execute')
+
+
+def test_the_node_may_do_nothing_else(names):
+    """Beside what other packages bring, where they are installed."""
+    profile = Profile('/ambush_planner')
+    others = {'/ambush_planner/transition_event'}
+    assert profile.listed('topic', 'publish') <= names.published | others
+    others = {'/alpha_map_updates', '/tf', '/tf_static', '/clock', '/parameter_events'}
+    assert profile.listed('topic', 'subscribe') <= names.subscribed | others
+    of_a_lifecycle = {
+        f'/ambush_planner/{name}' for name in (
+            'change_state', 'get_state', 'get_available_states', 'get_available_transitions',
+            'get_transition_graph')
+    }
+    assert profile.listed('service', 'reply') <= names.served | of_a_lifecycle
+    assert profile.listed('action', 'execute') == {'/ambush_planner/compute_path_to_pose'}
+
+
+def test_an_operator_may_ask_and_read_but_not_pass_for_the_node(names):
+    profile = Profile('/operator')
+    assert all(profile.may('topic', 'subscribe', name) for name in names.published)
+    assert all(profile.may('topic', 'publish', f'/{name}') for name in INPUTS)
+    assert all(profile.may('service', 'request', name) for name in names.served)
+    assert not profile.may('topic', 'publish', '/path')
+    assert not any(profile.may('service', 'reply', name) for name in names.served)
+
+
+def test_everybody_else_may_not(names):
+    profile = Profile('/everybody')
+    for name in names.published | Profile('/ambush_planner').listed('topic', 'publish'):
+        assert profile.may('topic', 'subscribe', name) == (name in EVERYBODYS), name
+    for name in names.subscribed:
+        assert profile.may('topic', 'publish', name) == (name in EVERYBODYS), name
+    for name in names.served | {'/ambush_planner/compute_path_to_pose/_action/get_result'}:
+        assert not profile.may('service', 'request', name)
+        assert not profile.may('service', 'reply', name)
+    assert not profile.may('topic', 'publish', '/path')
+    assert profile.may('topic', 'subscribe', '/scan')
+    assert profile.may('service', 'request', '/map_server/map')
+
+
+def spy_on_everything(running):
+    """Subscribe all topics of the graph, late joiners' way, and return the bytes that come."""
+    node, found = running.client.node, {}
+    for topic in ('path', 'diagnostics', *MARKER_TOPICS):
+        wait_until(lambda name=f'/{topic}': node.get_publishers_info_by_topic(name), topic)
+    for topic, kinds in node.get_topic_names_and_types():
+        found[topic] = []
+        latched = any(
+            each.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+            for each in node.get_publishers_info_by_topic(topic)
+        )
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        node.create_subscription(
+            _class_of(kinds[0]), topic, found[topic].append,
+            QoSProfile(depth=1000, durability=durability), raw=True,
+        )
+    return found
+
+
+def _class_of(name):
+    package, kind, short = name.split('/')
+    return getattr(__import__(f'{package}.{kind}', fromlist=[short]), short)
+
+
+def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
+    with stage(tmp_path, {'path.publish': False}) as running:
+        client = running.give()
+        heard = spy_on_everything(running)
+        client.diagnostics(state='ready')
+        paths = [client.get_plan(pose(*START), pose(*GOAL)) for _ in range(3)]
+        assert all(path.poses for path in paths)
+        refused = client.call('new_route')
+        assert not refused.success and 'call get_plan' in refused.message
+        client.diagnostics(departures='3', code='INVALID_OPTION')
+        wait_until(lambda: len(recordings_in(tmp_path)) == 3, 'recordings')
+    assert not heard['/path']
+    assert heard['/diagnostics'] and heard['/edge_probabilities']
+    # /rosout says what standard error does; one process with several nodes may have none.
+    said = capfd.readouterr()
+    for path in paths:
+        # Coordinates between the ends, which are the route's own, in each way they could be told.
+        places = [(each.pose.position.x, each.pose.position.y) for each in path.poses[1:-1]]
+        own = [xy for xy in places if not _of_the_network(xy, heard)]
+        assert own
+        for topic, messages in heard.items():
+            for data in messages:
+                assert not any(np.array(xy).tobytes() in data for xy in own), topic
+        for x, y in own:
+            assert f'{x:.4f}' not in said.out + said.err and f'{y!r}' not in said.out + said.err
+
+
+def _of_the_network(xy, heard):
+    """Whether a marker of the whole network or strategy shows this place anyway."""
+    return any(np.array(xy).tobytes() in data
+               for topic in MARKER_TOPICS for data in heard[f'/{topic}'])
+
+
+def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
+    with stage(tmp_path, {'path.publish': False}) as running:
+        answered = running.give().get_plan(pose(*START), pose(*GOAL))
+        wait_until(lambda: list(tmp_path.glob('*/*.mcap')), 'a recording')
+    (file,) = recordings_in(tmp_path)
+    recorded = read_departure(file)
+    assert '/path' not in {each.topic for each in recorded.messages}
+    kept = recorded.recorded('path')
+    assert kept.topic == '/ambush_planner/get_plan/path'
+    assert deserialize_message(kept.data, PathMessage) == answered
+    with Verifier() as verifier:
+        assert verifier.verify(file).problems == ()
+
+
+def test_what_was_published_is_withdrawn_when_publishing_ends():
+    with stage() as running:
+        client = running.give()
+        assert client.call('new_route').success
+        assert client.last('path').poses
+        running.planner.set_parameters([Parameter('path.publish', value=False)])
+        wait_until(lambda: not client.received['path'][-1].poses, 'an empty path')
+        running.planner.set_parameters([Parameter('path.publish', value=True)])
+        assert client.call('new_route').success
+        wait_until(lambda: client.received['path'][-1].poses, 'a path')
