@@ -13,6 +13,7 @@ data_files = [
     ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
     (f'share/{package_name}', ['package.xml']),
     (f'share/{package_name}/config', sorted(glob('config/*'))),
+    (f'share/{package_name}/launch', sorted(glob('launch/*'))),
     (f'share/{package_name}/msg_examples', sorted(glob('msg_examples/*.yaml'))),
 ]
 # `ros2 run` looks for executables in lib/<package>. colcon puts them there (setup.cfg), pip puts
@@ -89,7 +90,7 @@ setup(
                     'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier', 'ambush_paper',
                     'ambush_recover',
                     'ambush_replay', 'ambush_report', 'ambush_table', 'ambush_terrain',
-                    'ambush_verify',
+                    'ambush_verify', 'ambush_views',
                 )
             ),
         ],

@@ -2,6 +2,7 @@
 
 from .core.batch import Problem, Solved, solve_many
 from .core.construction import NetworkOptions, build_network
+from .core.day import DayEffect, day_effect, sample_departures
 from .core.errors import (
     AmbushPlannerError,
     BudgetInfeasible,
@@ -10,6 +11,7 @@ from .core.errors import (
     InvalidOption,
     InvalidRiskMap,
     NoRoute,
+    NotDistinct,
     SolverFailed,
     StartBlocked,
     StopBlocked,
@@ -27,6 +29,7 @@ from .core.trip import plan_trip
 __all__ = [
     "AmbushPlannerError",
     "BudgetInfeasible",
+    "DayEffect",
     "FrontierRow",
     "GameOptions",
     "GoalBlocked",
@@ -36,6 +39,7 @@ __all__ = [
     "Network",
     "NetworkOptions",
     "NoRoute",
+    "NotDistinct",
     "PlanningOptions",
     "Problem",
     "RiskMap",
@@ -47,8 +51,10 @@ __all__ = [
     "StrategyOptions",
     "TimeLimit",
     "build_network",
+    "day_effect",
     "evaluate",
     "frontier",
+    "sample_departures",
     "plan_trip",
     "solve",
     "solve_many",

@@ -9,11 +9,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ambush_planner import RiskMap
-from ambush_planner.core.arrays import FloatArray
+from ambush_planner.core.arrays import BoolArray, FloatArray
 
 HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far
 NEAR_EDGE = 1.5  # spacings from the map's outer edge
+AWAY = 10.0  # spacings from start and goal
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Drive:
     hairpins: int
     near_itself: float
     near_edge: float
+    near_edge_away: float
     accepted: bool
 
 
@@ -38,7 +40,9 @@ def measure(poses: FloatArray, risk_map: RiskMap, spacing: float, step: float) -
         float(np.abs(np.diff(yaw)).sum()),
         _hairpins(gone, yaw, spacing),
         _near_itself(points, fine, spacing),
-        _near_edge(points, risk_map, NEAR_EDGE * spacing),
+        float(_near_edge(points, risk_map, NEAR_EDGE * spacing).mean()),
+        float((_near_edge(points, risk_map, NEAR_EDGE * spacing)
+               & _away(points, AWAY * spacing)).mean()),
         accepted(poses, risk_map, step),
     )
 
@@ -62,9 +66,17 @@ def _near_itself(points: FloatArray, fine: FloatArray, spacing: float) -> float:
     return len(np.unique(near[apart])) / len(points)
 
 
-def _near_edge(points: FloatArray, risk_map: RiskMap, margin: float) -> float:
+def _near_edge(points: FloatArray, risk_map: RiskMap, margin: float) -> BoolArray:
     uv = risk_map.to_map_axes(points)
-    return float((np.minimum(uv, risk_map.size - uv).min(axis=1) < margin).mean())
+    near: BoolArray = np.minimum(uv, risk_map.size - uv).min(axis=1) < margin
+    return near
+
+
+def _away(points: FloatArray, distance: float) -> BoolArray:
+    """Which points (K, 2) of a path are further than that from its ends."""
+    gaps = np.linalg.norm(points[:, None] - points[[0, -1]], axis=2)
+    far: BoolArray = gaps.min(axis=1) > distance
+    return far
 
 
 def accepted(poses: FloatArray, risk_map: RiskMap, step: float) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from drives import Drive, measure
+from drives import AWAY, Drive, measure
 from grid_planner import shortest_line
 from grounds import GROUNDS, Ground
 from matplotlib.figure import Figure
@@ -22,7 +22,7 @@ from ambush_planner import NetworkOptions, Strategy, StrategyOptions, build_netw
 from ambush_planner.core.arrays import FloatArray
 from ambush_planner.core.construction import chosen_spacing
 from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import different_paths, driven_path
+from ambush_planner.core.driven_path import different_paths, driven_path, tight_turns
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
 from ambush_planner.tools.demo_figures import FixedRoute, draw_fixed_routes
 from ambush_planner.tools.figures import (
@@ -36,6 +36,8 @@ from ambush_planner.tools.figures import (
 SHOWN = 8
 # Two paths are the same if they are nowhere further apart than this [spacings].
 SAME = 0.1
+# Turns are counted as tight, or as made on the spot, that have smaller radii [spacings].
+TIGHT, SPOT = 0.1, 0.001
 # What the first version reached on terrain and depot, as far as it was measured.
 FIRST = {
     "terrain": ("1.5", "2.3", "1.9", "4 %", "5 %"),
@@ -64,6 +66,7 @@ class Trial:
     shortest_drive: Drive
     drawn_turning: float
     grid_length: float
+    grid_turning: float
     different: int
     draws: int
     milliseconds: float
@@ -82,7 +85,7 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     started = time.process_time()
     paths = [driven_path(corridors, route, step) for route in routes]
     seconds = time.process_time() - started
-    straight = energy_efficient_route(strategy.game)
+    straight, grid = energy_efficient_route(strategy.game), shortest_line(ground)
     shortest, safest = (
         FixedRoute(name, driven_path(corridors, route, step), _worst(strategy, route))
         for name, route in (
@@ -93,7 +96,7 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
         [measure(path, risk_map, spacing, step) for path in paths[:departures]],
         shortest, safest, measure(shortest.points, risk_map, spacing, step),
         _turning(network.points[straight]),
-        float(np.hypot(*np.diff(shortest_line(ground), axis=0).T).sum()),
+        float(np.hypot(*np.diff(grid, axis=0).T).sum()), _turning(grid),
         different_paths(paths, SAME * spacing), len(paths), 1e3 * seconds / len(paths),
     )
 
@@ -149,9 +152,14 @@ def _other_rows(trials: list[Trial]) -> list[list[str]]:
     return [
         row("shortest route on the network, driven : any-angle A*", [
             f"{t.shortest_drive.length / t.grid_length:.2f}" for t in trials]),
-        row("turning [rad]: mean path, shortest route driven, the same as drawn", [
-            f"{np.mean([drive.turning for drive in t.drives]):.1f}, "
-            f"{t.shortest_drive.turning:.1f}, {t.drawn_turning:.1f}" for t in trials]),
+        row("turning [rad]: mean path; shortest route as drawn, driven; any-angle A*", [
+            f"{np.mean([drive.turning for drive in t.drives]):.1f}; {t.drawn_turning:.1f}, "
+            f"{t.shortest_drive.turning:.1f}; {t.grid_turning:.1f}" for t in trials]),
+        row(f"turns a path tighter than {TIGHT} spacings, on the spot", [
+            ", ".join(f"{np.mean([tight_turns(path, radius * t.spacing) for path in t.paths]):.2f}"
+                      for radius in (TIGHT, SPOT)) for t in trials]),
+        row(f"near the map's edge, {AWAY:g} spacings and more from start and goal", [
+            f"{np.mean([drive.near_edge_away for drive in t.drives]):.1%}" for t in trials]),
         row("the shortest path itself: near itself, near the edge", [
             f"{t.shortest_drive.near_itself:.0%}, {t.shortest_drive.near_edge:.0%}"
             for t in trials]),

@@ -265,6 +265,14 @@ def lose_attachment(forger, rng):
     forger.attachments.clear()
 
 
+def in_a_hurry(forge):
+    """Also state that the solve took so long that time was up."""
+    def both(forger, rng):
+        change_report('solve_seconds', '29.000')(forger, rng)
+        forge(forger, rng)
+    return both
+
+
 # (which recording, what is done, whether the stated hashes are corrected, what has to be named)
 FORGERIES = [
     (NEW_ROUTE, change_risk, False, 'sha256 of map does not hold'),
@@ -306,6 +314,9 @@ FORGERIES = [
     (NEW_ROUTE, lose_flow, True, 'recorded strategy: p is no flow'),
     (NEW_ROUTE, change_loss, True, 'alpha are others'),
     (NEW_ROUTE, always_shortest, True, 'strategy: its certificate does not close'),
+    (NEW_ROUTE, in_a_hurry(always_shortest), True, 'strategy: its certificate does not close'),
+    (NEW_ROUTE, in_a_hurry(scale('value', 1.0 + 1e-8)), True, 'strategy: value is stated'),
+    (NEW_ROUTE, in_a_hurry(scale('lower_bound', 0.9)), True, 'strategy: lower_bound is stated'),
     (NEW_ROUTE, move_trip('start'), True, 'network: it does not follow'),
     (NEW_ROUTE, move_end(0), True, 'ends: the first one is not'),
     (GET_PLAN, move_end(1), True, 'ends: the last one is not'),

@@ -11,8 +11,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from forgeries_around import report
 from forging import AGAIN, GET_PLAN, NEW_ROUTE, SEEDED
-from nav_msgs.srv import GetPlan
-from std_srvs.srv import Trigger
 from two_faced import assembled, encoded, split
 from visualization_msgs.msg import MarkerArray
 
@@ -38,21 +36,25 @@ def entries(key, **changes):
     return lambda forger, rng: forger.edit_entry(key, **named)
 
 
+def call(part, **changes):
+    """Change fields of the recorded request or response."""
+    return lambda forger, rng: forger.edit_call(part, **changes)
+
+
+def request_start_stamp(forger, rng):
+    start = forger.entry('call')['request']['start']
+    start['header']['stamp']['sec'] = 7
+    forger.edit_call('request', start=start)
+
+
 def set_to(path, value):
-    """Set a field of a message, given like ``info.client_gid``."""
+    """Set a field of a message, given like ``pose.position.z``."""
     *names, last = path.split('.')
 
     def change(message):
         for name in names:
             message = message[int(name)] if name.isdecimal() else getattr(message, name)
         setattr(message, last, value)
-    return change
-
-
-def retopic(kind, which, topic):
-    def change(forger, rng):
-        place = forger.places(kind)[which]
-        forger.messages[place] = replace(forger.messages[place], topic=topic)
     return change
 
 
@@ -113,28 +115,25 @@ def other_level(status):
     status.level = DiagnosticStatus.OK if warns else DiagnosticStatus.WARN
 
 
+def long_solve(status):
+    (value,) = [each for each in status.values if each.key == 'solve_seconds']
+    value.value = '29.000'
+
+
 def more_markers(shown):
     shown.markers = [*shown.markers, shown.markers[0]]
 
 
 # (which recording, what is done, whether the stated hashes are corrected, what has to be named)
 HIDDEN = [
-    (NEW_ROUTE, edit(Trigger.Event, 0, set_to('info.client_gid', [7] * 16)), True,
-     'request: its info.client_gid'),
-    (GET_PLAN, edit(GetPlan.Event, 1, set_to('info.client_gid', [7] * 16)), True,
-     'response: its info.client_gid'),
-    (GET_PLAN, edit(GetPlan.Event, 1, set_to('info.stamp.nanosec', 7)), True,
-     'response: its info.stamp'),
-    (NEW_ROUTE, edit(Trigger.Event, 0, set_to('response', [Trigger.Response(message='x')])), True,
-     'request: its response.length'),
-    (NEW_ROUTE, edit(Trigger.Event, 0, set_to('info.event_type', 0)), True,
-     'request: it is missing'),
-    (GET_PLAN, edit(GetPlan.Event, 0, set_to('request.0.start.header.stamp.sec', 7)), True,
-     'request: its start.header.stamp'),
-    (GET_PLAN, edit(GetPlan.Event, 0, set_to('request.0.tolerance', 0.25)), True,
-     'request: its tolerance'),
-    (NEW_ROUTE, retopic(Trigger.Event, 1, '/other/get_plan/_service_event'), True,
-     'response: it is on the topic'),
+    (NEW_ROUTE, entries('call', service='/other/get_plan'), True, 'service: the recorded call'),
+    (NEW_ROUTE, entries('call', note='approved'), True, 'the recorded call is not just'),
+    (NEW_ROUTE, entries('call', request_ns=1.5), True, 'the recorded call is not just'),
+    (NEW_ROUTE, entries('call', request={'approved': True}), True, 'call: '),
+    (GET_PLAN, call('response', plan={}), True, 'call: '),
+    (NEW_ROUTE, call('response', success=1), True, 'call: '),
+    (GET_PLAN, request_start_stamp, True, 'request: its start.header.stamp'),
+    (GET_PLAN, call('request', tolerance=0.25), True, 'request: its tolerance'),
     (AGAIN, role('path', set_to('poses.3.header.frame_id', 'odom')), True,
      'path: its poses[3].header.frame_id'),
     (AGAIN, role('path', set_to('poses.2.header.stamp.nanosec', 7)), True,
@@ -168,5 +167,6 @@ NOT_COVERED = [
     (NEW_ROUTE, role('map', set_to('info.origin.position.z', 7.0)), 'the height of the map'),
     (NEW_ROUTE, edit(DiagnosticArray, 0, set_to('header.stamp.sec', 7)), 'diagnostics'),
     (NEW_ROUTE, entries('parameters', replan__tolerance=0.5), 'parameters that nothing recorded'),
+    (NEW_ROUTE, report(long_solve), 'nothing recorded proves the time that it took'),
     (NEW_ROUTE, entries('versions', numpy='1.0'), 'versions of software'),
 ]

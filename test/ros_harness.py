@@ -171,6 +171,18 @@ class Client:
         return found
 
 
+def whole_graph(node):
+    """Whether the graph has all that the planner's node has: it fills step by step."""
+    who = node.get_name(), node.get_namespace()
+    return all(
+        len(of_this_node(*who)) >= len(list(made)) for of_this_node, made in (
+            (node.get_publisher_names_and_types_by_node, node.publishers),
+            (node.get_subscriber_names_and_types_by_node, node.subscriptions),
+            (node.get_service_names_and_types_by_node, node.services),
+        )
+    )
+
+
 class Stage:
     """A planner node in this process, with a client in a context of its own."""
 

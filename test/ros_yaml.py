@@ -55,7 +55,7 @@ def example(path):
 
 def message_from_yaml(kind, path):
     """Return a message of the class ``kind`` with the fields that the file gives."""
-    return _filled(kind(), yaml.safe_load(path.read_text()))
+    return filled(kind(), yaml.safe_load(path.read_text()))
 
 
 def _kind_of(message, name):
@@ -64,15 +64,16 @@ def _kind_of(message, name):
     return getattr(import_module(f'{package}.msg'), kind)
 
 
-def _filled(message, values):
+def filled(message, values):
+    """Fill a message with the fields that ``values`` give, and return it."""
     for name, value in values.items():
         present = getattr(message, name)
         if hasattr(present, 'get_fields_and_field_types'):
-            _filled(present, value)
+            filled(present, value)
         elif isinstance(present, array.array):
             setattr(message, name, array.array(present.typecode, value))
         elif isinstance(value, list) and value and isinstance(value[0], dict):
-            setattr(message, name, [_filled(_kind_of(message, name)(), each) for each in value])
+            setattr(message, name, [filled(_kind_of(message, name)(), each) for each in value])
         else:
             setattr(message, name, type(present)(value))
     return message

@@ -237,7 +237,7 @@ def test_a_map_of_another_type_is_refused(tmp_path, a_plan):
     messages, metadata, files = departure(a_plan, route, texts=texts)
     hashes = json.loads(metadata['sha256'])
     metadata['sha256'] = json.dumps(hashes | {'map': hashes['path']})
-    assert 'not a OccupancyGrid' in only_error(tmp_path, (messages, metadata, files))
+    assert 'not of the type OccupancyGrid' in only_error(tmp_path, (messages, metadata, files))
 
 
 def test_a_time_before_the_epoch_does_not_exist_and_one_far_ahead_does(tmp_path, a_plan):

@@ -10,6 +10,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
 from ros_harness import pose, stage, wait_until
+from test_guarded_routes import Names, Profile
 
 pytestmark = [
     pytest.mark.slow,
@@ -72,7 +73,7 @@ class Goals:
     """Sends goals as BasicNavigator does, but waits for nothing."""
 
     def __init__(self, action, running):
-        self.action, self.client = action, running.client
+        self.action, self.planner, self.client = action, running.planner, running.client
         self._client = ActionClient(
             running.client.node, action, 'ambush_planner/compute_path_to_pose')
         wait_until(self._client.server_is_ready, 'the action')
@@ -135,6 +136,21 @@ def test_a_goal_is_a_departure(action, tmp_path):
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 2, 'the recordings')
     for file in tmp_path.rglob('*.mcap'):
         assert read_with_rosbags(file)
+
+
+def test_a_path_that_is_not_published_is_in_the_result(action):
+    with asking(action, None, {'path.publish': False}) as goals:
+        status, result = goals.result(goals.send())
+        assert status == GoalStatus.STATUS_SUCCEEDED
+        assert result.path.poses[-1].pose == GOAL.pose
+        goals.client.diagnostics(departures='1')
+        assert not any(path.poses for path in goals.client.received['path'])
+
+
+def test_the_policy_knows_the_action(action):
+    with asking(action) as goals:
+        actions = Names(goals.planner).actions
+    assert actions == Profile('/ambush_planner').listed('action', 'execute')
 
 
 def test_a_drive_from_where_the_robot_is_needs_its_frame(action):

@@ -18,7 +18,8 @@ from ambush_planner.core.driven_path import (
     different_paths,
     driven_path,
     driven_paths,
-    smallest_radius,
+    tight_turns,
+    turn_radii,
 )
 from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.paths import shortest_path
@@ -128,16 +129,18 @@ def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     step = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     tightest = (step[bend > 1e-6] / bend[bend > 1e-6]).min()
     assert tightest > 0.98 * radius
-    assert smallest_radius(poses) == pytest.approx(tightest, rel=0.01)
+    assert turn_radii(poses).min() == pytest.approx(tightest, rel=0.01)
+    assert tight_turns(poses, radius) == 0 and tight_turns(poses, 20.0) > 0
 
 
-def test_the_smallest_radius_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
+def test_radii_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
     angle = np.linspace(0.0, 2.0, 12)
     circle = np.stack((3 * np.sin(angle), 3 - 3 * np.cos(angle), angle), axis=1)
-    assert smallest_radius(circle) == pytest.approx(3.0)
-    after = circle[-1:] + [0.0, 0.0, 0.3]
-    assert smallest_radius(np.concatenate((circle, after))) == 0.0
-    assert smallest_radius(np.array([(0.0, 0.0, 0.5), (1.0, 1.0, 0.5)])) == np.inf
+    assert turn_radii(circle) == pytest.approx(3.0)
+    on = np.append(circle[-1, :2] + np.array([np.cos(2.0), np.sin(2.0)]), 2.0)
+    path = np.concatenate((circle, [on, on + [0.0, 0.0, 0.3]]))
+    assert turn_radii(path)[-2:].tolist() == [np.inf, 0.0]
+    assert [tight_turns(path, radius) for radius in (0.0, 1.0, 3.0, 4.0)] == [0, 1, 1, 2]
 
 
 @examples(100)
@@ -163,7 +166,7 @@ def test_a_turn_round_the_corner_of_a_block_is_round():
     network = Network(points, np.array([1.0, 1.0, 0.0, 0.0]), edges, 2, 3)
     for tube in (None, 1.0):
         poses = driven_path(make_corridors(network, risk_map, tube=tube), np.array([2, 0, 3]), 0.1)
-        assert smallest_radius(poses) > 0.3
+        assert turn_radii(poses).min() > 0.3
 
 
 def between_line(network):

@@ -71,7 +71,7 @@ def test_edges_hardly_driven_are_left_out_and_the_likeliest_lie_on_top(axes, sma
     network = small_plan.network
     p = np.zeros(len(network.edges))
     p[:4] = 0.2, 0.9, 0.5 * figures.LEAST_PROBABILITY, 0.1
-    lines = figures.draw_edges(axes, network, p)
+    lines = figures.draw_segments(axes, network.points[network.edges], p)
     assert lines.get_array().tolist() == [0.1, 0.2, 0.9]
     assert (np.diff(lines.get_linewidths()) > 0.0).all()
     np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])

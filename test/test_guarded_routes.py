@@ -11,7 +11,7 @@ from rclpy.action.graph import get_action_server_names_and_types_by_node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from ros_harness import MARKER_TOPICS, pose, stage, wait_until
+from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
 
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.review.verify import Verifier
@@ -55,7 +55,7 @@ class Names:
 
     def __init__(self, node):
         who = node.get_name(), node.get_namespace()
-        wait_until(lambda: node.get_service_names_and_types_by_node(*who), 'the graph')
+        wait_until(lambda: whole_graph(node), 'the graph')
 
         def names(found):
             return {name for name, _ in found if '/_action/' not in name}

@@ -93,7 +93,7 @@ def test_sites_are_where_the_ambusher_waits(strategy):
     q = strategy.ambush_probability
     np.testing.assert_array_equal(positions(marker),
                                   strategy.network.points[q >= 1e-4 * q.max()])
-    assert alphas(marker).max() == pytest.approx(1.0)
+    assert alphas(marker).max() == pytest.approx(0.9)  # the path is seen through it
 
 
 def test_nobody_waits_where_no_ambush_costs_anything(strategy):

@@ -22,7 +22,8 @@ KEYS = {
     'state', 'code', 'message', 'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds', 'departures',
-    'departure_id', 'recording', 'current_value', 'current_gap', 'stale',
+    'departure_id', 'recording', 'current_value', 'current_gap', 'stale', 'tight_turns',
+    'different_paths_of_200',
 }
 
 
@@ -206,6 +207,17 @@ def test_a_bottleneck_at_the_ends_is_warned_of():
             report['message'])
         assert report['deciding_sites'] in report['message']
         assert float(report['secured_value']) < float(report['value'])
+
+
+def test_turns_that_are_tighter_than_asked_for_are_counted():
+    values = np.zeros((20, 20), np.int8)
+    values[3:, 9] = 100  # the only way is round its lower end
+    with stage(parameters={'route.turning_radius': 50.0}) as running:
+        assert running.give(risk_grid(values)).call('new_route').success
+        report = running.client.diagnostics(departures='1', level=b'\1')
+        assert int(report['tight_turns']) > 0
+        assert 'tighter than route.turning_radius' in report['message']
+        assert 1 <= int(report['different_paths_of_200']) <= 200
 
 
 def test_a_game_that_is_none_is_warned_of():

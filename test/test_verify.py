@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from io import BytesIO
 
 import numpy as np
@@ -21,6 +22,7 @@ from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.recording.metadata import KEYS
 from ambush_planner.review.case import Case
 from ambush_planner.review.verify import Verifier
+from ambush_planner.review.verify_plan import strategy_faults
 from ambush_planner.ros.dispatcher import Dispatcher
 from ambush_planner.ros.paths import path_between
 from ambush_planner.tools import verify as tool
@@ -61,6 +63,18 @@ def test_each_strategy_is_planned_once(files):
         assert all(verifier.verify(path).holds for path in files)
     # The second node planned the trip of the first one's first departure, with another seed.
     assert planned == [files[NEW_ROUTE], files[MOVED_GOAL], files[GET_PLAN]]
+
+
+def test_another_strategy_of_a_solve_without_time_is_told_with_its_proof(files):
+    strategy = Case(read_departure(files[NEW_ROUTE])).strategy()
+    p = strategy.edge_probability.copy()
+    p[np.argmax(p > 0.0)] += 1e-3
+    other = replace(strategy, edge_probability=p, route_entropy=strategy.route_entropy - 1.0)
+    assert strategy_faults(other, strategy, hurried=False)[0]
+    faults, (note,) = strategy_faults(other, strategy, hurried=True)
+    assert faults == []
+    for number in (f'{other.value:.6g}', f'{other.lower_bound:.6g}', f'{other.route_entropy:.2f}'):
+        assert number in note
 
 
 def test_neither_routes_nor_seeds_are_printed(files, capsys, tmp_path):

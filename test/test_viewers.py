@@ -18,7 +18,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
-from ros_harness import FRAME, stage, wait_until
+from ros_harness import FRAME, stage, wait_until, whole_graph
 from ros_yaml import EXAMPLES
 
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
@@ -26,7 +26,10 @@ DISPLAYS = {
     'rviz_default_plugins/Map': 'nav_msgs/msg/OccupancyGrid',
     'rviz_default_plugins/MarkerArray': 'visualization_msgs/msg/MarkerArray',
     'rviz_default_plugins/Path': 'nav_msgs/msg/Path',
+    'rviz_default_plugins/Pose': 'geometry_msgs/msg/PoseStamped',
+    'rviz_default_plugins/PoseWithCovariance': 'geometry_msgs/msg/PoseWithCovarianceStamped',
 }
+INPUTS = ('/alpha_map', '/start_pose', '/goal_pose', '/initialpose')
 TOOLS = {
     'rviz_default_plugins/SetInitialPose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
     'rviz_default_plugins/SetGoal': 'geometry_msgs/msg/PoseStamped',
@@ -47,7 +50,7 @@ class Interface:
     def __init__(self, running):
         node = running.planner
         who = node.get_name(), node.get_namespace()
-        wait_until(lambda: node.get_publisher_names_and_types_by_node(*who), 'the graph')
+        wait_until(lambda: whole_graph(node), 'the graph')
         self._node = node
         self.published = self._types(node.get_publisher_names_and_types_by_node(*who))
         self.subscribed = self._types(node.get_subscriber_names_and_types_by_node(*who))
@@ -57,8 +60,8 @@ class Interface:
 
     @property
     def shown(self):
-        """The topics that can be drawn: the risk map that it takes, and what it publishes."""
-        taken = {'/alpha_map': self.subscribed['/alpha_map']}
+        """The topics that can be drawn: map, start and goal, and what it publishes."""
+        taken = {topic: self.subscribed[topic] for topic in INPUTS}
         kinds = DISPLAYS.values()
         return taken | {name: kind for name, kind in self.published.items() if kind in kinds}
 
@@ -140,7 +143,8 @@ def test_rviz_gets_what_was_published_before_it_came(interface, rviz):
     for display in rviz['Displays']:
         qos = qos_of(display['Topic'])
         assert_compatible(interface.offered(display['Topic']['Value']), qos)
-        assert qos.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        lasting = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+        assert qos.durability == lasting[display['Topic']['Value'] in INPUTS[1:]]
 
 
 def test_rviz_tools_set_start_and_goal(interface, rviz):

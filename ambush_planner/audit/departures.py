@@ -7,6 +7,7 @@ B times, one route is drawn for each departure from its strategy. The p-values a
 number of departures and strategies, (1 + #{T* >= T}) / (B + 1); seed and B are fixed. Holm's
 method holds the chance of any false finding, over all four tests, to the stated rate. A start
 that moves a little makes new strategies, not new ground: edges and squares count by place.
+Departures that were drawn as a day's distinct ones (``core.day``) are compared with such draws.
 
 ``frequency``
     ``T = sum_e (N_e - E_e)^2 / (V_e + 1)`` over the places of edges, with N_e passages where the
@@ -35,10 +36,10 @@ import numpy as np
 
 from ..core.arrays import FloatArray, IndexArray, frozen_array
 from ..core.errors import InvalidOption
-from ..core.strategy import Strategy
-from .draws import ManyRoutes, NotAuditable
+from .draws import NotAuditable
+from .groups import Driven, expected_by_law, expected_of_sets, groups_of, owners
 from .learning import Learning, learning_from
-from .places import Ground, ground_of
+from .places import ground_of
 from .tallies import Order, Tallies, identical_pairs
 
 # With fewer, hardly anything but one route driven again and again would be found.
@@ -53,14 +54,6 @@ RESAMPLES, RESAMPLES_OF_MANY, MANY, MANY_PLACES = 3999, 999, 25, 25_000
 MOST_RESAMPLES = 99_999
 # Rounding: statistics this near to each other, relative or a departure, are equal.
 TIE = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Driven:
-    """A departure as the audit takes it: the strategy and the route (K,) drawn from it."""
-
-    strategy: Strategy
-    route: IndexArray
 
 
 @dataclass(frozen=True)
@@ -149,7 +142,10 @@ def audit(
     Raises
     ------
     NotAuditable
-        A strategy has cycles, or there are fewer than ``FEWEST_DEPARTURES`` departures.
+        A strategy has cycles, there are fewer than ``FEWEST_DEPARTURES`` departures, or those of
+        a day have several strategies.
+    NotDistinct
+        A strategy leaves no room for as many distinct routes as a day has.
     InvalidOption
         The rate is not over 0 and at most 0.5.
     """
@@ -162,7 +158,7 @@ def audit(
             f'{len(departures)} departures are too few to tell; at least {FEWEST_DEPARTURES} are '
             'needed'
         )
-    groups = _groups(departures)
+    groups = groups_of(departures)
     ground = ground_of(
         [group.many for group in groups],
         float(np.mean([each.strategy.expected_length for each in departures])),
@@ -173,24 +169,30 @@ def audit(
     rng = np.random.default_rng(SEED)
     impossible, steps = 0, []
     for k, group in enumerate(groups):
-        recorded, wrong = group.many.recorded([departures[i].route for i in group.members])
-        impossible += wrong
+        routes = [departures[i].route for i in group.indices]
+        recorded, wrong = group.many.recorded(routes)
+        impossible += wrong + group.not_distinct(routes)
         steps.append(recorded)
-        tallies.add(k, group.many, group.members, slice(0, 1), recorded)
-        for sets, drawn in group.many.draw_sets(len(group.members), resamples, rng):
+        tallies.add(k, group.many, group.indices, slice(0, 1), recorded)
+        for sets, drawn in group.draw_sets(resamples, rng):
             behind = slice(sets.start + 1, sets.stop + 1)
-            tallies.add(k, group.many, group.members, behind, drawn)
+            tallies.add(k, group.many, group.indices, behind, drawn)
             progress((k + sets.stop / resamples) / len(groups))
-    expected, variance = _expected(groups, ground)
+    expected, variance = expected_by_law(groups, ground)
+    surprise = tallies.surprise
+    if any(group.days for group in groups):
+        # Days have no law of single departures: what all sets have on average takes its place.
+        expected, variance = expected_of_sets(tallies.passages)
+        surprise = surprise - surprise.mean()
     by_lag, deviations = tallies.order()
     n = len(departures)
     found = {
         'frequency': _compared(tallies.frequency(expected, variance), n),
-        'surprise': _compared(np.abs(tallies.surprise), n),
+        'surprise': _compared(np.abs(surprise), n),
         'order': _compared(np.abs(deviations.standard).max(axis=1), n),
         'repeats': _compared(identical_pairs(tallies.known.T), n),
     }
-    entropy = float(np.mean([groups[k].many.entropy for k in _owners(groups, n)]))
+    entropy = float(np.mean([groups[k].many.entropy for k in owners(groups, n)]))
     return Audit(
         departures=n,
         strategies=len(groups),
@@ -201,7 +203,7 @@ def audit(
         passages=frozen_array(tallies.passages[0], np.int64),
         expected=frozen_array(expected, np.float64),
         mean_surprise=float(tallies.surprise[0]) / n + entropy,
-        mean_entropy=entropy,
+        mean_entropy=entropy + float(tallies.surprise[0] - surprise[0]) / n,
         false_alarm_rate=false_alarm_rate,
         resamples=resamples,
         order=Order(
@@ -212,52 +214,10 @@ def audit(
             ground.square,
         ),
         learning=learning_from(
-            [(group.many, departures[group.members[0]].strategy) for group in groups],
-            _owners(groups, n), steps, [group.members for group in groups],
+            [(group.many, group.strategy) for group in groups],
+            owners(groups, n), steps, [group.indices for group in groups],
         ),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """The departures of one strategy, by their places in the order of time."""
-
-    many: ManyRoutes
-    members: IndexArray
-
-
-def _groups(departures: Sequence[Driven]) -> list[_Group]:
-    members: dict[int, list[int]] = {}
-    for number, each in enumerate(departures):
-        members.setdefault(id(each.strategy), []).append(number)
-    return [
-        _Group(_many(departures[numbers[0]].strategy), np.array(numbers))
-        for numbers in members.values()
-    ]
-
-
-def _many(strategy: Strategy) -> ManyRoutes:
-    return ManyRoutes(strategy.network, strategy.edge_probability)
-
-
-def _owners(groups: Sequence[_Group], count: int) -> IndexArray:
-    """Which group each departure (n,) belongs to."""
-    owner = np.empty(count, np.int64)
-    for k, group in enumerate(groups):
-        owner[group.members] = k
-    return owner
-
-
-def _expected(groups: Sequence[_Group], ground: Ground) -> tuple[FloatArray, FloatArray]:
-    """Expected passages and their variance at each place of an edge (C,)."""
-    expected, variance = np.zeros(len(ground.segments)), np.zeros(len(ground.segments))
-    for group, place in zip(groups, ground.of_edge, strict=True):
-        used, n = group.many.used, len(group.members)
-        p = group.many.p[used]
-        np.add.at(expected, place[used], n * p)
-        # Rounding may leave a p a little over 1.
-        np.add.at(variance, place[used], n * np.maximum(p * (1.0 - p), 0.0))
-    return expected, variance
 
 
 def _resamples(rate: float, strategies: int, places: int) -> int:

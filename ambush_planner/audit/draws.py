@@ -73,24 +73,34 @@ class ManyRoutes:
         self.choice: FloatArray = p / np.where(out > 0.0, out, 1.0)[network.tails]
         self.entropy = float(-(p[self.used] @ np.log(self.choice[self.used])))
         self._first = np.searchsorted(tails, np.arange(count + 1))
-        # Choice k of node i ends at i + (the sum of the node's choices up to k): one sorted array.
-        running = np.concatenate(([0.0], np.cumsum(self.choice[self.used])))
-        self._ends = tails + (running[1:] - running[self._first[tails]])
+        self._ends = self._ends_of_choices(tails, count)
 
     def draw(self, count: int, rng: np.random.Generator) -> Steps:
         """Draw ``count`` independent routes."""
         node, route = np.full(count, self.network.source), np.arange(count)
         edges, routes = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         while len(node):
-            place = np.searchsorted(self._ends, node + rng.random(len(node)), side='right')
-            # Rounding must not carry a walker to the choices of another node.
-            place = np.clip(place, self._first[node], self._first[node + 1] - 1)
+            passed = rng.random(len(node))[:, None] >= self._ends[node]
+            place = self._first[node] + passed.sum(axis=1)
             edges.append(self.used[place])
             routes.append(route)
             node = self._heads[place]
             going = node != self.network.target
             node, route = node[going], route[going]
         return Steps(count, np.concatenate(edges), np.concatenate(routes))
+
+    def _ends_of_choices(self, tails: IndexArray, count: int) -> FloatArray:
+        """Where the choices of each node end on the way from 0 to 1 (N, most choices of a node).
+
+        The last one never ends, so that rounding carries nobody beyond it.
+        """
+        place = np.arange(len(tails)) - self._first[tails]
+        running = np.concatenate(([0.0], np.cumsum(self.choice[self.used])))
+        ends = np.full((count, int(place.max(initial=0)) + 1), np.inf)
+        ends[tails, place] = running[1:] - running[self._first[tails]]
+        chosen = np.diff(self._first)
+        ends[np.flatnonzero(chosen), chosen[chosen > 0] - 1] = np.inf
+        return ends
 
     def draw_sets(
         self, departures: int, sets: int, rng: np.random.Generator

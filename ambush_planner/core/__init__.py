@@ -10,7 +10,7 @@
    unpredictable.
 7. ``linear_program``: the paper's solvers. ``strategy``: the record, and ``solve``.
 8. ``routes``, ``corridors`` (by ``room``), ``taut_string``, ``driven_path``: drawing a route, and
-   the path that is driven.
+   the path that is driven; ``day``: routes that do not share their middle.
 9. ``evaluation``, ``bottleneck``, ``frontier``: what is said about a strategy.
 10. ``planner`` (with ``cover``), ``trip``, ``batch``: the whole story, once, by way of stops, and
     many times.

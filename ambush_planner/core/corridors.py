@@ -35,6 +35,9 @@ PAST = 0.01
 class Corridors:
     """Strips and quarters of a network in map axes.
 
+    Where a trip has several legs, their layers lie on the same places, which stand here once:
+    routes are those of one leg, as places.
+
     Parameters
     ----------
     network
@@ -42,9 +45,9 @@ class Corridors:
     origin
         (x, y, yaw) of the map's axes [m, rad].
     uv : (N, 2) float
-        The network's nodes in map axes [m].
+        The network's places in map axes [m].
     links : (L, 2) int
-        Tails and heads of the edges, and of shortcuts if there is no tube; sorted.
+        Tails and heads of the edges, and of shortcuts if there is no tube; both ways, sorted.
     left, right : (L,) float
         Widths of the strips beside each link, seen along it [m].
     beyond : (L, 2, 2) float
@@ -66,7 +69,8 @@ class Corridors:
 
     def links_along(self, route: IndexArray) -> IndexArray:
         """Indices (K - 1,) of the links that join the nodes of a route (K,)."""
-        return np.searchsorted(self._keys, _keys(route[:-1], route[1:], len(self.uv)))
+        pairs = np.stack((route[:-1], route[1:]), axis=1)
+        return np.searchsorted(self._keys, _keys(pairs, len(self.uv)))
 
     def shortened(self, route: IndexArray) -> IndexArray:
         """The shortest route along links that lead forward from node to node of a route (K,).
@@ -120,27 +124,21 @@ def make_corridors(
     """
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f"tube must be finite and >= 0 [m], got {tube}")
-    uv = risk_map.to_map_axes(network.points)
-    # The layers of a trip's legs lie on the same places, which are measured once.
-    here, places, links = uv[: network.place_count], network.places, network.edges
+    uv = risk_map.to_map_axes(network.points[: network.place_count])
+    edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     if tube is None:
         field = ObstacleField(risk_map, clear_of_edge)
-        more = _shortcuts(here, places[links], field, clearance)
-        more = np.concatenate((more, more[:, ::-1]))
-        links = np.concatenate((links, *_in_layers(network, more)))
-    links = links[np.lexsort(links.T[::-1])]
-    at = places[links]
-    low, high = np.sort(at, axis=1).T
-    pair_keys, pair_of = np.unique(_keys(low, high, len(here)), return_inverse=True)
-    pairs = np.stack(np.divmod(pair_keys, len(here)), axis=1)
-    if tube is None:
-        room = among_nodes(here, pairs)
+        pairs, room = _with_shortcuts(uv, edges, field, clearance)
     else:
+        pairs = edges
         room = Room(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
-    room = on_the_map(room, here, pairs, risk_map, clearance, clear_of_edge)
-    along = at[:, 0] < at[:, 1]  # else the pair is seen from its end
-    widths, beyond = room.widths[pair_of], room.beyond[pair_of]
-    widths[~along], beyond[~along] = widths[~along, ::-1], beyond[~along, ::-1, ::-1]
+    room = on_the_map(room, uv, pairs, risk_map, clearance, clear_of_edge)
+    links = np.concatenate((pairs, pairs[:, ::-1]))
+    order = np.lexsort((links[:, 1], links[:, 0]))
+    # Seen from its end, the left of a pair is on the right.
+    widths = np.concatenate((room.widths, room.widths[:, ::-1]))[order]
+    beyond = np.concatenate((room.beyond, room.beyond[:, ::-1, ::-1]))[order]
+    links = links[order]
     return Corridors(
         network,
         risk_map.origin,
@@ -150,40 +148,38 @@ def make_corridors(
         frozen_array(widths[:, 1], np.float64),
         frozen_array(beyond, np.float64),
         tube is None,
-        frozen_array(_keys(links[:, 0], links[:, 1], len(uv)), np.int64),
+        frozen_array(_keys(links, len(uv)), np.int64),
     )
 
 
-def _keys(tails: IndexArray, heads: IndexArray, count: int) -> IndexArray:
-    keys: IndexArray = tails * count + heads
+def _keys(links: IndexArray, count: int) -> IndexArray:
+    keys: IndexArray = links[:, 0] * count + links[:, 1]
     return keys
 
 
-def _in_layers(network: Network, pairs: IndexArray) -> list[IndexArray]:
-    """Pairs (S, 2) of places as links of each leg's layer; a leg ends in the next one's layer."""
-    layers = [pairs + leg * network.place_count for leg in range(network.legs)]
-    for links, stop in zip(layers, network.stops, strict=False):
-        links[pairs == stop % network.place_count] = stop
-    return layers
-
-
-def _shortcuts(
+def _with_shortcuts(
     uv: FloatArray, edges: IndexArray, field: ObstacleField, clearance: float
-) -> IndexArray:
-    """Pairs (S, 2), lower number first, whose ends are joined by two edges that turn by more than
-    ``SHARP``, by none, and on free ground by a straight line past all other nodes."""
-    both = np.concatenate((edges, edges[:, ::-1]))
-    joined = np.unique(_keys(both[:, 0], both[:, 1], len(uv)))
+) -> tuple[IndexArray, Room]:
+    """The edges, and the shortcuts that are on free ground and pass all other nodes."""
+    more = _shortcuts(uv, edges)
+    more = more[field.clear_segments(uv[more[:, 0]], uv[more[:, 1]], clearance)]
+    pairs = np.concatenate((edges, more))
+    room = among_nodes(uv, pairs)
+    good = room.widths.min(axis=1) > PAST * np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
+    good[: len(edges)] = True
+    return pairs[good], Room(room.widths[good], room.beyond[good])
+
+
+def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
+    """Pairs (S, 2) of nodes that no edge joins, but two edges that turn by more than ``SHARP``."""
+    joined = np.sort(_keys(np.concatenate((edges, edges[:, ::-1])), len(uv)))
     middle, other = np.divmod(joined, len(uv))
-    found = []
+    found = [joined[:0]]
     for k in range(1, int(np.bincount(middle).max(initial=0))):
         same = np.flatnonzero(middle[k:] == middle[:-k])
-        a, b, c = other[same], middle[same], other[same + k]
-        to_a, to_c = uv[a] - uv[b], uv[c] - uv[b]
-        sharp = (to_a * to_c).sum(axis=1) > -SHARP * np.hypot(*to_a.T) * np.hypot(*to_c.T)
-        found.append(_keys(a[sharp], c[sharp], len(uv)))
-    new = np.setdiff1d(np.concatenate([*found, joined[:0]]), joined)
-    pairs = np.stack(np.divmod(new, len(uv)), axis=1)
-    pairs = pairs[field.clear_segments(uv[pairs[:, 0]], uv[pairs[:, 1]], clearance)]
-    length = np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
-    return pairs[among_nodes(uv, pairs).widths.min(axis=1) > PAST * length]
+        ends, between = np.stack((other[same], other[same + k]), axis=1), uv[middle[same]]
+        a, b = uv[ends[:, 0]] - between, uv[ends[:, 1]] - between
+        sharp = (a * b).sum(axis=1) > -SHARP * np.hypot(*a.T) * np.hypot(*b.T)
+        found.append(_keys(ends[sharp], len(uv)))
+    new = np.setdiff1d(np.concatenate(found), joined)
+    return np.stack(np.divmod(new, len(uv)), axis=1)

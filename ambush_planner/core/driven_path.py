@@ -62,8 +62,8 @@ def driven_path(
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
     have at least ``turning_radius`` [m], or ``ROUND`` edges if that is more, where the corridors
-    have the room; elsewhere they are as round as these allow (``smallest_radius``). Each stop of a
-    trip is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
+    have the room; elsewhere they are as round as these allow (``turn_radii``). Each stop of a trip
+    is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
 
     Parameters
     ----------
@@ -80,12 +80,13 @@ def driven_path(
     """
     network = corridors.network
     at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
-    places = list(map(tuple, network.points[route[at]].tolist()))
+    points = list(map(tuple, network.points[route[at]].tolist()))
     if ends is not None:
-        places[0], places[-1] = ends
+        points[0], points[-1] = ends
+    route = network.places[route]
     legs = [
         _driven_leg(corridors, route[first : last + 1], spacing, turning_radius, leg_ends)
-        for (first, last), leg_ends in zip(pairwise(at), pairwise(places), strict=True)
+        for (first, last), leg_ends in zip(pairwise(at), pairwise(points), strict=True)
     ]
     poses = np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
     _check_count(float(len(poses)), spacing)
@@ -113,13 +114,20 @@ def driven_paths(
     return [driven_path(corridors, route, spacing, turning_radius) for route in routes]
 
 
-def smallest_radius(poses: FloatArray) -> float:
-    """Radius [m] of the tightest turn of a path (L, 3) as ``driven_path`` makes them; inf if it has
-    none. From pose to pose it is straight or part of a circle."""
+def turn_radii(poses: FloatArray) -> FloatArray:
+    """Radii (L - 1,) [m] of the parts of circles from pose to pose of a path (L, 3) as
+    ``driven_path`` makes it; inf where it is straight, 0 where it turns on the spot."""
     half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
     bent = half > 1e-9
-    chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)[bent]
-    return float((chord / (2.0 * np.sin(half[bent]))).min(initial=math.inf))
+    chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    radii: FloatArray = np.where(bent, chord / (2.0 * np.sin(np.where(bent, half, 1.0))), math.inf)
+    return radii
+
+
+def tight_turns(poses: FloatArray, turning_radius: float) -> int:
+    """How many turns of a path (L, 3) are tighter than ``turning_radius`` [m]."""
+    tight = turn_radii(poses) < turning_radius * (1.0 - 1e-6)
+    return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
 
 
 def different_paths(paths: list[FloatArray], distance: float) -> int:
@@ -128,14 +136,19 @@ def different_paths(paths: list[FloatArray], distance: float) -> int:
     Two are the same if at equal shares of their lengths neither x nor y differs by more than
     ``distance`` [m]. Each path is held against one of every kind before it.
     """
-    kinds = np.empty((len(paths), 2, PLACES))
+    kinds = np.empty((len(paths), PLACES, 2))
     count = 0
     for path in paths:
         gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))))
         places = np.linspace(0.0, gone[-1], PLACES)
-        kinds[count] = [np.interp(places, gone, xy) for xy in path[:, :2].T]
-        apart = np.abs(kinds[:count] - kinds[count]).max(axis=(1, 2))
-        count += not (apart <= distance).any()
+        here = np.stack([np.interp(places, gone, xy) for xy in path[:, :2].T], axis=1)
+        alike = np.arange(count)
+        for step in (PLACES // 4, 1):  # most differ at a few places already
+            apart = np.abs(kinds[alike, ::step] - here[::step]).max(axis=(1, 2), initial=0.0)
+            alike = alike[apart <= distance]
+        if len(alike) == 0:
+            kinds[count] = here
+            count += 1
     return count
 
 

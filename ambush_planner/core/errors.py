@@ -68,6 +68,10 @@ class TimeLimit(AmbushPlannerError):
         self.strategy = strategy
 
 
+class NotDistinct(AmbushPlannerError):
+    """No day of so many convoys was drawn whose routes do not share their middle."""
+
+
 class SolverFailed(AmbushPlannerError):
     """A solver stopped without a strategy whose certificate holds."""
 

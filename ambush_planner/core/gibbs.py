@@ -112,7 +112,11 @@ class AcyclicNetwork:
 
     def _solve_upper(self, matrix: csr_matrix, right: FloatArray) -> FloatArray:
         if FAST_TRIANGULAR:
-            return np.asarray(spsolve_triangular(matrix, right, lower=False, unit_diagonal=True))
+            return np.asarray(
+                spsolve_triangular(
+                    matrix, right, lower=False, unit_diagonal=True, overwrite_A=True
+                )
+            )
         return np.asarray(_natural_lu(matrix).solve(right))
 
     def _forward(self, share: FloatArray) -> FloatArray:
@@ -121,9 +125,10 @@ class AcyclicNetwork:
         first[0] = 1.0
         matrix = self._matrix(share)
         if FAST_TRIANGULAR:
-            transposed = matrix.T.tocsr()
             return np.asarray(
-                spsolve_triangular(transposed, first, lower=True, unit_diagonal=True)
+                spsolve_triangular(
+                    matrix.T, first, lower=True, unit_diagonal=True, overwrite_A=True
+                )
             )
         return np.asarray(_natural_lu(matrix).solve(first, trans="T"))
 

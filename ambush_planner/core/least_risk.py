@@ -73,7 +73,7 @@ def least_risk(
     TimeLimit
         The deadline passed before the first solution.
     """
-    chosen = part.playable & _near_budget(part, budgets)
+    chosen = part.playable
     unit = _unit_of(part)
     best: LeastRisk | None = None
     first, solver = True, "interior_point"
@@ -120,12 +120,12 @@ def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
 
 
-def _near_budget(part: Game, budgets: tuple[Budget, ...]) -> BoolArray:
+def near_budgets(game: Game, budgets: tuple[Budget, ...]) -> BoolArray:
     """Edges (M,) that some route not too far over the budgets uses."""
-    near = np.ones(len(part.network.edges), dtype=bool)
+    near = np.ones(len(game.network.edges), dtype=bool)
     for budget in budgets:
         if budget.binds:
-            through = _through(part, budget.excess)
+            through = _through(game, budget.excess)
             near &= through <= FAR_OVER_BUDGET * budget.room
     return near
 

@@ -17,12 +17,12 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from .acyclic import forward_part, order_potential, rank_around, rank_by
 from .arrays import FloatArray, IndexArray, sums
-from .certificate import Budget, lower_bound, upper_bound
+from .certificate import ROUNDING, Budget, lower_bound, upper_bound
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
 from .game import Game
 from .gibbs import AcyclicNetwork
-from .least_risk import at_most_one, least_risk
+from .least_risk import at_most_one, least_risk, near_budgets
 from .most_entropy import SMALL_START, GibbsStrategy, most_entropy
 from .routes import always, shortest_route
 
@@ -30,10 +30,9 @@ from .routes import always, shortest_route
 LEAST_SLACK = 9e-6
 # The law aims at these shares of its limits, so that it may end a little over its aim.
 AIM, BUDGET_AIM, ROUGHNESS = 0.95, 0.999, 0.04
-# Budgets count as kept within this, relative; the share of a mixture is found in so many halvings.
+# A program's strategy keeps its budgets within this, relative, and a mixture as well as that one;
+# its share is found in so many halvings.
 FITS, HALVINGS = 5e-7, 30
-# An acyclic part whose value is this near to the whole network's holds an optimal strategy.
-SAME_VALUE = 1e-7
 # Sites where an ambush costs this many times the value are driven past only if nothing else is
 # left: a strategy may use them so little that rounding alone would break the limit.
 BARRED = 1e7
@@ -135,35 +134,41 @@ class _Search:
         if k * q.max() > 1.0:
             return None
         lean = self._lean(exact.value)
-        rank = rank_by(self.potential)
-        part = forward_part(lean, rank)
-        around = None if part is None else solve_by_cut(replace(part, ambushers=1))
-        if around is None or around.value > exact.value * (1.0 + SAME_VALUE):
-            around = solve_by_cut(replace(lean, ambushers=1))
-            rank = rank_around(lean, around.p, self.potential)
-            part = forward_part(lean, rank)
-        assert part is not None  # it holds the flow
-        if around.value > exact.value * (1.0 + self.slack / 4.0):
+        flow = exact if lean is self.game else solve_by_cut(replace(lean, ambushers=1))
+        if flow.value > exact.value * (1.0 + self.slack / 4.0):
             return None
+        rank = rank_around(lean, flow.p, self.potential)
+        part = forward_part(lean, rank)
+        assert part is not None  # it holds the flow
         level = np.full(len(self.game.sites), exact.value)
         found = replace(self._law(part, rank, level), q=k * q)
-        partner = around.p if self._fits(around.p) else None
-        return self._within(found, partner, k * exact.value)
+        return self._within(found, flow.p, k * exact.value)
 
     def by_program(self) -> Outcome:
         """Budgets that raise the value, a reach, several ambushers: a linear program first."""
-        first = forward_part(self.game, rank_by(self.potential)) or self.game
         try:
             closed = CLOSED * self.slack
-            risk = least_risk(self.game, first, self.budgets, closed, self._time(PROGRAM_SHARE))
+            first, until = self._first_part(), self._time(PROGRAM_SHARE)
+            risk = least_risk(self.game, first, self.budgets, closed, until)
         except (TimeLimit, SolverFailed):
-            return self._anytime(first)
+            return self._anytime(forward_part(self.game, rank_by(self.potential)) or self.game)
         rank = rank_around(self.game, risk.p, self.potential)
         part = forward_part(self._lean(risk.bound, risk.p), rank)
         assert part is not None  # it holds the program's strategy
         found = self._law(part, rank, risk.level)
         found = replace(found, q=risk.q, prices=risk.prices)
         return self._within(found, risk.p, risk.bound) or replace(found, p=risk.p)
+
+    def _first_part(self) -> Game:
+        """Edges that the program begins with: forward in an order around a maximum flow.
+
+        The flow is the plain game's on edges that some route not too far over the budgets uses.
+        """
+        near = self.game.restricted_to(near_budgets(self.game, self.budgets)) or self.game
+        rank = rank_by(self.potential)
+        if self.game.ambush_radius == 0.0:
+            rank = rank_around(near, solve_by_cut(replace(near, ambushers=1)).p, self.potential)
+        return forward_part(near, rank) or near
 
     def _lean(self, value: float, p: FloatArray | None = None) -> Game:
         """The game without the sites far too costly ever to pass, if a route is left (with p's)."""
@@ -197,16 +202,23 @@ class _Search:
         law = None if found.infeasible else limits.law(found.multipliers)
         return Outcome(p, q, (0.0,) * len(self.budgets), self.evaluations, law)
 
-    def _within(self, found: Outcome, partner: FloatArray | None, bound: float) -> Outcome | None:
+    def _within(self, found: Outcome, partner: FloatArray, bound: float) -> Outcome | None:
         """Mix in just so much of ``partner`` that value and budgets hold; None if none does."""
         limit = bound * (1.0 + self.slack)
+        fits = self._fits(partner)
 
         def holds(p: FloatArray) -> bool:
-            return upper_bound(self.game, p) <= limit and self._fits(p)
+            value = upper_bound(self.game, p)
+            for budget, price in zip(self.budgets, found.prices, strict=True):
+                most = budget.limit * (1.0 + ROUNDING)
+                if budget.mean(p) > (max(most, budget.mean(partner)) if fits else most):
+                    return False
+                value += price * budget.overrun(p) if price > 0.0 else 0.0
+            return value <= limit
 
         if found.law is not None and holds(found.p):
             return found
-        if partner is None or not holds(partner):
+        if not holds(partner):
             return None
         low, high = 0.0, 1.0
         for _ in range(HALVINGS):

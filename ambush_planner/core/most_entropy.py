@@ -18,17 +18,18 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import fmin_l_bfgs_b
 from scipy.sparse import csr_matrix
 
 from .arrays import FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
 # Multiplier that a limit starts with.
-SMALL_START = 1e-3
+SMALL_START = 0.1
 MAX_EVALUATIONS = 1500
-# Evaluations before Newton's method takes over, the most limits that it moves at once, its steps.
-FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_STEPS = 250, 800, 80
+# Evaluations before Newton's method takes over, the most limits that it moves at once, and the
+# multiplications that its Hessians may take.
+FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_WORK = 150, 800, 1e11
 # The search ends with this share of the entropy, plus as many nats, still to be had.
 CLOSE = 2e-3
 # The function's value has rounding of this size, relative to its terms.
@@ -36,7 +37,7 @@ ROUNDING = 1e-9
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # Correction pairs of L-BFGS.
-CORRECTIONS = 20
+CORRECTIONS = 30
 # Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
 # good one; a step is good when the function falls by this share of what the model says.
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
@@ -124,13 +125,9 @@ class _Search:
         return value, 1.0 - used + self.softness * total
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
-        options = {
-            "maxcor": CORRECTIONS, "maxiter": evaluations, "maxfun": evaluations, "ftol": 1e-15,
-            "gtol": 1e-12,
-        }
-        minimize(
-            self, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(start),
-            options=options,
+        fmin_l_bfgs_b(
+            self, start, bounds=[(0.0, None)] * len(start), m=CORRECTIONS, factr=5.0, pgtol=1e-12,
+            maxfun=evaluations, maxiter=evaluations,
         )
 
     def newton(self) -> None:
@@ -138,10 +135,12 @@ class _Search:
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
-        for _ in range(NEWTON_STEPS):
+        work = 0.0
+        while work < NEWTON_WORK:
             weight = np.maximum(v, -gradient / (NEARLY * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
+            work += float(len(self.found.p)) * len(counts) ** 2
             hessian = self._hessian(counts)
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)

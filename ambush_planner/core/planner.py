@@ -13,7 +13,7 @@ from .bottleneck import Bottleneck, find_bottleneck
 from .construction import NetworkOptions, build_network, chosen_spacing
 from .corridors import Corridors, make_corridors
 from .cover import with_hiding_places
-from .driven_path import driven_path, driven_paths
+from .driven_path import different_paths, driven_path, driven_paths
 from .errors import TimeLimit
 from .game import GameOptions
 from .network import Network
@@ -25,6 +25,8 @@ from .strategy import Strategy, StrategyOptions, solve
 Ends = tuple[tuple[float, float], tuple[float, float]]
 # Tube with a reach, in distances of nodes.
 DEFAULT_TUBE = 0.35
+# Paths that are drawn to count the different ones, and how far these are apart [spacings].
+DRAWN, APART = 200, 0.1
 # Beside so much of the value a gap is rounding.
 ROUNDING = 1e-5
 
@@ -114,7 +116,8 @@ class Plan:
 
     ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
     the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
-    was made with, but no less than the map's resolution [m]. ``order`` are the indices of the
+    was made with, but no less than the map's resolution [m]. ``different_paths`` is how many of
+    ``DRAWN`` paths differ; None: there was no time to count. ``order`` are the indices of the
     stops of a trip as they are visited, and ``order_found`` tells how: 'given', 'best' or
     'heuristic'.
     """
@@ -125,6 +128,7 @@ class Plan:
     corridors: Corridors
     drive: DriveOptions
     spacing: float
+    different_paths: int | None
     seconds: float
     order: tuple[int, ...] = ()
     order_found: str = "given"
@@ -185,10 +189,24 @@ def plan_of(
     corridors = make_corridors(
         strategy.network, risk_map, options.network.clearance, tube, options.network.clear_of_edge
     )
+    different = None
+    if time.monotonic() < begin + options.strategy.time_limit:
+        different = _different_paths(strategy, corridors, options.drive, spacing)
     seconds = time.monotonic() - begin
     return Plan(
-        strategy.network, strategy, bottleneck, corridors, options.drive, spacing, seconds
+        strategy.network, strategy, bottleneck, corridors, options.drive, spacing, different,
+        seconds,
     )
+
+
+def _different_paths(
+    strategy: Strategy, corridors: Corridors, drive: DriveOptions, spacing: float
+) -> int:
+    """Always the same for the same strategy; a count tells nothing of what is drawn later."""
+    routes = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    step = max(spacing, strategy.shortest_length / DRAWN)
+    paths = driven_paths(corridors, routes, step, drive.turning_radius)
+    return different_paths(paths, APART * spacing)
 
 
 def _solved(network: Network, options: PlanningOptions, radius: float) -> Strategy:

@@ -64,7 +64,7 @@ def on_the_map(
     clear_of_edge: bool,
 ) -> Room:
     """Of a room, what keeps the clearance [m]; quarters are no wider than the strips."""
-    cells, resolution = _rim_cells(risk_map), risk_map.resolution
+    cells, resolution = _Cells(risk_map), risk_map.resolution
     kept = clearance + KEPT * resolution
     margin = kept if clear_of_edge else KEPT * resolution
     strips, quarters = _to_map_edge(uv, pairs, np.array(risk_map.size), margin)
@@ -95,42 +95,50 @@ def _ahead(direction: FloatArray) -> list[tuple[int, FloatArray]]:
     return [(0, -direction), (1, direction)]
 
 
-def _rim_cells(risk_map: RiskMap) -> FloatArray:
-    """Centres (C, 2) in map axes of the obstacle cells that touch free ground."""
-    inner = binary_erosion(risk_map.obstacles, border_value=1)
-    cells = np.argwhere(risk_map.obstacles & ~inner)
-    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
+class _Cells:
+    """The obstacle cells of a map that touch free ground, in map axes."""
 
+    def __init__(self, risk_map: RiskMap) -> None:
+        inner = binary_erosion(risk_map.obstacles, border_value=1)
+        cells = np.argwhere(risk_map.obstacles & ~inner)[:, ::-1]
+        self._centres = (cells + 0.5) * risk_map.resolution
+        self._tree = cKDTree(self._centres) if len(cells) else None
+        self._corners = CORNERS * risk_map.resolution
 
-def _near(
-    cells: FloatArray, places: FloatArray, radius: FloatArray
-) -> tuple[IndexArray, FloatArray]:
-    """Which of the places (P, 2) has which cell within its radius (P,): both (C,)."""
-    found = cKDTree(cells).query_ball_point(places, radius, return_sorted=False)
-    place = np.repeat(np.arange(len(places)), [len(some) for some in found])
-    index = np.concatenate([*found, []]).astype(np.int64)
-    return place, cells[index]
+    def around(
+        self, places: FloatArray, radius: FloatArray, of: IndexArray
+    ) -> tuple[IndexArray, FloatArray]:
+        """The cells within a radius (K,) of places (K, 2), for the place ``of`` (P,) each: indices
+        (C,) into ``of``, and the offsets (C, 4, 2) of the cells' corners from the place."""
+        if self._tree is None:
+            return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
+        found = self._tree.query_ball_point(places, radius, return_sorted=False)
+        count = np.array([len(some) for some in found])
+        index = np.concatenate([*found, []]).astype(np.int64)
+        first, many = (np.cumsum(count) - count)[of], count[of]
+        whose = np.repeat(np.arange(len(of)), many)
+        cell = index[np.arange(len(whose)) + np.repeat(first - np.cumsum(many) + many, many)]
+        corners = self._centres[cell][:, None] + self._corners
+        return whose, corners - places[of][whose][:, None]
 
 
 def _strips(
     uv: FloatArray,
     pairs: IndexArray,
-    cells: FloatArray,
+    cells: _Cells,
     widths: FloatArray,
     kept: float,
     resolution: float,
 ) -> FloatArray:
     """Widths (P, 2) at which the strips come within ``kept`` of an obstacle cell."""
     room = np.full(widths.shape, np.inf)
-    if len(cells) == 0:
-        return room
-    start, direction, length = _frame(uv, pairs)
+    _, direction, length = _frame(uv, pairs)
     radius = np.hypot(length / 2, widths.max(axis=1)) + kept + resolution
-    pair, cell = _near(cells, uv[pairs].mean(axis=1), radius)
-    to = cell[:, None] + CORNERS * resolution - start[pair, None]
+    pair, to = cells.around(uv[pairs].mean(axis=1), radius, np.arange(len(pairs)))
     along, aside = _turned(to, direction[pair, None])
+    half = length[pair, None] / 2 + kept
     for side, offset in ((0, aside), (1, -aside)):
-        first, last = _within([along + kept, length[pair, None] + kept - along, offset])
+        first, last = _within([half + along, half - along, offset])
         change = np.roll(offset, -1, axis=1) - offset
         nearest = offset + np.minimum(first * change, last * change)
         nearest = np.where(first <= last, nearest, np.inf).min(axis=1)
@@ -141,19 +149,17 @@ def _strips(
 def _quarters(
     uv: FloatArray,
     pairs: IndexArray,
-    cells: FloatArray,
+    cells: _Cells,
     beyond: FloatArray,
     kept: float,
     resolution: float,
 ) -> FloatArray:
     """Radii (P, 2, 2) at which the quarters come within ``kept`` of an obstacle cell."""
     room = np.full(beyond.shape, np.inf)
-    if len(cells) == 0:
-        return room
+    radius = np.zeros(len(uv))
+    np.maximum.at(radius, pairs, beyond.max(axis=2))
     for end, ahead in _ahead(_frame(uv, pairs)[1]):
-        node = uv[pairs[:, end]]
-        pair, cell = _near(cells, node, beyond[:, end].max(axis=1) + kept + resolution)
-        to = cell[:, None] + CORNERS * resolution - node[pair, None]
+        pair, to = cells.around(uv, radius + kept + resolution, pairs[:, end])
         along, aside = _turned(to, ahead[pair, None])
         for side in (0, 1):
             # Who looks back from a pair's start has its left on the right.

@@ -20,9 +20,9 @@ from ..core.strategy import Strategy
 from ..tools.figures import (
     PROBABILITY,
     FloatArray,
-    draw_edges,
     draw_ends,
     draw_risk_map,
+    draw_segments,
     frame,
 )
 from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
@@ -132,7 +132,8 @@ def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
     """Draw the edges on a linear scale that a few crowded edges do not stretch."""
     p = strategy.edge_probability
     most = float(np.quantile(p[p > 1e-3], 0.98))
-    return draw_edges(axes, strategy.network, p, Normalize(0.0, most, clip=True), (0.3, 3.2))
+    segments = strategy.network.points[strategy.network.edges]
+    return draw_segments(axes, segments, p, Normalize(0.0, most, clip=True), (0.3, 3.2))
 
 
 def _without_two_way_traffic(strategy: Strategy) -> Strategy:

@@ -25,7 +25,7 @@ from service_msgs.msg import ServiceEventInfo
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from ..core.planner import Plan, Route, departure_path
+from ..core.planner import DRAWN, Plan, Route, departure_path
 from ..core.strategy import Strategy
 from ..recording import type_name
 from ..ros import markers
@@ -52,7 +52,7 @@ _DRAWN = {
 # What the diagnostics say beside the strategy and the departure.
 _UNFORESEEN = {
     'state', 'code', 'message', 'recording', 'solve_seconds', 'current_value', 'current_gap',
-    'stale',
+    'stale', 'tight_turns', f'different_paths_of_{DRAWN}',
 }
 # The ambusher's sites, and what is worked out beside the strategy as long as there is time.
 _TIMED = {'deciding_sites', 'deciding_sites_near_ends', 'secured_value'}

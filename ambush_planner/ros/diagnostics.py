@@ -11,13 +11,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from ..core.bottleneck import Bottleneck
-from ..core.planner import Plan
+from ..core.planner import DRAWN, Plan
 from ..worker.errors import SolveCancelled
 from .errors import OK_CODE, code_of
 from .ground import Standing
 
 # Of the value: a gap that is left by rounding, or by the slack that is usual.
 _SOLVED = 0.02
+_DIFFERENT = f'different_paths_of_{DRAWN}'
 
 
 class Problem(NamedTuple):
@@ -35,7 +36,8 @@ class Status:
     ``lifecycle`` is the state of the node: unconfigured, inactive, active or finalized.
     ``warnings`` are texts by what they concern: 'parameters' or 'alpha_map'. ``standing`` tells how
     the plan stands on the map in force; ``stale`` says in words, if it is so, that the plan has to
-    be solved anew.
+    be solved anew. ``tight_turns`` are those of the last departure's path
+    that are tighter than was asked for.
     """
 
     lifecycle: str = 'active'
@@ -48,6 +50,7 @@ class Status:
     stale: str = ''
     departures: int = 0
     departure_id: str = ''
+    tight_turns: int = 0
     recording: str = 'off'
 
     @property
@@ -85,6 +88,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         **_standing_values(status.standing, status.stale),
         'departures': str(status.departures),
         'departure_id': status.departure_id,
+        'tight_turns': str(status.tight_turns),
         'recording': status.recording,
     }
     entry = DiagnosticStatus(
@@ -114,6 +118,8 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {status.stale}'
     if status.plan is not None and (warning := _gap_warning(status.plan)):
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
+    if status.tight_turns:
+        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {_tight_warning(status)}'
     if status.plan is not None and (warning := _warning(status.plan.bottleneck)):
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
@@ -127,6 +133,14 @@ def _gap_warning(plan: Plan) -> str:
     return (
         f'the value {strategy.value:.4g} may be {strategy.gap:.3g} over the least one: allow more '
         'max_planning_time, or a smaller strategy.risk_slack'
+    )
+
+
+def _tight_warning(status: Status) -> str:
+    turns = '1 turn' if status.tight_turns == 1 else f'{status.tight_turns} turns'
+    return (
+        f'{turns} of the last path tighter than route.turning_radius, for want of room: a larger '
+        'network.clearance or network.spacing leaves more'
     )
 
 
@@ -162,12 +176,13 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
              'expected_length', 'shortest_length')
     if plan is None:
         return dict.fromkeys(
-            (*names, 'nodes', 'edges', 'deciding_sites', 'deciding_sites_near_ends',
+            (*names, _DIFFERENT, 'nodes', 'edges', 'deciding_sites', 'deciding_sites_near_ends',
              'secured_value', 'stops', 'order', 'solve_seconds'),
             '',
         )
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in names},
+        _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
         'nodes': str(len(plan.network.points)),
         'edges': str(len(plan.network.edges)),
         'deciding_sites': str(len(plan.bottleneck.sites)),

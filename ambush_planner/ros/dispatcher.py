@@ -17,6 +17,7 @@ from rclpy.time import Time
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan, Route
 from ..recording import RecordedMessage, RecordingFailed
@@ -262,7 +263,8 @@ class Dispatcher:
         published = self._path_out(path, request)
         self._count = number
         self._logger.info(f'departure {number} ({departure_id})')
-        report, trouble = self._reporter.departed(number, departure_id)
+        tight = tight_turns(path.rows, held.plan.drive.turning_radius)
+        report, trouble = self._reporter.departed(number, departure_id, tight)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
             published, tuple(filter(None, (*self._markers, report))), request.begin_ns,

@@ -20,10 +20,14 @@ from .cdr import marker_array
 # Edges and nodes used less than once in 10 000 departures are left out, and so are sites held that
 # much less often than the first: they would be all but transparent.
 _SELDOM = 1e-4
+# Heights, in parts of the network's extent and at most so high [m]: lines below the path, which is
+# at 0, so that they do not hide it in Foxglove; discs above the map, which it would draw over them.
+_HEIGHT, _HIGHEST = 0.005, 50.0
+_LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1}
 # Seldom to always: the convoy in blues, who waits for it in oranges, as in all pictures; seldom is
-# more transparent.
+# more transparent. No disc is opaque: it would hide the path below it.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
-_AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 1.0]])
+_AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 0.9]])
 _SHADES = 64
 _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
@@ -35,7 +39,7 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
     """
     network, p = strategy.network, strategy.edge_probability
     shown = np.flatnonzero(p >= _SELDOM)
-    marker = _marker('edge_probabilities', Marker.LINE_LIST, header)
+    marker = _marker('edge_probabilities', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.12 * _edge_length(network)
     colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
     return marker_array(marker, network.points[network.edges[shown].ravel()], colours)
@@ -51,7 +55,7 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
     length = _edge_length(network)
     direction = strategy.mean_direction()[shown]
     shown, direction = _drop_zero(shown, direction)
-    marker = _marker('mean_direction', Marker.LINE_LIST, header)
+    marker = _marker('mean_direction', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.06 * length
     arrows = _arrows(network.points[shown], 0.8 * length * direction)
     return marker_array(marker, arrows, _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
@@ -68,7 +72,7 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     shown = np.flatnonzero((q >= _SELDOM * often) & (strategy.value > 0.0))
     length = _edge_length(network)
     diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
-    marker = _marker('ambush_sites', Marker.SPHERE_LIST, header)
+    marker = _marker('ambush_sites', Marker.SPHERE_LIST, header, network)
     marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
     if not shown.size:
         marker.action = Marker.DELETE
@@ -88,15 +92,17 @@ def stops(network: Network, header: Header) -> bytes:
 
 def network_lines(network: Network, header: Header) -> bytes:
     """One grey line list of all edges, those of both directions drawn once."""
-    marker = _marker('network', Marker.LINE_LIST, header)
+    marker = _marker('network', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.03 * _edge_length(network)
     marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
     return marker_array(marker, network.points[_pairs(network).ravel()], _ONE_COLOUR)
 
 
-def _marker(namespace: str, kind: int, header: Header) -> Marker:
+def _marker(namespace: str, kind: int, header: Header, network: Network) -> Marker:
     marker = Marker(header=header, ns=namespace, id=0, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
+    extent = float(np.ptp(network.points, axis=0).max())
+    marker.pose.position.z = _LAYERS[namespace] * min(_HEIGHT * extent, _HIGHEST)
     return marker
 
 

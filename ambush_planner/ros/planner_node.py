@@ -226,8 +226,8 @@ class PlannerNode(LifecycleNode):
             return response
 
     def _on_timer(self) -> None:
-        if self._listening is not None:
-            self._reporter.warn('alpha_map', self._listening.unheard_maps())
+        listening = self._listening
+        self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
         self._guard.attempt('diagnostics', 'request', self._reporter.report)
 
 

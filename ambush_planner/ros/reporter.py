@@ -46,11 +46,14 @@ class Reporter:
             )
 
     def lifecycle(self, state: str) -> None:
-        """Tell the node's state; what was planned and done is forgotten in 'unconfigured'."""
-        if state == 'unconfigured':
-            self._change(lambda status: Status(lifecycle=state, recording=status.recording))
-        else:
-            self._change(lambda status: replace(status, lifecycle=state))
+        """Tell the node's state; in 'unconfigured' only what concerns its parameters is kept."""
+        def change(status: Status) -> Status:
+            if state != 'unconfigured':
+                return replace(status, lifecycle=state)
+            kept = {key: text for key, text in status.warnings.items() if key == 'parameters'}
+            return Status(lifecycle=state, recording=status.recording, warnings=kept)
+
+        self._change(change)
 
     def refresh(self) -> None:
         """Publish the diagnostics if a solve has begun or ended."""
@@ -95,11 +98,14 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(self, number: int, departure_id: str) -> tuple[RecordedMessage | None, str]:
+    def departed(
+        self, number: int, departure_id: str, tight_turns: int
+    ) -> tuple[RecordedMessage | None, str]:
         """Tell of a departure; return what was published, and what is wrong with the recording."""
         with self._lock:
             report = self._change(lambda status: replace(
-                status.without_problem('request'), departures=number, departure_id=departure_id
+                status.without_problem('request'), departures=number, departure_id=departure_id,
+                tight_turns=tight_turns,
             ))
             failed = self._status.problems.get('recording')
             return report, failed.message if failed else ''

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import suppress
 from textwrap import fill
 
 from rclpy.utilities import remove_ros_args
@@ -17,11 +18,13 @@ INTERFACE = (
     ('sub', 'start_pose', 'geometry_msgs/PoseStamped', 'where the next departure begins'),
     ('sub', 'initialpose', 'geometry_msgs/PoseWithCovarianceStamped', 'the same, from RViz'),
     ('sub', 'goal_pose', 'geometry_msgs/PoseStamped', 'where the next departure leads'),
+    ('sub', 'via_poses', 'geometry_msgs/PoseArray', 'stops on the way; an empty one clears them'),
     ('pub', 'path', 'nav_msgs/Path', 'the route of the last departure'),
     ('pub', 'edge_probabilities', 'visualization_msgs/MarkerArray', 'how likely each edge is used'),
     ('pub', 'mean_direction', 'visualization_msgs/MarkerArray', 'where convoys go on average'),
     ('pub', 'ambush_sites', 'visualization_msgs/MarkerArray', 'where the best ambusher waits'),
     ('pub', 'network', 'visualization_msgs/MarkerArray', 'where convoys may go'),
+    ('pub', 'stops', 'visualization_msgs/MarkerArray', 'where convoys stop on the way'),
     ('pub', '/diagnostics', 'diagnostic_msgs/DiagnosticArray', 'the state, and what is wrong'),
     ('srv', '~/new_route', 'std_srvs/Trigger', 'a departure: draws and publishes a route'),
     ('srv', '~/get_plan', 'nav_msgs/GetPlan', 'a departure between the poses of the request'),
@@ -34,7 +37,8 @@ INTERFACE = (
 def check_arguments(arguments: list[str] | None) -> None:
     """Print the help and exit if it is asked for; exit with 2 at what is no argument of ROS."""
     given = sys.argv if arguments is None else ['', *arguments]
-    _parser().parse_args(remove_ros_args(given)[1:])
+    with suppress(RuntimeError):  # malformed ones of ROS: rclpy.init says what is wrong with them
+        _parser().parse_args(remove_ros_args(given)[1:])
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from ..audit.departures import FEWEST_DEPARTURES, Audit, Driven, audit
+from ..audit.departures import FEWEST_DEPARTURES, Driven, audit
 from ..audit.draws import ManyRoutes, NotAuditable
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, recordings_in
 from ..review.departures import Departure, read_departures, source_findings
 from . import audit_text, cli
 from .audit_figures import audit_figure
+from .audit_text import Outcome
 from .figures import as_png
 
 TEXT, PICTURE, PASSAGES = 'audit.txt', 'audit.png', 'audit_passages.csv'
@@ -44,12 +45,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
+    made = cli.reader_parser(
         'audit',
         'Test recorded departures: do they follow their strategies, do they show patterns?',
         EPILOG,
     )
-    cli.add_recordings(made)
     cli.add_output(made, 'the result')
     made.add_argument(
         '--false-alarm-rate', type=_rate, default=0.01, metavar='RATE',
@@ -78,44 +78,41 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     files = [TEXT, PICTURE, PASSAGES]
     if options.output:
         cli.refuse_existing(options.output, files, options.replace)
-    departures, unreadable = read_all(options.recordings, console)
-    audited, others = _auditable(departures)
+    found = _outcome(*read_all(options.recordings, console), options.false_alarm_rate, console)
+    lines = audit_text.lines(found)
+    for line in lines:
+        console.line(console.marked(line, False) if line.startswith('FINDING') else line)
+    console.result = _as_json(found)
+    if options.output:
+        # Names of unreadable files need not be UTF-8.
+        text = '\n'.join([*lines, '']).encode(errors='backslashreplace')
+        written = {TEXT: text, **(_pictures(found) if found.audit else {})}
+        cli.write_private(options.output, written)
+        console.line(f'\nIn {cli.place(options.output)}: {", ".join(written)}. They are secret.')
+    return found.code
+
+
+def _outcome(
+    departures: list[Departure], unreadable: list[UnreadableRecording], rate: float,
+    console: cli.Console,
+) -> Outcome:
+    walkers = {id(each.strategy): _walkers(each.strategy) for each in departures}
+    audited = [each for each in departures if walkers[id(each.strategy)]]
     console.say(f'auditing {cli.count(len(audited), "departure")}')
     result = None
     if len(audited) >= FEWEST_DEPARTURES:
         driven = [Driven(each.strategy, each.route) for each in audited]
-        result = audit(driven, options.false_alarm_rate, console.bar('audited'))
-    impossible = result.impossible if result else _impossible(audited)
+        result = audit(driven, rate, console.bar('audited'))
+    # What cannot have been drawn at all can be said of any number of departures.
+    impossible = result.impossible if result else sum(
+        walkers[id(each.strategy)].recorded([each.route])[1] for each in audited
+    )
     sources = source_findings((each.path.name, each.metadata) for each in departures)
     sources += [
         f'{each.path.name}: drawn with a fixed seed, which can be foretold'
         for each in departures if each.parameters.seed >= 0
     ]
-    code = _exit_code(result, impossible, sources, unreadable, others)
-    lines = audit_text.lines(departures, audited, result, impossible, sources, unreadable, others)
-    for line in lines:
-        console.line(console.marked(line, False) if line.startswith('FINDING') else line)
-    console.result = _as_json(
-        code, departures, result, impossible, sources, unreadable, len(others), len(audited)
-    )
-    if options.output:
-        texts = {TEXT: '\n'.join([*lines, ''])}
-        _write(options.output, texts, departures, result)
-        console.line(f'\nIn {cli.place(options.output)}: {", ".join(files if result else texts)}. '
-                     'They are secret.')
-    return code
-
-
-def _auditable(departures: Sequence[Departure]) -> tuple[list[Departure], list[Departure]]:
-    """Those of strategies without cycles, and the others."""
-    good: dict[int, bool] = {}
-    for each in departures:
-        if id(each.strategy) not in good:
-            good[id(each.strategy)] = _walkers(each.strategy) is not None
-    return (
-        [each for each in departures if good[id(each.strategy)]],
-        [each for each in departures if not good[id(each.strategy)]],
-    )
+    return Outcome(departures, audited, result, impossible, sources, unreadable)
 
 
 def _walkers(strategy: Strategy) -> ManyRoutes | None:
@@ -125,63 +122,32 @@ def _walkers(strategy: Strategy) -> ManyRoutes | None:
         return None
 
 
-def _impossible(departures: Sequence[Departure]) -> int:
-    """What can be said of any number of departures: how much cannot have been drawn at all."""
-    return sum(_walkers(each.strategy).recorded([each.route])[1] for each in departures)
+def _pictures(found: Outcome) -> dict[str, bytes]:
+    return {
+        PICTURE: as_png(audit_figure(found.departures[-1].risk_map, found.audit)),
+        PASSAGES: audit_text.passages_csv(found.audit).encode(),
+    }
 
 
-def _exit_code(
-    result: Audit | None,
-    impossible: int,
-    sources: Sequence[str],
-    unreadable: Sequence[object],
-    others: Sequence[object],
-) -> cli.Exit:
-    if impossible or sources or (result and result.findings):
-        return cli.Exit.FINDING
-    if unreadable:
-        return cli.Exit.UNREADABLE
-    return cli.Exit.TOO_FEW if result is None or result.blind or others else cli.Exit.HOLDS
-
-
-def _write(
-    output: Path, texts: dict[str, str], departures: Sequence[Departure], result: Audit | None
-) -> None:
-    # Names of unreadable files need not be UTF-8.
-    files = {name: text.encode(errors='backslashreplace') for name, text in texts.items()}
-    if result:
-        files[PICTURE] = as_png(audit_figure(departures[-1].risk_map, result))
-        files[PASSAGES] = audit_text.passages_csv(result).encode()
-    cli.write_private(output, files)
-
-
-def _as_json(
-    code: cli.Exit,
-    departures: Sequence[Departure],
-    result: Audit | None,
-    impossible: int,
-    sources: list[str],
-    unreadable: Sequence[UnreadableRecording],
-    others: int,
-    audited: int,
-) -> dict[str, Any]:
+def _as_json(found: Outcome) -> dict[str, Any]:
+    result = found.audit
     tests = {
         name: {'recorded': test.observed, 'by_chance': test.expected, 'p_value': test.p_value,
                'finding': test.finding}
         for name, test in (result.tests.items() if result else ())
     }
     return {
-        'verdict': code.name.lower(),
-        'departures': len(departures),
-        'strategies': len({id(each.strategy) for each in departures}),
+        'verdict': found.code.name.lower(),
+        'departures': len(found.departures),
+        'strategies': found.strategies,
         'false_alarm_rate': result.false_alarm_rate if result else None,
         'findings': list(result.findings) if result else [],
         'tests': tests,
-        'impossible': impossible,
-        'random_source': sources,
-        'unreadable': [str(error) for error in unreadable],
-        'not_audited': others,
-        'needed': max(0, FEWEST_DEPARTURES - audited),
+        'impossible': found.impossible,
+        'random_source': found.sources,
+        'unreadable': [str(error) for error in found.unreadable],
+        'not_audited': found.left_out,
+        'needed': found.missing,
     }
 
 

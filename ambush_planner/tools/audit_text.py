@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from io import StringIO
 from textwrap import fill
@@ -28,41 +29,84 @@ UNTOLD = 1e12
 MOST_TOLD = 10
 
 
-def lines(
-    departures: Sequence[Departure],
-    audited: Sequence[Departure],
-    audit: Audit | None,
-    impossible: int,
-    sources: Sequence[str],
-    unreadable: Sequence[Exception],
-    others: Sequence[Departure],
-) -> list[str]:
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What an audit found.
+
+    Attributes
+    ----------
+    departures, audited
+        All that could be read, and those of strategies without cycles.
+    audit
+        Of the latter; None where they are too few.
+    impossible
+        Steps and ends of routes that cannot have been drawn.
+    sources
+        What is wrong with random sources, a line each.
+    unreadable
+        The errors of files that could not be read.
+    """
+
+    departures: Sequence[Departure]
+    audited: Sequence[Departure]
+    audit: Audit | None
+    impossible: int
+    sources: Sequence[str]
+    unreadable: Sequence[Exception]
+
+    @property
+    def strategies(self) -> int:
+        """How many strategies the departures were drawn from."""
+        return len({id(each.strategy) for each in self.departures})
+
+    @property
+    def left_out(self) -> int:
+        """How many departures were not audited."""
+        return len(self.departures) - len(self.audited)
+
+    @property
+    def missing(self) -> int:
+        """How many more departures an audit needs."""
+        return max(0, FEWEST_DEPARTURES - len(self.audited))
+
+    @property
+    def code(self) -> cli.Exit:
+        """The exit code."""
+        if self.impossible or self.sources or (self.audit and self.audit.findings):
+            return cli.Exit.FINDING
+        if self.unreadable:
+            return cli.Exit.UNREADABLE
+        told = self.audit and not self.audit.blind and not self.left_out
+        return cli.Exit.HOLDS if told else cli.Exit.TOO_FEW
+
+
+def lines(found: Outcome) -> list[str]:
     """Return the whole text, line by line."""
-    said = [title(departures), ''] if departures else []
+    audit, sources = found.audit, found.sources
+    said = [title(found), ''] if found.departures else []
     if audit:
         said += [*table(audit).splitlines(), '', *findings(audit), '', *learning_lines(audit)]
-    elif impossible:
-        said.append(f'FINDING (impossible): {impossible_steps(impossible)}')
+    elif found.impossible:
+        said.append(f'FINDING (impossible): {impossible_steps(found.impossible)}')
     said += [f'FINDING (random source): {each}' for each in sources[:MOST_TOLD]]
     if len(sources) > MOST_TOLD:
         said.append(f'FINDING (random source): {len(sources) - MOST_TOLD} more')
-    if others:
-        said.append(f'Not audited, as their strategies have cycles: {how_many(others)}.')
+    if found.left_out:
+        left_out = cli.count(found.left_out, 'departure')
+        said.append(f'Not audited, as their strategies have cycles: {left_out}.')
     if audit is None:
-        missing = FEWEST_DEPARTURES - len(audited)
         said.append(
-            f'Not enough to tell: {FEWEST_DEPARTURES} departures are needed, {missing} more than '
-            'these.'
+            f'Not enough to tell: {FEWEST_DEPARTURES} departures are needed, {found.missing} more '
+            'than these.'
         )
-    said += [f'UNREADABLE, and no part of the audit: {error}' for error in unreadable]
+    said += [f'UNREADABLE, and no part of the audit: {error}' for error in found.unreadable]
     return [part for line in said for part in _wrapped(line)]
 
 
-def title(departures: Sequence[Departure]) -> str:
+def title(found: Outcome) -> str:
     """Say how many departures, of how many strategies, and when they were."""
-    count = len({id(each.strategy) for each in departures})
-    strategies = f'{count} strateg{"ies" if count != 1 else "y"}'
-    return f'{how_many(departures)} of {strategies}, {span(departures)}'
+    strategies = f'{found.strategies} strateg{"ies" if found.strategies != 1 else "y"}'
+    return f'{how_many(found.departures)} of {strategies}, {span(found.departures)}'
 
 
 def how_many(departures: Sequence[Departure]) -> str:
@@ -158,8 +202,8 @@ def learning_lines(audit: Audit) -> list[str]:
         lines.append(f'{known}had not come to {share} of that for good after all {n} departures.')
     else:
         lines.append(
-            f'{known}causes at least {share} of that from {learning.departures_to_learn} watched '
-            'departures on.'
+            f'{known}causes at least {share} of that from '
+            f'{cli.count(learning.departures_to_learn, "watched departure")} on.'
         )
     lines.append(
         f'Watching and waiting at once, he would have met {learning.ambushes} of the {n - 1} '

@@ -32,6 +32,7 @@ COMMANDS = {
     'table': ('tools.table', 'what it costs to drive between all depots and all customers'),
     'terrain': ('tools.terrain', 'a risk map from an elevation model'),
     'verify': ('tools.verify', 'do recorded departures follow from their inputs?'),
+    'views': ('tools.views', 'RViz and Foxglove, set up for a map or a recording'),
 }
 EXIT_CODES = (
     'Exit code: 0 all holds; 1 a finding; 2 wrong usage; 3 something cannot be read or written;\n'
@@ -84,14 +85,21 @@ def new_parser(command: str, description: str, epilog: str) -> argparse.Argument
     return parser
 
 
-def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Let a command take recordings."""
+def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """Return the parser of a command that reads recordings."""
+    parser = new_parser(command, description, epilog)
     parser.add_argument(
-        'recordings',
-        type=Path,
-        metavar='FILE_OR_FOLDER',
+        'recordings', type=Path, metavar='FILE_OR_FOLDER',
         help='a recording, a session folder, or the recording.directory with all of them',
     )
+    return parser
+
+
+def positive(text: str) -> int:
+    """Read an argument that is a number of things."""
+    if not (text.isascii() and text.isdigit() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
+    return int(text)
 
 
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:

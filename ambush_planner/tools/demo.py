@@ -72,7 +72,7 @@ def parser() -> argparse.ArgumentParser:
         help='where the results go; made if missing (default: %(default)s)',
     )
     made.add_argument(
-        '-n', '--departures', type=_positive, default=8, metavar='COUNT',
+        '-n', '--departures', type=cli.positive, default=8, metavar='COUNT',
         help='number of routes to ask for (default: %(default)s)',
     )
     return made
@@ -226,12 +226,6 @@ def table(
 def count_different(paths: Sequence[FloatArray]) -> int:
     """Number of paths (L, 3) that no earlier one equals."""
     return len({np.ascontiguousarray(path).tobytes() for path in paths})
-
-
-def _positive(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
-    return int(text)
 
 
 if __name__ == '__main__':

@@ -79,17 +79,6 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
 
-def draw_edges(
-    axes: Axes,
-    network: Network,
-    probability: npt.ArrayLike,
-    scale: Normalize | None = None,
-    widths: tuple[float, float] = (0.5, 3.0),
-) -> LineCollection:
-    """Draw the edges that are driven: the likelier, the darker and the wider, and on top."""
-    return draw_segments(axes, network.points[network.edges], probability, scale, widths)
-
-
 def draw_segments(
     axes: Axes,
     segments: FloatArray,
@@ -97,7 +86,7 @@ def draw_segments(
     scale: Normalize | None = None,
     widths: tuple[float, float] = (0.5, 3.0),
 ) -> LineCollection:
-    """Draw stretches (K, 2, 2) as ``draw_edges`` does."""
+    """Draw stretches (K, 2, 2): the likelier, the darker and the wider, and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)

@@ -7,9 +7,11 @@ import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import chain, count
 from pathlib import Path
+from typing import Any
 
-from ..recording.durable import make_private_folder, write_durably
+from ..recording.durable import make_private_folders, write_durably
 from ..recording.errors import UnreadableRecording, reading_from
 from ..recording.mcap_file import BadFile, Content, decode, encode, whole_part
 from ..recording.reader import is_session, natural_order, read_bytes
@@ -36,8 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('recover', 'Save what is whole in broken recordings.', EPILOG)
-    cli.add_recordings(made)
+    made = cli.reader_parser('recover', 'Save what is whole in broken recordings.', EPILOG)
     made.add_argument(
         '-o', '--output', type=Path, metavar='OUTPUT',
         help='the new file (for a folder: the new folder); must not be there yet',
@@ -47,24 +48,26 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
     source, output = options.recordings, options.output
-    if output is not None and os.path.lexists(output):
-        raise cli.UsageError(f'{cli.place(output)} is already there; name another output')
     with reading_from(source):
-        jobs = list(_jobs(source, output)) if source.is_dir() else [(source, output)]
-    codes, results = [cli.Exit.HOLDS], []
-    folders = list(dict.fromkeys(target.parent for _, target in jobs if target and source.is_dir()))
-    for folder in folders:
-        _make_folders(folder)
+        jobs = list(_jobs(source, output))
+    if source.is_dir():
+        for folder in dict.fromkeys(target.parent for _, target in jobs):
+            make_private_folders(folder)
+    codes, results = [], []
     for path, target in console.progress(jobs, 'recovered'):
         try:
-            code, result = _recover(path, target, source.is_dir(), console)
+            # A single recording that is whole needs no copy, unless one is asked for.
+            result = _recover(path, target, source.is_dir() or output is not None)
+            codes.append(cli.Exit.FINDING if result['lost'] else cli.Exit.HOLDS)
+            _tell(result, console)
         except UnreadableRecording as error:
             console.error(error)
-            code, result = cli.Exit.UNREADABLE, {'file': cli.place(path), 'lost': str(error)}
-        codes.append(code)
+            result = {'file': cli.place(path), 'lost': str(error)}
+            codes.append(cli.Exit.UNREADABLE)
         results.append(result)
-    for folder in folders:
-        list_files(folder)
+    if source.is_dir():
+        for folder in dict.fromkeys(target.parent for _, target in jobs):
+            list_files(folder)
     code = next(
         each for each in (cli.Exit.FINDING, cli.Exit.UNREADABLE, cli.Exit.HOLDS) if each in codes
     )
@@ -73,70 +76,65 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
 
 
 def _jobs(source: Path, output: Path | None) -> Iterator[tuple[Path, Path]]:
-    """The files of a folder and of session folders in it, and where they are saved."""
+    """The file, or the files of a folder and of session folders in it, and where each is saved."""
+    if not source.is_dir():
+        target = output or source.with_name(f'{_stem(source)}.recovered.mcap')
+        if output:
+            _refuse_existing(target)
+        yield source, target
+        return
     base = output or source.resolve().with_name(f'{source.resolve().name}.recovered')
-    if os.path.lexists(base):
-        raise cli.UsageError(f'{cli.place(base)} is already there; name another output with -o')
+    _refuse_existing(base)
     inner = sorted((each for each in source.iterdir() if is_session(each)), key=natural_order)
     taken: set[Path] = set()
     for folder in (source, *inner):
         target = base if folder is source else base / folder.name
         for path in sorted(folder.iterdir(), key=natural_order):
-            match = _NAME.fullmatch(path.name)
-            if match and path.is_file():
-                wanted, number = target / f'{match["stem"]}.mcap', 2
-                while wanted in taken:
-                    wanted = target / f'{match["stem"]}-{number}.mcap'
-                    number += 1
-                taken.add(wanted)
-                yield path, wanted
+            if _NAME.fullmatch(path.name) and path.is_file():
+                names = (f'{_stem(path)}{n}.mcap' for n in chain([''], (f'-{k}' for k in count(2))))
+                free = next(target / each for each in names if target / each not in taken)
+                taken.add(free)
+                yield path, free
     if not taken:
         raise UnreadableRecording(source, 'there is no recording in this folder; name another one')
 
 
-def _make_folders(folder: Path) -> None:
-    for each in (folder.parent, folder):
-        if not each.exists():
-            make_private_folder(each)
-
-
-def _recover(
-    path: Path, target: Path | None, copies: bool, console: cli.Console
-) -> tuple[cli.Exit, dict[str, object]]:
-    """Save a file, and tell what was saved and lost in numbers; never what it says."""
+def _recover(path: Path, target: Path, copies: bool) -> dict[str, Any]:
+    """Save a file, and return what was saved and lost in numbers; never what it says."""
     data = read_bytes(path)
     content, fault = whole_part(data)
     if not fault:
-        fault = _index_fault(data)
-    saved = None
-    if copies or fault or target:
-        if content.messages or content.metadata or content.attachments:
-            saved = target or _beside(path)
-            write_durably(saved, encode(_plain(content)) if fault else data)
-    counts = {
-        'messages': len(content.messages), 'metadata': len(content.metadata),
-        'attachments': len(content.attachments),
-    }
-    said = ', '.join(f'{name} {number}' for name, number in counts.items())
-    console.line(f'{cli.place(path)}: {said}')
-    console.item('the file is whole' if not fault else f'lost: what follows; {fault}')
+        try:
+            decode(data)
+        except BadFile as error:
+            fault = str(error)
+    saved = (copies or bool(fault)) and any(
+        (content.messages, content.metadata, content.attachments)
+    )
     if saved:
-        console.item(f'saved in {cli.place(saved)}')
-    elif fault:
-        console.item('nothing could be saved')
-    result = {
-        'file': cli.place(path), 'saved': cli.place(saved) if saved else None, **counts,
-        'lost': fault or None,
+        _refuse_existing(target)
+        write_durably(target, encode(_plain(content)) if fault else data)
+    return {
+        'file': cli.place(path), 'saved': cli.place(target) if saved else None,
+        'messages': len(content.messages), 'metadata': len(content.metadata),
+        'attachments': len(content.attachments), 'lost': fault or None,
     }
-    return cli.Exit.FINDING if fault else cli.Exit.HOLDS, result
 
 
-def _index_fault(data: bytes) -> str:
-    try:
-        decode(data)
-    except BadFile as error:
-        return str(error)
-    return ''
+def _refuse_existing(target: Path) -> None:
+    if os.path.lexists(target):
+        raise cli.UsageError(f'{cli.place(target)} is already there; name another output with -o')
+
+
+def _tell(result: dict[str, Any], console: cli.Console) -> None:
+    counts = ', '.join(f'{name} {result[name]}' for name in ('messages', 'metadata', 'attachments'))
+    console.line(f'{result["file"]}: {counts}')
+    lost = result['lost']
+    console.item(f'lost: what follows; {lost}' if lost else 'the file is whole')
+    if result['saved']:
+        console.item(f'saved in {result["saved"]}')
+    elif lost:
+        console.item('nothing could be saved')
 
 
 def _plain(content: Content) -> Content:
@@ -150,13 +148,9 @@ def _plain(content: Content) -> Content:
     return content
 
 
-def _beside(path: Path) -> Path:
+def _stem(path: Path) -> str:
     match = _NAME.fullmatch(path.name)
-    stem = match['stem'] if match else path.stem
-    target = path.with_name(f'{stem}.recovered.mcap')
-    if os.path.lexists(target):
-        raise cli.UsageError(f'{cli.place(target)} is already there; name another output with -o')
-    return target
+    return match['stem'] if match else path.stem
 
 
 if __name__ == '__main__':

@@ -70,11 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
+    made = cli.reader_parser(
         'replay', 'Publish recorded departures again, for RViz or for a running planner.', EPILOG
     )
     made.usage = '%(prog)s [options] FILE_OR_FOLDER [-- TOPIC ...] [--ros-args ...]'
-    cli.add_recordings(made)
     made.add_argument(
         '-e', '--every', type=_not_negative, default=5.0, metavar='SECONDS',
         help='from one departure to the next (default: %(default)s)',

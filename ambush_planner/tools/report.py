@@ -35,11 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
+    made = cli.reader_parser(
         'report', 'Recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    cli.add_recordings(made)
     cli.add_output(made, PAGE)
     made.add_argument(
         '--verify', action='store_true', help='verify the recordings, and say what was found'

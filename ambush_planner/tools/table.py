@@ -48,18 +48,12 @@ def parser() -> argparse.ArgumentParser:
     )
     where = made.add_mutually_exclusive_group()
     where.add_argument(
-        '--jobs', type=_positive, metavar='N', help='processes (default: one for each processor)'
+        '--jobs', type=cli.positive, metavar='N', help='processes (default: one for each processor)'
     )
     where.add_argument(
         '--scheduler', metavar='ADDRESS', help='of a dask cluster, such as tcp://host:8786'
     )
     return made
-
-
-def _positive(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
-    return int(text)
 
 
 if __name__ == '__main__':

@@ -64,12 +64,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser(
+    made = cli.reader_parser(
         'verify',
         'Plan recorded departures again and compare: do they follow from their inputs?',
         EPILOG,
     )
-    cli.add_recordings(made)
     made.add_argument(
         '--expect', type=_hash, metavar='HASH',
         help='the SHA-256 of a recording that was noted elsewhere: it must be among these',

@@ -1,0 +1,71 @@
+"""In place of ``ros2`` and of Nav2's map_server, not on PyPI: what the tutorial needs of them.
+
+Command lines as theirs; ``ros2 run ambush_planner`` starts the real programs.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import rclpy
+import yaml
+from rclpy.qos import QoSProfile
+from ros_harness import LATCHED
+from ros_yaml import Command, filled
+from std_msgs.msg import Header
+from waiting import wait_until
+
+from ambush_planner.ros.conversions import occupancy_to_ros
+from ambush_planner.terrain.map_file import read_map
+
+
+def serve_map(node, arguments):
+    """Publish the map latched, as map_server does once it is active, until the end."""
+    options = dict(each.split(':=') for each in arguments if ':=' in each)
+    grid = read_map(Path(options['yaml_filename']))
+    header = Header(frame_id='map')
+    message = occupancy_to_ros(grid.values, grid.resolution, grid.origin, header)
+    publisher = node.create_publisher(type(message), options['map'], LATCHED)
+    publisher.publish(message)
+    rclpy.spin(node)
+
+
+def publish(node, topic, kind, text):
+    kind = Command('', (), topic, kind, '').type
+    publisher = node.create_publisher(kind, topic, QoSProfile(depth=1))
+    wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
+    publisher.publish(filled(kind(), yaml.safe_load(text)))
+    # Until it has come through.
+    assert publisher.wait_for_all_acked()
+
+
+def call(node, name, kind):
+    kind = Command('', (), name, kind, '').type
+    client = node.create_client(kind, name)
+    wait_until(client.service_is_ready, name)
+    future = client.call_async(kind.Request())
+    rclpy.spin_until_future_complete(node, future)
+    print(future.result())
+
+
+def main(arguments):
+    match arguments:
+        case ['run', 'ambush_planner', name, *rest]:
+            os.execvp(name, [name, *rest])
+        case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
+            return  # it is active from the beginning
+    rclpy.init()
+    node = rclpy.create_node('standin')
+    match arguments:
+        case ['run', 'nav2_map_server', 'map_server', '--ros-args', *rest]:
+            serve_map(node, rest)
+        case ['topic', 'pub', '--once', topic, kind, text]:
+            publish(node, topic, kind, text)
+        case ['service', 'call', name, kind]:
+            call(node, name, kind)
+        case _:
+            sys.exit(f'the stand-in has no {arguments}')
+
+
+if __name__ == '__main__':
+    main(sys.argv[1:])

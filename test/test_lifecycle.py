@@ -1,0 +1,251 @@
+"""The node's states, changed by the services that Nav2's lifecycle manager calls."""
+
+import threading
+import time
+from contextlib import suppress
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from nav_msgs.msg import Path
+from rclpy.parameter import Parameter
+from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+from test_node_life import threads
+from waiting import TIMEOUT
+
+from ambush_planner.core.errors import AmbushPlannerError
+from ambush_planner.ros import planner_node
+
+START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
+WAITING = {'autostart': False}
+# Minutes: nobody waits for its end here.
+LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
+
+
+class Manager:
+    """Changes the node's state as Nav2's lifecycle manager does: by id, with no label."""
+
+    def __init__(self, client):
+        self.client = client
+        self._change, self._state = (
+            client.node.create_client(kind, f'/{client.name}/{name}')
+            for kind, name in ((ChangeState, 'change_state'), (GetState, 'get_state')))
+        nothing = Transition(label='no such transition')
+        self._meet(self._change, ChangeState.Request(transition=nothing))
+        self._meet(self._state, GetState.Request())
+
+    def _meet(self, client, request):
+        """Ask until there is an answer: until the node knows the client, answers are lost."""
+        wait_until(client.service_is_ready, client.srv_name)
+        for _ in range(int(TIMEOUT)):
+            asked = client.call_async(request)
+            with suppress(AssertionError):
+                wait_until(asked.done, 'an answer', timeout=1.0)
+                return
+        raise AssertionError(f'no answer of {client.srv_name}')
+
+    def call(self, client, request):
+        asked = client.call_async(request)
+        wait_until(asked.done, f'an answer of {client.srv_name}')
+        return asked.result()
+
+    def change(self, name):
+        """Return whether the transition came about."""
+        number = getattr(Transition, f'TRANSITION_{name.upper()}')
+        request = ChangeState.Request(transition=Transition(id=number))
+        return self.call(self._change, request).success
+
+    @property
+    def state(self):
+        return self.call(self._state, GetState.Request()).current_state.label
+
+    def go(self, **states):
+        """Take transitions, and check the state that each leads to."""
+        for transition, state in states.items():
+            assert self.change(transition), transition
+            assert self.state == state
+            # The diagnostics know better what an active node does.
+            if state != 'active':
+                self.client.diagnostics(state=state)
+
+
+def start(running):
+    manager = Manager(running.client)
+    manager.go(configure='inactive', activate='active')
+    return manager
+
+
+def test_it_starts_by_itself():
+    with stage() as running:
+        assert Manager(running.client).state == 'active'
+        assert running.give().call('new_route').success
+
+
+def test_without_autostart_it_waits_and_refuses_in_each_state():
+    before = threads()
+    with stage(parameters=WAITING) as running:
+        client, manager = running.client, Manager(running.client)
+        assert manager.state == 'unconfigured'
+        assert threads() == before
+        for name in ('new_route', 'replan', 'cancel'):
+            assert 'not configured' in client.call(name).message
+        assert not client.get_plan(START, GOAL).poses
+        client.diagnostics(state='unconfigured', code='INACTIVE')
+        manager.go(configure='inactive')
+        client.publish('alpha_map', risk_grid())
+        client.publish('start_pose', START)
+        client.publish('goal_pose', GOAL)
+        client.call_until('new_route', lambda answer: 'activated' in answer.message)
+        assert not client.get_plan(START, GOAL).poses
+        client.diagnostics(state='inactive', code='INACTIVE')
+        assert not client.received['path']
+        # What has come meanwhile counts.
+        manager.go(activate='active')
+        client.call_until('new_route', lambda answer: answer.success)
+        client.diagnostics(state='ready', code='NONE')
+
+
+def test_what_was_planned_is_kept_while_it_is_inactive():
+    with stage() as running:
+        client, manager = running.give(), Manager(running.client)
+        assert client.call('new_route').success
+        held = running.planner._dispatcher._shown
+        manager.go(deactivate='inactive')
+        assert 'inactive' in client.call('new_route').message
+        manager.go(activate='active')
+        assert client.call('new_route').success
+        assert running.planner._dispatcher._shown is held
+        client.last('path', 2)
+        client.diagnostics(departures='2')
+
+
+def test_whoever_waits_is_told_when_it_is_deactivated():
+    with stage(parameters=LONG) as running:
+        client, manager = running.give(), Manager(running.client)
+        waiting = [client.send('new_route'), client.send('replan')]
+        client.diagnostics(state='solving')
+        manager.go(deactivate='inactive')
+        wait_until(lambda: all(each.done() for each in waiting), 'the answers')
+        assert not any(each.result().success for each in waiting)
+        assert not running.planner._dispatcher.solving
+        assert client.call('cancel').message == 'no solve is running'
+        assert not client.received['path']
+
+
+def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
+    with stage() as running:
+        client, manager = running.give(), Manager(running.client)
+        assert client.call('new_route').success
+        manager.go(deactivate='inactive')
+        changed = risk_grid()
+        changed.data[20 * 4 + 2:20 * 4 + 18] = type(changed.data)('b', [100] * 16)
+        client.publish('alpha_map', changed)
+        wait_until(lambda: running.planner._inputs.map_in_force().values[4, 5] == 100, 'the map')
+        assert not running.planner._dispatcher.solving
+        manager.go(activate='active')
+        wait_until(lambda: running.planner._dispatcher._shown.trip.map
+                   is running.planner._inputs.map_in_force(), 'a new plan')
+
+
+def test_cleaned_up_it_forgets_all_but_its_parameters(tmp_path):
+    with stage(tmp_path) as running:
+        client, manager = running.give(), Manager(running.client)
+        assert client.call('new_route').success
+        running.planner.set_parameters([Parameter('strategy.max_detour', value=1.4)])
+        others = threads()
+        manager.go(deactivate='inactive', cleanup='unconfigured')
+        assert not set(threads()) & set(others), 'of the worker, the recordings, TF'
+        assert len(list(tmp_path.rglob('*.mcap'))) == 1
+        # Who comes now gets no path of the life before, and the planner no map but the latched one.
+        late = []
+        client.node.create_subscription(Path, 'path', late.append, LATCHED)
+        manager.go(configure='inactive', activate='active')
+        client.diagnostics(message='waiting for start_pose, goal_pose', departures='0')
+        running.give()
+        assert client.call('new_route').success
+        wait_until(lambda: late, 'the path')
+        assert late == client.received['path'][1:]
+        assert running.planner.get_parameter('strategy.max_detour').value == 1.4
+    assert len(list(tmp_path.rglob('*.mcap'))) == 2
+
+
+@pytest.mark.parametrize('steps, transition', [
+    ((), 'unconfigured_shutdown'),
+    (('configure',), 'inactive_shutdown'),
+    (('configure', 'activate'), 'active_shutdown'),
+])
+def test_shut_down_it_refuses_for_good(steps, transition):
+    with stage(parameters=WAITING) as running:
+        manager = Manager(running.client)
+        assert all(map(manager.change, steps))
+        manager.go(**{transition: 'finalized'})
+        assert not running.client.call('new_route').success
+        assert not manager.change('configure')
+        assert manager.state == 'finalized'
+
+
+def test_a_transition_that_the_state_does_not_have_is_refused():
+    with stage(parameters=WAITING) as running:
+        manager = Manager(running.client)
+        for name in ('activate', 'deactivate', 'cleanup', 'active_shutdown'):
+            assert not manager.change(name), name
+        start(running)
+        assert not manager.change('configure')
+        assert manager.state == 'active'
+
+
+def test_what_cannot_be_configured_stays_unconfigured_and_says_why(monkeypatch):
+    def broken(*_):
+        raise AmbushPlannerError('no room')
+
+    with stage(parameters=WAITING) as running:
+        manager = Manager(running.client)
+        before = threads()
+        monkeypatch.setattr(planner_node, 'Subscriptions', broken)
+        assert not manager.change('configure')
+        assert manager.state == 'unconfigured'
+        assert 'no room' in running.client.diagnostics(state='unconfigured')['message']
+        assert threads() == before
+        monkeypatch.undo()
+        start(running)
+        assert running.give().call('new_route').success
+
+
+@pytest.mark.slow
+def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path):
+    """Three lives of the node, with requests under way through all of them."""
+    with stage(tmp_path, WAITING) as running:
+        client, manager, stop = running.client, Manager(running.client), threading.Event()
+        asked, answered = [], []
+
+        def ask():
+            while not stop.is_set():
+                asked.append(client.send('new_route'))
+                client.publish('goal_pose', GOAL)
+                client.publish('start_pose', START)
+                time.sleep(0.005)
+
+        start(running)
+        client.publish('alpha_map', risk_grid())
+        thread = threading.Thread(target=ask)
+        thread.start()
+        try:
+            for _ in range(3):
+                manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive')
+                manager.go(activate='active')
+                count = len(client.received['path'])
+                wait_until(lambda: len(client.received['path']) > count, 'a path')  # noqa: B023
+        finally:
+            stop.set()
+            thread.join()
+        wait_until(lambda: all(each.done() for each in asked), 'all answers')
+        answered = [each.result().success for each in asked]
+        assert any(answered) and not all(answered)
+        assert client.call('new_route').success
+
+
+def test_it_is_found_by_the_manager_below_a_namespace():
+    with stage(parameters=WAITING, namespace='/convoy') as running:
+        assert running.client.name == 'convoy/ambush_planner'
+        start(running)
+        assert running.give().call('new_route').success

@@ -1,0 +1,52 @@
+"""What arrives is told: a map by its size and frame, and one that can never arrive."""
+
+import re
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import QoSProfile
+from ros_harness import risk_grid, stage, wait_until
+
+INFO = re.compile(r'^\[INFO\].*\[ambush_planner\]: (.*)$', re.MULTILINE)
+
+
+def test_maps_plans_and_departures_are_told_in_a_line_each(capfd):
+    with stage() as running:
+        client = running.give(risk_grid(np.full((12, 30), 20, np.int8)), (1.5, 3.0), (13.5, 3.0))
+        assert client.call('new_route').success
+        assert client.call('new_route').success
+        identity = client.diagnostics(departures='2')['departure_id']
+        client.publish('alpha_map', risk_grid(np.full((12, 30), 20, np.int8)))  # the same again
+        client.publish('alpha_map', risk_grid(np.full((14, 30), 20, np.int8)))
+        said, told = [], []
+
+        def heard(count):
+            said.append(capfd.readouterr().err)
+            told[:] = INFO.findall(''.join(said))
+            return sum('map accepted' in line for line in told) == count
+
+        wait_until(lambda: heard(2), 'the second map')
+    maps = [line for line in told if 'map accepted' in line]
+    assert maps == ["map accepted: 30 x 12 cells of 0.5 m in the frame 'map'",
+                    "map accepted: 30 x 14 cells of 0.5 m in the frame 'map'"]
+    (solved,) = [line for line in told if 'solved' in line]
+    assert re.fullmatch(r'plan solved in \d+\.\d\d s: value [\d.e-]+, \d+ nodes', solved)
+    departures = [line for line in told if line.startswith('departure')]
+    assert [line.split()[1] for line in departures] == ['1', '2']
+    assert departures[1] == f'departure 2 ({identity})'
+
+
+def test_a_map_that_is_published_volatile_is_told_as_long_as_it_is():
+    with stage() as running:
+        client, node = running.client, running.client.node
+        publisher = node.create_publisher(OccupancyGrid, 'alpha_map', QoSProfile(depth=1))
+
+        def message():
+            return client.diagnostics(state='waiting')['message']
+
+        words = '/client publishes /alpha_map with volatile durability'
+        wait_until(lambda: words in message(), 'a warning')
+        assert message().startswith('waiting for alpha_map, start_pose, goal_pose; ')
+        assert client.diagnostics(state='waiting')['level'] == b'\1'
+        node.destroy_publisher(publisher)
+        wait_until(lambda: 'volatile' not in message(), 'no warning')

@@ -1,0 +1,64 @@
+"""The tutorial from its first command to its last, in one shell, with a real node."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('matplotlib', reason='the report and the audit need matplotlib')
+
+from ros_harness import free_domain
+
+HERE = Path(__file__).resolve().parent
+BLOCKS = re.findall(r'(?ms)^```(.*?)\n(.*?)^```$', (HERE.parent / 'docs/tutorial.md').read_text())
+SECONDS = 240
+
+
+def test_what_is_not_run_needs_a_screen():
+    assert {kind for kind, _ in BLOCKS} == {'sh', 'sh screen'}
+    for kind, text in BLOCKS:
+        assert text.startswith('rviz2 ') == (kind == 'sh screen')
+    (file,) = re.findall(r'/(config/\S+)', dict(BLOCKS)['sh screen'])
+    assert (HERE.parent / file).is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(SECONDS + 60)
+def test_every_command_works(tmp_path):
+    standin = tmp_path / 'bin' / 'ros2'
+    standin.parent.mkdir()
+    standin.write_text(f'#!/bin/sh\nexec {sys.executable} {HERE}/ros2_standin.py "$@"\n')
+    standin.chmod(0o755)
+    script = '\n'.join(text for kind, text in BLOCKS if kind == 'sh')
+    with free_domain() as domain:
+        environment = {
+            **os.environ, 'HOME': str(tmp_path), 'ROS_DOMAIN_ID': str(domain),
+            'PATH': os.pathsep.join(
+                [str(standin.parent), str(Path(sys.executable).parent), os.environ['PATH']]
+            ),
+        }
+        # The wheels' bootstrap: for this process, not for those that it starts.
+        environment.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None)
+        environment.pop('LD_LIBRARY_PATH', None)
+        process = subprocess.Popen(
+            ['bash', '-ec', script], cwd=tmp_path, env=environment, text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
+        )
+        try:
+            told, _ = process.communicate(timeout=SECONDS)
+        finally:
+            try:
+                os.killpg(process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                pass
+    assert process.returncode in (0, 128 + signal.SIGTERM), told
+    assert told.count('success=True') == 6, told
+    folder = tmp_path / 'ambush_tutorial'
+    assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()
+    for name in ('frontier.png', 'audit/audit.txt', 'audit/audit.png'):
+        assert (folder / name).stat().st_size > 0, told
+    assert len(list(folder.glob('runs/*/*.mcap'))) == 6, told
