@@ -50,6 +50,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/routes.py
 	$(BIN)/python benchmarks/markers.py
 	$(BIN)/python benchmarks/many.py
+	$(BIN)/python benchmarks/trips.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_ground.py
 	$(BIN)/python benchmarks/node_load.py

@@ -14,14 +14,17 @@ from .core.errors import (
     NotDistinct,
     SolverFailed,
     StartBlocked,
+    StopBlocked,
     TimeLimit,
 )
 from .core.evaluation import evaluate
 from .core.frontier import FrontierRow, frontier
 from .core.game import GameOptions
 from .core.network import Network
+from .core.planner import PlanningOptions
 from .core.risk_map import RiskMap
 from .core.strategy import Strategy, StrategyOptions, solve
+from .core.trip import plan_trip
 
 __all__ = [
     "AmbushPlannerError",
@@ -37,11 +40,13 @@ __all__ = [
     "NetworkOptions",
     "NoRoute",
     "NotDistinct",
+    "PlanningOptions",
     "Problem",
     "RiskMap",
     "Solved",
     "SolverFailed",
     "StartBlocked",
+    "StopBlocked",
     "Strategy",
     "StrategyOptions",
     "TimeLimit",
@@ -50,6 +55,7 @@ __all__ = [
     "evaluate",
     "frontier",
     "sample_departures",
+    "plan_trip",
     "solve",
     "solve_many",
 ]

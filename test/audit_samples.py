@@ -105,7 +105,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
             'versions': {'python': '3.12.3', 'numpy': '1.26.4'}, 'parameters': parameters(),
             'route_entropy_source': [source(number)],
             'route': [int(node) for node in route],
-            'trip': {'start': list(start), 'goal': list(GOAL), 'tolerance': 0.0},
+            'trip': {'start': list(start), 'goal': list(GOAL), 'stops': [], 'tolerance': 0.0},
             'ends': [list(start), list(GOAL)],
             'call': new_route_call(stamp),
         },

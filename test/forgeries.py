@@ -330,7 +330,7 @@ FORGERIES = [
     (NEW_ROUTE, change_call(type='nav_msgs/srv/GetPlan'), True, 'call: they are not the fields'),
     (NEW_ROUTE, add_event, True, "messages: there are 1 of the kind 'service event', not 0"),
     (NEW_ROUTE, drop(DiagnosticArray), True, 'diagnostics: there is not one'),
-    (NEW_ROUTE, repeat(MarkerArray), True, 'messages: there are 5'),
+    (NEW_ROUTE, repeat(MarkerArray), True, 'messages: there are 6'),
     (NEW_ROUTE, answer_no, True, 'response: its success'),
     (GET_PLAN, move_request, True, 'request: its goal.pose'),
     (NEW_ROUTE, metadata('departure_id', '0' * 36), True, 'response: its message'),

@@ -62,7 +62,7 @@ AROUND = [
     (NEW_ROUTE, stamp_path(-10**9), True, 'times: the path is stamped'),
     (GET_PLAN, stamp_path(60), True, 'times: the path is stamped'),
     (NEW_ROUTE, log('path', 1), True, 'times: a message is from before the request'),
-    (NEW_ROUTE, log('map', 2**62), True, 'times: map, start and goal are not'),
+    (NEW_ROUTE, log('map', 2**62), True, 'times: map and poses are not'),
     (NEW_ROUTE, call_at('response_ns', -10), True, 'times: a message is from before'),
     (GET_PLAN, call_at('request_ns', 10), True, 'times: a message is from before'),
     (NEW_ROUTE, add_to_the_answer, True, 'response: its message'),

@@ -13,7 +13,6 @@ from ros_harness import pose, stage
 from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
 from ambush_planner.review.case import TYPES
 
-ROLES = ('map', 'start', 'goal', 'path')
 TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 
@@ -100,7 +99,7 @@ class Forger:
 
     def correct(self):
         """State the hashes of what is there now, as a clever forger does."""
-        contents = {role: self.messages[self.place(role)].data for role in ROLES}
+        contents = {role: self.messages[self.place(role)].data for role in self.entry('inputs')}
         contents |= {key: self.metadata[key].encode() for key in TEXTS}
         for name in ('strategy', 'map_changes'):
             contents[name] = self.attachments.get(f'{name}.npz', b'')

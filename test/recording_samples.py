@@ -161,7 +161,7 @@ def metadata_for(messages, strategy=STRATEGY, compression='zstd', **texts):
             'parameters': {'seed': -1, 'recording.compression': compression},
             'versions': {'python': '3.12.3'}, 'route': [0, 1],
             'route_entropy_source': [2**255 + 1],
-            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'tolerance': 0.0},
+            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': [], 'tolerance': 0.0},
             'ends': [[1.5, 2.5], [3.0, 4.0]],
             'call': new_route_call(START_NS),
         },

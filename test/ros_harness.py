@@ -29,7 +29,7 @@ from ambush_planner.ros.qos import REQUESTS
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
-MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network')
+MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
 SMALL = {'network.spacing': 1.0}
 

@@ -58,6 +58,12 @@ def message_from_yaml(kind, path):
     return filled(kind(), yaml.safe_load(path.read_text()))
 
 
+def _kind_of(message, name):
+    """The class of the messages in a field that is a sequence of them."""
+    package, kind = message.get_fields_and_field_types()[name][len('sequence<'):-1].split('/')
+    return getattr(import_module(f'{package}.msg'), kind)
+
+
 def filled(message, values):
     """Fill a message with the fields that ``values`` give, and return it."""
     for name, value in values.items():
@@ -66,6 +72,8 @@ def filled(message, values):
             filled(present, value)
         elif isinstance(present, array.array):
             setattr(message, name, array.array(present.typecode, value))
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            setattr(message, name, [filled(_kind_of(message, name)(), each) for each in value])
         else:
             setattr(message, name, type(present)(value))
     return message

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from rclpy.exceptions import ParameterNotDeclaredException
@@ -19,6 +19,7 @@ from ros_harness import (
     Client,
     Stage,
     free_domain,
+    header,
     pose,
     risk_grid,
     ros_context,
@@ -88,6 +89,18 @@ def _error_code(client):
     return client.diagnostics(level=b'\2')['code']
 
 
+def bad_stops(running):
+    codes = []
+    for *stops, words in (((50.0, 2.0), 'stop 1'), (BLOCK, 'stop 1'), (GOAL, 'goal are the same')):
+        running.client.publish(
+            'via_poses', PoseArray(header=header(), poses=[pose(*each).pose for each in stops]))
+        running.client.call_until('new_route', lambda answer, words=words: words in answer.message)
+        codes.append(_error_code(running.client))
+        running.client.publish('via_poses', PoseArray())
+        running.client.call_until('new_route', lambda answer: answer.success)
+    return '{}, {} or {}'.format(*codes)
+
+
 def all_unknown(running):
     running.client.publish('alpha_map', risk_grid(np.full((20, 20), -1, dtype=np.int8)))
     running.client.call_until('new_route', lambda answer: not answer.success)
@@ -105,6 +118,7 @@ def no_map(_):
 
 def unreadable(running):
     kinds = {'alpha_map': OccupancyGrid, 'start_pose': PoseStamped, 'goal_pose': PoseStamped,
+             'via_poses': PoseArray,
              'initialpose': PoseWithCovarianceStamped}
     codes = set()
     for topic, kind in kinds.items():
@@ -222,6 +236,7 @@ ROWS = {
     'start or goal in an obstacle': plans(
         (pose(*BLOCK), pose(*GOAL)), (pose(*START), pose(*BLOCK))),
     'start and goal at the same position': plans((pose(*START), pose(*START))),
+    'a stop outside the map, in an obstacle, or where the one before is': bad_stops,
     'pose in another frame that TF does not know, or in none': plans(
         (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
     'bytes that are not a message': unreadable,

@@ -111,6 +111,18 @@ def test_new_route(sender, start):
     assert path.poses[-1].pose == example(FILES['goal_pose']).pose
 
 
+def test_via_poses(sender):
+    stops = sender.publish('via_poses').poses
+
+    def met():
+        assert sender.call('new_route').success
+        path = sender.client.received['path']
+        places = [(each.pose.position.x, each.pose.position.y) for each in path[-1].poses]
+        return all((stop.position.x, stop.position.y) in places for stop in stops)
+
+    wait_until(met, 'a path by the stops')
+
+
 def test_get_plan_moves_the_goal_out_of_the_block(sender):
     request = example(FILES['get_plan'])
     path = sender.call('get_plan', request).plan

@@ -6,7 +6,16 @@ import re
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
-from ros_harness import free_domain, header, pose, risk_grid, stage, stage_in, wait_until
+from ros_harness import (
+    MARKER_TOPICS,
+    free_domain,
+    header,
+    pose,
+    risk_grid,
+    stage,
+    stage_in,
+    wait_until,
+)
 from rosgraph_msgs.msg import Clock
 
 from ambush_planner.ros.conversions import pose_to_ros
@@ -58,7 +67,7 @@ def test_topics_and_name_can_be_remapped():
 def test_quality_of_service_is_as_the_interface_table_says():
     with stage() as running:
         planner = running.planner
-        for topic in ('path', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'network'):
+        for topic in ('path', *MARKER_TOPICS):
             (info,) = planner.get_publishers_info_by_topic(topic)
             assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, topic
             assert info.qos_profile.reliability == ReliabilityPolicy.RELIABLE, topic

@@ -15,9 +15,10 @@ from waiting import TIMEOUT, wait_until
 
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.errors import GoalBlocked, TimeLimit
-from ambush_planner.core.planner import PlanningOptions, PlanRequest, plan_from_request
+from ambush_planner.core.planner import PlanningOptions, PlanRequest
 from ambush_planner.core.risk_map import OccupancyOptions
 from ambush_planner.core.strategy import StrategyOptions
+from ambush_planner.core.trip import plan_from_request
 from ambush_planner.worker.errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue

@@ -40,7 +40,7 @@ class Ground:
     segments : (C, 2, 2) float
         From where to where each of these leads [m].
     inner : list of (M,) bool
-        Edges that touch neither source nor target.
+        Edges that touch neither source nor target, nor a stop.
     """
 
     square: float
@@ -98,5 +98,4 @@ def _spread(many: ManyRoutes, place: IndexArray) -> IndexArray:
 
 
 def _inner(network: Network) -> np.ndarray:
-    ends = (network.source, network.target)
-    return ~(np.isin(network.tails, ends) | np.isin(network.heads, ends))
+    return ~(np.isin(network.tails, network.ends) | np.isin(network.heads, network.ends))

@@ -12,5 +12,6 @@
 8. ``routes``, ``corridors`` (by ``room``), ``refitted``, ``taut_string``, ``driven_path``: drawing
    a route, and the path that is driven; ``day``: routes that do not share their middle.
 9. ``judged``, ``evaluation``, ``bottleneck``, ``frontier``: what is said about a strategy.
-10. ``planner`` (with ``cover``), ``batch``: the whole story, once and many times.
+10. ``planner`` (with ``cover``), ``trip``, ``batch``: the whole story, once, by way of stops, and
+    many times.
 """

@@ -15,7 +15,7 @@ from .judged import budgets_in
 from .max_entropy import max_entropy_strategy
 from .strategy import Strategy
 
-# Sites this many median edges from the source or the target are said to hug it.
+# Sites this many median edges from the source, a stop or the target are said to hug it.
 NEAR = 2.0
 # Share of the ambusher's mass that makes a site count.
 COUNTS = 1e-6
@@ -28,9 +28,9 @@ class Bottleneck:
     """The ambusher's sites and where they lie.
 
     ``sites`` (K,) are the nodes that decide the value: the equilibrium ambusher waits only there
-    (in the plain game, a minimum cut). ``near_ends`` counts those within ``distance`` [m] of source
-    or target. ``secured_value`` is the value if nobody could wait within ``distance`` of the ends;
-    it equals ``value`` when no site hugs them.
+    (in the plain game, a minimum cut). ``near_ends`` counts those within ``distance`` [m] of
+    source, stops or target. ``secured_value`` is the value if nobody could wait within ``distance``
+    of these ends; it equals ``value`` when no site hugs them.
     """
 
     sites: IndexArray
@@ -51,7 +51,8 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     decisive = (q > COUNTS * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
     sites = np.flatnonzero(decisive)
     distance = NEAR * float(np.median(network.lengths[game.playable]))
-    near = _within(game, network.source, distance) | _within(game, network.target, distance)
+    ends = (network.source, *network.stops, network.target)
+    near = np.any([_within(game, node, distance) for node in ends], axis=0)
     secured = strategy.value
     if near[sites].any():
         least = _least_value(game.without_sites(near), strategy, deadline)

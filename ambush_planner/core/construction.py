@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from .arrays import FloatArray, IndexArray
 from .errors import (
+    AmbushPlannerError,
     GoalBlocked,
     GoalOutsideMap,
     InvalidNetwork,
@@ -17,6 +20,8 @@ from .errors import (
     NoRoute,
     StartBlocked,
     StartOutsideMap,
+    StopBlocked,
+    StopOutsideMap,
 )
 from .layout import Ground, joined
 from .network import Network
@@ -85,79 +90,160 @@ MAX_CANDIDATES = 20_000_000
 _TRIED = 4096
 
 
+@dataclass(frozen=True, eq=False)
+class Roads:
+    """What can be driven, from any place to any other.
+
+    Parameters
+    ----------
+    points : (N, 2), alpha : (N,)
+        The nodes [m] and their losses; 0 at start, stops and goal.
+    pairs : (P, 2)
+        The nodes that are joined, in both directions.
+    visits : tuple of int
+        The nodes of start, stops and goal, as they were given; the same one where they meet.
+    """
+
+    points: FloatArray
+    alpha: FloatArray
+    pairs: IndexArray
+    visits: tuple[int, ...]
+
+    def network(self, visits: Sequence[int]) -> Network:
+        """The network for driving from one of these nodes to the next: a layer for each leg."""
+        count, legs = len(self.points), len(visits) - 1
+        both = np.concatenate((self.pairs, self.pairs[:, ::-1]))
+        layers = []
+        for leg, (source, target) in enumerate(pairwise(visits)):
+            edges = both[(both[:, 1] != source) & (both[:, 0] != target)]
+            layers.append(edges + leg * count)
+            if leg + 1 < legs:
+                layers[-1][edges[:, 1] == target, 1] += count
+        edges = np.concatenate(layers)
+        return Network(
+            np.tile(self.points, (legs, 1)),
+            np.tile(self.alpha, legs),
+            edges[np.lexsort((edges[:, 1], edges[:, 0]))],
+            visits[0],
+            visits[-1] + (legs - 1) * count,
+            legs=legs,
+        )
+
+
 def build_network(
     risk_map: RiskMap,
     start_xy: npt.ArrayLike,
     goal_xy: npt.ArrayLike,
     options: NetworkOptions | None = None,
+    stops: Iterable[npt.ArrayLike] = (),
 ) -> Network:
-    """Build the network for driving from start to goal, both world positions [m].
+    """Build the network for driving from start to goal, by way of stops; world positions [m].
 
-    Start and goal are nodes at exactly the given positions; each takes the place of its nearest
-    lattice node (random sampling: nearest sample). No node lies on the map's outer edge. Every pair
-    of joined nodes gives two directed edges, except into the source and out of the target. Where
-    no route leads through, nodes are added in the narrow places of a way that the map's cells show.
-    Same inputs, options and seed give the same network, bit for bit.
+    Start, stops and goal are nodes at exactly the given positions; each takes the place of its
+    nearest lattice node (random sampling: nearest sample). No node lies on the map's outer edge.
+    Every pair of joined nodes gives two directed edges, except into the source and out of the
+    target of a leg. Where no route leads through, nodes are added in the narrow places of a way
+    that the map's cells show. Same inputs, options and seed give the same network, bit for bit.
 
     Raises
     ------
-    StartBlocked, GoalBlocked
+    StartBlocked, StopBlocked, GoalBlocked
         The position is not finite, off the map, or within the clearance of an obstacle.
     InvalidNetwork
-        Start and goal are the same position.
+        Two positions that follow one another are the same.
     InvalidOption
         The spacing asks for more than ``MAX_CANDIDATES`` nodes.
     NoRoute
-        No route leads from start to goal.
+        No route leads from start to goal, or to a stop.
     """
-    options = options or NetworkOptions()
+    roads = lay_roads(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
+    return roads.network(roads.visits)
+
+
+def lay_roads(
+    risk_map: RiskMap,
+    start_xy: npt.ArrayLike,
+    goal_xy: npt.ArrayLike,
+    options: NetworkOptions,
+    stops: Iterable[npt.ArrayLike] = (),
+) -> Roads:
+    """Lay the nodes and join them; raises as ``build_network``."""
     field = ObstacleField(risk_map, options.clear_of_edge)
-    ends = np.stack([_position(start_xy, StartBlocked), _position(goal_xy, GoalBlocked)])
+    start, goal = _position(start_xy, "start"), _position(goal_xy, "goal")
+    given = [_position(xy, _stop_name(k)) for k, xy in enumerate(stops, start=1)]
+    asked = np.stack([start, *given, goal])
+    _check_ends(risk_map, field, asked, options)
+    # Different places only, start and goal last.
+    places = list(dict.fromkeys(map(tuple, np.stack([goal, start, *given[::-1]]).tolist())))[::-1]
+    ends = np.array(places)
     uv_ends = risk_map.to_map_axes(ends)
-    _check_ends(risk_map, field, ends, uv_ends, options)
     ground = Ground(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
+    begin = places.index((float(start[0]), float(start[1])))
     uv, pairs = joined(ground, np.empty((0, 2)))
-    if not _leads_through(pairs, len(uv)):
-        uv, pairs = _through_a_passage(ground)
+    if apart := _apart(pairs, len(uv), len(ends), begin):
+        uv, pairs = _through_passages(ground, begin, apart)
     points = risk_map.to_world(uv)
-    points[-2:] = ends
-    return Network(points, _losses(risk_map, uv), _directed(pairs, len(uv)), *_ends(len(uv)))
+    points[-len(ends):] = ends
+    first = len(uv) - len(ends)
+    visits = tuple(first + places.index((x, y)) for x, y in asked.tolist())
+    return Roads(points, _losses(risk_map, uv, len(ends)), pairs, visits)
 
 
-def _leads_through(pairs: IndexArray, count: int) -> bool:
-    source, target = _ends(count)
-    return bool(reachable_from(np.concatenate((pairs, pairs[:, ::-1])), count, source)[target])
+def _apart(pairs: IndexArray, count: int, ends: int, begin: int) -> list[int]:
+    """Which of the last ``ends`` nodes no way leads to from the one at ``begin`` among them."""
+    first = count - ends
+    both = np.concatenate((pairs, pairs[:, ::-1]))
+    return np.flatnonzero(~reachable_from(both, count, first + begin)[first:]).tolist()
 
 
-def _through_a_passage(ground: Ground) -> tuple[FloatArray, IndexArray]:
-    """Lay nodes along the narrow parts of a way by cells, where the network alone finds none.
+def _through_passages(
+    ground: Ground, begin: int, apart: list[int]
+) -> tuple[FloatArray, IndexArray]:
+    """Lay nodes along the narrow parts of ways by cells, where the network alone finds none.
+
+    ``apart`` are the ends to which no route leads from the one at ``begin``.
 
     Raises
     ------
     NoRoute
         There is no such way, or the method has no place for more nodes.
     """
-    options = ground.options
-    way, room = way_by_cells(ground.risk_map, ground.field, ground.uv_ends, options.clearance)
-    ends = ground.risk_map.to_world(ground.uv_ends)
-    where = "no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(*ends[0], *ends[1])
+    options, passage = ground.options, np.empty((0, 2))
+    for end in apart:
+        way, room = _way_to(ground, begin, end)
+        if options.method != "uniform_grid8":
+            passage = np.concatenate((passage, passage_nodes(way, room, ground.spacing)))
+            passage = np.unique(passage, axis=0) if len(apart) > 1 else passage
+    passage = passage[ground.field.clear_points(passage, options.clearance)]
+    uv, pairs = joined(ground, passage)
+    left = _apart(pairs, len(uv), len(ground.uv_ends), begin)
+    if not left:
+        return uv, pairs
+    way, room = _way_to(ground, begin, left[0])
+    finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
+    raise NoRoute(
+        f"{_from_to(ground, begin, left[0])} keeps clear of the obstacles at a spacing of "
+        f"{ground.spacing:g} m; the map has a way, which a spacing of "
+        f"{min(finer, ground.spacing / 2):.3g} m would find"
+    )
+
+
+def _from_to(ground: Ground, begin: int, end: int) -> str:
+    ends = ground.risk_map.to_world(ground.uv_ends[[begin, end]])
+    return "no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(*ends[0], *ends[1])
+
+
+def _way_to(ground: Ground, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
+    """The way by cells from one end to another, and its room; raises NoRoute without one."""
+    options, ends = ground.options, ground.uv_ends[[begin, end]]
+    way, room = way_by_cells(ground.risk_map, ground.field, ends, options.clearance)
     if len(way) == 0:
         clearance = f" at a clearance of {options.clearance:g} m" if options.clearance else ""
         raise NoRoute(
-            f"{where}: obstacles cut the map in two between them{clearance}; neither the spacing "
-            f"of {ground.spacing:g} m nor any other leads through"
+            f"{_from_to(ground, begin, end)}: obstacles cut the map in two between them"
+            f"{clearance}; neither the spacing of {ground.spacing:g} m nor any other leads through"
         )
-    if options.method != "uniform_grid8":
-        passage = passage_nodes(way, room, ground.spacing)
-        passage = passage[ground.field.clear_points(passage, options.clearance)]
-        uv, pairs = joined(ground, passage)
-        if _leads_through(pairs, len(uv)):
-            return uv, pairs
-    finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
-    raise NoRoute(
-        f"{where} keeps clear of the obstacles at a spacing of {ground.spacing:g} m; the map has "
-        f"a way, which a spacing of {min(finer, ground.spacing / 2):.3g} m would find"
-    )
+    return way, room
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
@@ -198,9 +284,21 @@ def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
     return rows * columns * float(free.mean())
 
 
-def _position(xy: npt.ArrayLike, error: type[StartBlocked] | type[GoalBlocked]) -> FloatArray:
+def _stop_name(number: int) -> str:
+    return f"stop {number}"
+
+
+def _errors_of(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
+    """What is raised where a position is off the map, and where it is blocked."""
+    of_ends = {
+        "start": (StartOutsideMap, StartBlocked), "goal": (GoalOutsideMap, GoalBlocked),
+    }
+    return of_ends.get(name, (StopOutsideMap, StopBlocked))
+
+
+def _position(xy: npt.ArrayLike, name: str) -> FloatArray:
     position = np.asarray(xy, dtype=np.float64)
-    name = "start" if error is StartBlocked else "goal"
+    _, error = _errors_of(name)
     if position.shape != (2,):
         raise error(f"{name} must be a position (x, y), got shape {position.shape}")
     if not np.isfinite(position).all():
@@ -212,14 +310,16 @@ def _check_ends(
     risk_map: RiskMap,
     field: ObstacleField,
     ends: FloatArray,
-    uv: FloatArray,
     options: NetworkOptions,
 ) -> None:
     width, height = risk_map.size
     clearance = options.clearance
-    for k, (name, off_map, blocked) in enumerate(
-        (("start", StartOutsideMap, StartBlocked), ("goal", GoalOutsideMap, GoalBlocked))
-    ):
+    uv = risk_map.to_map_axes(ends)
+    names = ["start", *map(_stop_name, range(1, len(ends) - 1)), "goal"]
+    # The ends first: what is wrong with them concerns everybody.
+    for k in sorted(range(len(ends)), key=lambda k: 0 < k < len(ends) - 1):
+        name = names[k]
+        off_map, blocked = _errors_of(name)
         where = f"{name} ({ends[k, 0]:.3f}, {ends[k, 1]:.3f})"
         if not risk_map.contains(uv[k]):
             raise off_map(
@@ -234,26 +334,12 @@ def _check_ends(
                 f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
                 "unless they are given a loss"
             )
-    if np.array_equal(ends[0], ends[1]):
-        raise InvalidNetwork(f"start and goal are the same position, {tuple(ends[0].tolist())}")
+    for (one, a), (other, b) in pairwise(zip(names, ends.tolist(), strict=True)):
+        if a == b:
+            raise InvalidNetwork(f"{one} and {other} are the same position, {tuple(a)}")
 
 
-def _ends(count: int) -> tuple[int, int]:
-    """Source and target are the last two nodes."""
-    return count - 2, count - 1
-
-
-def _losses(risk_map: RiskMap, uv: FloatArray) -> FloatArray:
+def _losses(risk_map: RiskMap, uv: FloatArray, ends: int) -> FloatArray:
     alpha = risk_map.alpha[risk_map.cells(uv)]
-    alpha[-2:] = 0.0
+    alpha[-ends:] = 0.0
     return alpha
-
-
-def _directed(pairs: IndexArray, count: int) -> IndexArray:
-    """Both directions of each pair, without edges into the source or out of the target, sorted."""
-    source, target = _ends(count)
-    edges = np.concatenate((pairs, pairs[:, ::-1]))
-    edges = edges[(edges[:, 1] != source) & (edges[:, 0] != target)]
-    return edges[np.lexsort((edges[:, 1], edges[:, 0]))]
-
-

@@ -35,6 +35,9 @@ PAST = 0.01
 class Corridors:
     """Strips and quarters of a network in map axes.
 
+    Where a trip has several legs, their layers lie on the same places, which stand here once:
+    routes are those of one leg, as places.
+
     Parameters
     ----------
     network
@@ -42,7 +45,7 @@ class Corridors:
     origin
         (x, y, yaw) of the map's axes [m, rad].
     uv : (N, 2) float
-        The network's nodes in map axes [m].
+        The network's places in map axes [m].
     links : (L, 2) int
         Tails and heads of the edges, and of shortcuts if there is no tube; both ways, sorted.
     left, right : (L,) float
@@ -121,8 +124,8 @@ def make_corridors(
     """
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f"tube must be finite and >= 0 [m], got {tube}")
-    uv = risk_map.to_map_axes(network.points)
-    edges = np.unique(np.sort(network.edges, axis=1), axis=0)
+    uv = risk_map.to_map_axes(network.points[: network.place_count])
+    edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     if tube is None:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, room = _with_shortcuts(uv, edges, field, clearance)

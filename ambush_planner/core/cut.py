@@ -41,6 +41,9 @@ class GameValue:
 def solve_by_cut(game: Game) -> GameValue:
     """Solve the plain game (one ambusher, radius 0, no budget) by a minimum node cut.
 
+    Where a trip has several legs, the copies of a place are taken for sites of their own: the value
+    is that of the costliest leg, a lower bound, and q has probabilities at copies.
+
     Raises
     ------
     SolverFailed

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -61,7 +62,8 @@ def driven_path(
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
     yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
     have at least ``turning_radius`` [m], or ``ROUND`` edges if that is more, where the corridors
-    have the room; elsewhere they are as round as these allow (``turn_radii``).
+    have the room; elsewhere they are as round as these allow (``turn_radii``). Each stop of a trip
+    is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
 
     Parameters
     ----------
@@ -76,6 +78,25 @@ def driven_path(
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
+    network = corridors.network
+    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
+    points = list(map(tuple, network.points[route[at]].tolist()))
+    if ends is not None:
+        points[0], points[-1] = ends
+    route = network.places[route]
+    legs = [
+        _driven_leg(corridors, route[first : last + 1], spacing, turning_radius, leg_ends)
+        for (first, last), leg_ends in zip(pairwise(at), pairwise(points), strict=True)
+    ]
+    poses = np.concatenate((legs[0], *(leg[1:] for leg in legs[1:])))
+    _check_count(float(len(poses)), spacing)
+    return poses
+
+
+def _driven_leg(
+    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float,
+    ends: tuple[tuple[float, float], tuple[float, float]],
+) -> FloatArray:
     route = corridors.shortened(route)
     portals = portals_along(corridors, route)
     line = _smooth(portals, turning_radius)
@@ -83,7 +104,7 @@ def driven_path(
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
     # Turning to the world and back may have cost a digit.
-    poses[[0, -1], :2] = corridors.network.points[route[[0, -1]]] if ends is None else ends
+    poses[[0, -1], :2] = ends
     return poses
 
 
@@ -223,11 +244,7 @@ def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
     with np.errstate(over="ignore"):
         parts[::2] = np.ceil(straight / spacing - 1e-9)
         parts[1::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
-    if not parts.sum() < MOST_POSES:
-        raise InvalidOption(
-            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {parts.sum():.3g} "
-            f"poses, and {MOST_POSES} are the most; choose a larger distance"
-        )
+    _check_count(float(parts.sum()) + 1.0, spacing)
     count = parts.astype(np.int64)
     part = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
@@ -244,6 +261,14 @@ def _poses(line: _Corners, spacing: float) -> tuple[FloatArray, FloatArray]:
     toward = yaw[k] + np.where(bent, half, 0.0)
     uv = origin + chord[:, None] * np.stack((np.cos(toward), np.sin(toward)), axis=1)
     return np.concatenate((uv, line.points[-1:])), np.concatenate((angle, yaw[-1:]))
+
+
+def _check_count(poses: float, spacing: float) -> None:
+    if not poses <= MOST_POSES:
+        raise InvalidOption(
+            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, "
+            f"and {MOST_POSES} are the most; choose a larger distance"
+        )
 
 
 def _wrapped(angle: FloatArray) -> FloatArray:

@@ -33,12 +33,20 @@ class GoalBlocked(AmbushPlannerError):
     """The goal lies in an obstacle, nearer to one than the clearance, or off the map."""
 
 
+class StopBlocked(AmbushPlannerError):
+    """A stop lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
 class StartOutsideMap(StartBlocked):
     """The start is not on the map."""
 
 
 class GoalOutsideMap(GoalBlocked):
     """The goal is not on the map."""
+
+
+class StopOutsideMap(StopBlocked):
+    """A stop is not on the map."""
 
 
 class NoRoute(AmbushPlannerError):

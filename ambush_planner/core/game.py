@@ -31,9 +31,9 @@ class GameOptions:
     ----------
     ambush_radius
         An ambush hits every route that passes within this distance of its site [m]. 0: routes
-        through the site's node. Discs that hold the source or the target are no sites.
+        through the site's node. Discs that hold the source, a stop or the target are no sites.
     secured_radius
-        Nobody can wait within this distance of the source or the target [m].
+        Nobody can wait within this distance of the source, a stop or the target [m].
     alpha_threshold
         Nodes whose alpha is over it are not driven through (the paper's "forbid areas"). With a
         reach the ambusher can wait there all the same.
@@ -67,7 +67,8 @@ class Game:
     """A network with the rows of its ambush game.
 
     ``playable`` (M,) marks the edges that lie on some route once forbidden nodes are gone;
-    ``loss`` (N,) is alpha where an ambush is possible, else 0.
+    ``loss`` (N,) is alpha where an ambush is possible, else 0. Where a trip has several legs, an
+    ambush hits them all: each place is one site, and its hits add up over the layers.
     """
 
     network: Network
@@ -83,8 +84,8 @@ class Game:
 
     @cached_property
     def sites(self) -> IndexArray:
-        """Nodes (S,) where an ambush costs something."""
-        return np.flatnonzero(self.loss > 0.0)
+        """Nodes (S,) where an ambush costs something; those of the first layer."""
+        return np.flatnonzero(self.loss[: self.network.place_count] > 0.0)
 
     @cached_property
     def hits(self) -> csr_matrix:
@@ -94,10 +95,11 @@ class Game:
         """
         if self.ambush_radius > 0.0:
             return entering_edges(self.network, self.sites, self.ambush_radius)
-        site_of = np.full(self.node_count, -1)
+        site_of = np.full(self.network.place_count, -1)
         site_of[self.sites] = np.arange(len(self.sites))
-        edge = np.flatnonzero(site_of[self.network.heads] >= 0)
-        row = site_of[self.network.heads[edge]]
+        site = site_of[self.network.places[self.network.heads]]
+        edge = np.flatnonzero(site >= 0)
+        row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
         return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
 
@@ -149,10 +151,10 @@ def make_game(network: Network, options: GameOptions) -> Game:
     """
     if options.ambush_in_obstacles and options.ambush_radius > 0.0:
         network = network.with_cover()
-    if options.ambushers > len(network.points):
+    if options.ambushers > network.place_count:
         raise InvalidOption(
             f"{options.ambushers} ambushers need as many different sites, and the network has "
-            f"{len(network.points)} nodes"
+            f"{network.place_count} nodes"
         )
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
@@ -167,9 +169,10 @@ def make_game(network: Network, options: GameOptions) -> Game:
         raise NoRoute(_no_route(network, options, int((~allowed).sum())))
     if options.ambush_radius > 0.0:
         return game
-    driven = np.zeros(len(network.points), dtype=bool)
-    driven[network.heads[game.playable]] = True
-    return game.without_sites(~driven)
+    places = network.places
+    driven = np.zeros(network.place_count, dtype=bool)
+    driven[places[network.heads[game.playable]]] = True
+    return game.without_sites(~driven[places])
 
 
 def _no_route(network: Network, options: GameOptions, forbidden: int) -> str:
@@ -191,6 +194,6 @@ def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
         return np.ones(len(network.points), dtype=bool)
     near = [
         inside(network.points - network.points[end], radius)
-        for end in (network.source, network.target)
+        for end in (network.source, *network.stops, network.target)
     ]
-    return ~(near[0] | near[1])
+    return ~np.any(near, axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """What a network is laid on: ``uv_ends`` (2, 2) are start and goal in map axes [m]."""
+    """What a network is laid on: ``uv_ends`` (E, 2) are its ends in map axes [m], all different."""
 
     risk_map: RiskMap
     field: ObstacleField
@@ -42,7 +43,7 @@ class Ground:
 
 
 def joined(ground: Ground, passage: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Nodes in map axes, source and target last, and the pairs that are joined on free ground.
+    """Nodes in map axes, the ends last, and the pairs that are joined on free ground.
 
     ``passage`` (K, 2) are nodes beside the lattice or the samples.
     """
@@ -57,7 +58,7 @@ def _nodes_and_pairs(
 ) -> tuple[FloatArray, IndexArray, IndexArray]:
     """Return nodes in map axes, the pairs that connectivity joins, and triangles that may be flat.
 
-    ``others`` (K, 2), source and target last, are the last nodes.
+    ``others`` (K, 2), the ends last, are the last nodes.
     """
     options, spacing = ground.options, ground.spacing
     if options.method in ("random_delaunay", "gradient_delaunay"):
@@ -67,7 +68,8 @@ def _nodes_and_pairs(
     uv = lattice_points(all_cells(shape), spacing, options.method)
     free = ground.field.clear_points(uv, options.clearance).reshape(shape)
     if free.size == 0:
-        return ground.uv_ends, np.array([[0, 1]]), none
+        ends = range(len(ground.uv_ends))
+        return ground.uv_ends, np.array(list(combinations(ends, 2))), none
     taken = nearest_cells(shape, spacing, options.method, ground.uv_ends)
     free[tuple(taken.T)] = False
     uv = np.concatenate((uv[free.ravel()], others))
@@ -89,15 +91,22 @@ def _samples(
 
 
 def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
-    """Join the 8-connected lattice, source and target in the cells of the nodes they replaced."""
+    """Join the 8-connected lattice, the ends in the cells of the nodes they replaced.
+
+    Ends in the same cell are joined with each other, and each with the cell's neighbours.
+    """
     node_of = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
-    source = int(free.sum())
-    target = source + 1
-    if (cells[0] == cells[1]).all():
-        pairs = [np.array([[source, target]])]
-        for end in (source, target):
-            node_of[tuple(cells[0])] = end
-            pairs.append(grid8_pairs(node_of))
-        return np.unique(np.concatenate(pairs), axis=0)
-    node_of[tuple(cells[0])], node_of[tuple(cells[1])] = source, target
-    return grid8_pairs(node_of)
+    first = int(free.sum())
+    in_cell: dict[tuple[int, ...], int] = {}
+    shared = []
+    for node, cell in enumerate(map(tuple, cells.tolist()), start=first):
+        if cell in in_cell:
+            shared.append((in_cell[cell], node))
+        else:
+            in_cell[cell] = node_of[cell] = node
+    pairs = grid8_pairs(node_of)
+    for present, node in shared:
+        copies = pairs[(pairs == present).any(axis=1)]
+        copies = np.where(copies == present, node, copies)
+        pairs = np.concatenate((pairs, copies, [[present, node]]))
+    return np.unique(pairs, axis=0) if shared else pairs

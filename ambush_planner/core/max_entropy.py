@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from .acyclic import forward_part, order_potential, rank_around, rank_by
-from .arrays import FloatArray, IndexArray
+from .arrays import FloatArray, IndexArray, sums
 from .certificate import ROUNDING, Budget, lower_bound, upper_bound
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
@@ -117,7 +117,11 @@ class _Search:
         return replace(found, q=indifferent_ambusher(self.game))
 
     def by_cut(self) -> Outcome | None:
-        """The plain game where the budgets leave the least value as it is."""
+        """The plain game where the budgets leave the least value as it is.
+
+        With several legs the cut is that of the costliest leg, a lower bound; it is attained where
+        the other legs need not pass that leg's sites.
+        """
         k = self.game.ambushers
         if self.game.ambush_radius > 0.0:
             return None
@@ -126,7 +130,8 @@ class _Search:
         if exact.value == 0.0:
             return None
         self.least = exact.value
-        if k * exact.q.max() > 1.0:
+        q = sums(self.game.network.places, exact.q, self.game.node_count)
+        if k * q.max() > 1.0:
             return None
         lean = self._lean(exact.value)
         flow = exact if lean is self.game else solve_by_cut(replace(lean, ambushers=1))
@@ -136,7 +141,7 @@ class _Search:
         part = forward_part(lean, rank)
         assert part is not None  # it holds the flow
         level = np.full(len(self.game.sites), exact.value)
-        found = replace(self._law(part, rank, level), q=k * exact.q)
+        found = replace(self._law(part, rank, level), q=k * q)
         return self._within(found, flow.p, k * exact.value)
 
     def by_program(self) -> Outcome:
@@ -321,5 +326,5 @@ class _Limits:
 
 
 def _most_hits(game: Game) -> float:
-    """Hits of one site by one route: once at its node; a route may come back to a disc."""
-    return 1.0 if game.ambush_radius == 0.0 else 3.0
+    """Hits of one site by one route: once a leg at its node; a leg may come back to a disc."""
+    return (1.0 if game.ambush_radius == 0.0 else 3.0) * game.network.legs

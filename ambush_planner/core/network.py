@@ -21,6 +21,9 @@ class Network:
     allow circulations through them that never connect the two, and the value comes out too low.
     Given edges of that kind are dropped with a warning and kept in ``dropped_edges``.
 
+    A trip with stops is driven in several ``legs``. Each leg has a layer, a copy of all places in
+    the same order; the edges that end a leg lead to the stop's copy in the next layer.
+
     Parameters
     ----------
     points : (N, 2) float
@@ -34,6 +37,8 @@ class Network:
     cover_points, cover_alpha : (K, 2) and (K,) float
         Places off the network where an ambusher can hide, such as obstacle cells [m], and the
         loss there; none by default.
+    legs : int
+        Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
 
     Raises
     ------
@@ -48,6 +53,7 @@ class Network:
     target: int
     cover_points: FloatArray = field(default_factory=lambda: np.empty((0, 2)), repr=False)
     cover_alpha: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
+    legs: int = 1
     dropped_edges: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -58,6 +64,7 @@ class Network:
         target = _node("target", self.target, len(points))
         _check_ends(alpha, source, target)
         edges = _edge_array(self.edges, len(points))
+        _check_layers(points, alpha, edges, source, target, self.legs)
         outside = (edges[:, 1] == source) | (edges[:, 0] == target)
         if outside.any():
             warnings.warn(
@@ -88,23 +95,53 @@ class Network:
     def edge_exposure(self) -> FloatArray:
         """Integral of alpha along each edge (M,) [loss x m]: its length times its ends' mean.
 
-        An end without a loss of its own, the source or the target, takes the other end's.
+        A node without a loss of its own, the source, a stop or the target, takes the other one's.
         """
-        own = self.alpha.copy()
-        tail, head = own[self.tails], own[self.heads]
-        tail = np.where(self.tails == self.source, head, tail)
-        head = np.where(self.heads == self.target, tail, head)
+        is_end = np.zeros(len(self.points), dtype=bool)
+        is_end[self.ends] = True
+        tail, head = self.alpha[self.tails], self.alpha[self.heads]
+        tail = np.where(is_end[self.tails], head, tail)
+        head = np.where(is_end[self.heads], tail, head)
         return frozen_array(self.lengths * (tail + head) / 2.0, np.float64)
 
     def with_cover(self) -> Network:
-        """The network with the places of cover as nodes that no edge leads to."""
+        """The network with the places of cover as nodes, in each layer, that no edge leads to."""
+        count, added = self.place_count, len(self.cover_points)
+        cover = np.tile(self.cover_points, (self.legs, 1, 1))
+        hidden = np.tile(self.cover_alpha, (self.legs, 1))
+        moved = np.arange(len(self.points)) + np.arange(len(self.points)) // count * added
         return Network(
-            np.vstack((self.points, self.cover_points)),
-            np.concatenate((self.alpha, self.cover_alpha)),
-            self.edges,
-            self.source,
-            self.target,
+            np.concatenate((self.points.reshape(self.legs, -1, 2), cover), 1).reshape(-1, 2),
+            np.concatenate((self.alpha.reshape(self.legs, -1), hidden), 1).ravel(),
+            moved[self.edges],
+            int(moved[self.source]),
+            int(moved[self.target]),
+            legs=self.legs,
         )
+
+    @property
+    def place_count(self) -> int:
+        """Number of different places, N / legs; the first so many nodes stand for them."""
+        return len(self.points) // self.legs
+
+    @property
+    def places(self) -> IndexArray:
+        """The place (N,) of each node, as the index of its copy in the first layer."""
+        return np.arange(len(self.points)) % self.place_count
+
+    @cached_property
+    def stops(self) -> IndexArray:
+        """Nodes (legs - 1,) at which a leg begins that is not the first, in this order."""
+        count = self.place_count
+        return frozen_array(
+            np.unique(self.heads[self.heads // count != self.tails // count]), np.int64
+        )
+
+    @cached_property
+    def ends(self) -> IndexArray:
+        """All nodes at the places of the source, the stops and the target."""
+        at = np.array([self.source, *self.stops, self.target]) % self.place_count
+        return frozen_array(np.flatnonzero(np.isin(self.places, at)), np.int64)
 
     @property
     def tails(self) -> IndexArray:
@@ -115,6 +152,34 @@ class Network:
     def heads(self) -> IndexArray:
         """Head of each edge (M,)."""
         return self.edges[:, 1]
+
+
+def _check_layers(
+    points: FloatArray, alpha: FloatArray, edges: IndexArray, source: int, target: int, legs: object
+) -> None:
+    if legs == 1:
+        return
+    if isinstance(legs, bool) or not isinstance(legs, int | np.integer) or legs < 1:
+        raise InvalidNetwork(f"legs must be a whole number >= 1, got {legs!r}")
+    count = len(points) // int(legs)
+    if count * legs != len(points):
+        raise InvalidNetwork(f"{legs} legs need as many copies of all places, got {len(points)}")
+    first = np.arange(len(points)) % count
+    if not (np.array_equal(points, points[first]) and np.array_equal(alpha, alpha[first])):
+        raise InvalidNetwork("the layers of the legs must have the same points and losses")
+    tail, head = (edges // count).T
+    crossing = tail != head
+    stops = np.unique(edges[crossing, 1])
+    if not (
+        np.array_equal(stops // count, np.arange(1, legs))
+        and (head[crossing] == tail[crossing] + 1).all()
+        and (source // count, target // count) == (0, legs - 1)
+        and (alpha[stops] == 0.0).all()
+    ):
+        raise InvalidNetwork(
+            "each leg must end at one stop in the layer of the next one, with alpha 0; the first "
+            "begins at the source, and the last ends at the target"
+        )
 
 
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:

@@ -110,6 +110,8 @@ class PlanRequest:
         How far a goal in an obstacle may be moved [m].
     options
         Network, game and strategy.
+    stops_xy, order
+        Where to go by, as ``plan_trip`` takes them [m].
     warm
         Where the search for the strategy starts, if anything like it is known.
     """
@@ -122,6 +124,8 @@ class PlanRequest:
     goal_xy: tuple[float, float]
     goal_tolerance: float
     options: PlanningOptions
+    stops_xy: tuple[tuple[float, float], ...] = ()
+    order: str = "given"
     warm: WarmStart | None = None
 
 
@@ -134,7 +138,9 @@ class Plan:
     ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
     the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
     was made with, but no less than the map's resolution [m]. ``different_paths`` is how many of
-    ``DRAWN`` paths differ; None: there was no time to count.
+    ``DRAWN`` paths differ; None: there was no time to count. ``order`` are the indices of the
+    stops of a trip as they are visited, and ``order_found`` tells how: 'given', 'best' or
+    'heuristic'.
     """
 
     network: Network
@@ -145,6 +151,14 @@ class Plan:
     spacing: float
     different_paths: int | None
     seconds: float
+    order: tuple[int, ...] = ()
+    order_found: str = "given"
+
+    @property
+    def stops_xy(self) -> tuple[tuple[float, float], ...]:
+        """The stops as they are visited [m]."""
+        stops = self.network.points[self.network.stops].tolist()
+        return tuple((x, y) for x, y in stops)
 
     @property
     def tube(self) -> float | None:
@@ -185,11 +199,24 @@ def plan_on(
 ) -> Plan:
     """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
     begin = time.monotonic()
-    spacing = node_spacing(risk_map, options.network)
-    tube = _tube(options, spacing)
+    return plan_of(risk_map, strategy_on(risk_map, network, options, warm), options, begin)
+
+
+def strategy_on(
+    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
+) -> Strategy:
+    """Solve the game on a network; raises what ``solve`` raises."""
     network = with_cover(network, risk_map, options)
     start = warm.on(network) if warm else None
-    strategy = _solved(network, options, reach(risk_map, options), start)
+    return _solved(network, options, reach(risk_map, options), start)
+
+
+def plan_of(
+    risk_map: RiskMap, strategy: Strategy, options: PlanningOptions, begin: float
+) -> Plan:
+    """What else a plan tells of its strategy; ``begin`` is when the work on it began."""
+    spacing = node_spacing(risk_map, options.network)
+    tube = _tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
     corridors = make_corridors(
         strategy.network, risk_map, options.network.clearance, tube, options.network.clear_of_edge
@@ -260,18 +287,6 @@ def _tube(options: PlanningOptions, spacing: float) -> float | None:
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     """The distance of nodes, but no less than the map's resolution [m]."""
     return max(risk_map.resolution, chosen_spacing(risk_map, options))
-
-
-def plan_from_request(request: PlanRequest) -> Plan:
-    """Read the map, move a blocked goal as far as it may be, and plan.
-
-    Raises
-    ------
-    InvalidRiskMap
-        The map is malformed. All else as ``plan`` raises it.
-    """
-    risk_map, goal_xy = read_request(request)
-    return plan(risk_map, request.start_xy, goal_xy, request.options, request.warm)
 
 
 def read_request(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

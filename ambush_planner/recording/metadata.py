@@ -17,6 +17,8 @@ from typing import Any
 # What the entries mean; another number where that changes.
 FORMAT = '5'
 ROLES = ('map', 'start', 'goal', 'path')
+# Only in recordings of trips with stops.
+VIA = 'via'
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
 _NAMES = ('departure_id', 'service', 'frame', 'planner_version')
@@ -32,11 +34,15 @@ class BadMetadata(ValueError):
 
 @dataclass(frozen=True)
 class RecordedTrip:
-    """Where a departure led, in the map's frame [m]; ``tolerance`` [m] as requested."""
+    """Where a departure led, in the map's frame [m]; ``tolerance`` [m] as requested.
+
+    ``stops`` are in the order in which they are visited.
+    """
 
     start_xy: Position
     goal_xy: Position
     tolerance: float
+    stops: tuple[Position, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,7 @@ class Metadata:
     planner_version, versions
         Of the planner, and of what it was computed with.
     inputs
-        The topics of map, start, goal and path.
+        The topics of map, start, goal and path, and of the stops if there are any.
     parameters
         All parameters of the node.
     trip
@@ -134,7 +140,7 @@ def metadata_texts(
     Parameters
     ----------
     inputs
-        The topics of map, start, goal and path.
+        The topics of map, start, goal and path, and of the stops if there are any.
     contents
         The serialised messages by role, the strategy's file and the map's changes, b'' for none.
     json_entries
@@ -179,6 +185,10 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
             raise BadMetadata(f'the recorded {key} is longer than {_LONGEST_NAME}')
     read = {key: _read(texts, key) for key in _JSON}
     trip, ends = read['trip'], read['ends']
+    if set(read['sha256']) != {*read['inputs'], *_HASHED, *_FILES}:
+        raise BadMetadata('the recorded sha256 is not that of the recorded inputs')
+    if (VIA in read['inputs']) != bool(trip['stops']):
+        raise BadMetadata('the recorded trip has stops without their message, or the other way')
     return Metadata(
         **{key: texts[key] for key in _NAMES if key != 'departure_id'},
         **{key: read[key] for key in
@@ -186,7 +196,8 @@ def parse_metadata(texts: Mapping[str, str]) -> Metadata:
         id=texts['departure_id'],
         number=read['departure'],
         trip=RecordedTrip(
-            _position(trip['start']), _position(trip['goal']), float(trip['tolerance'])
+            _position(trip['start']), _position(trip['goal']), float(trip['tolerance']),
+            tuple(map(_position, trip['stops'])),
         ),
         ends=(_position(ends[0]), _position(ends[1])),
         call=RecordedCall(**read['call']),
@@ -238,8 +249,9 @@ def _is_place(value: Any) -> bool:
 
 
 def _is_trip(value: Any) -> bool:
-    return isinstance(value, dict) and set(value) == {'start', 'goal', 'tolerance'} and (
+    return isinstance(value, dict) and set(value) == {'start', 'goal', 'stops', 'tolerance'} and (
         _is_place(value['start']) and _is_place(value['goal']) and _is_number(value['tolerance'])
+        and isinstance(value['stops'], list) and all(map(_is_place, value['stops']))
     )
 
 
@@ -255,10 +267,10 @@ def _are_scalars(value: Any) -> bool:
     )
 
 
-def _texts_of(*names: str) -> tuple[str, Callable[[Any], bool]]:
-    """An entry that is a mapping of just these names to texts."""
+def _texts_of(*names: str, also: tuple[str, ...] = ()) -> tuple[str, Callable[[Any], bool]]:
+    """An entry that is a mapping of just these names to texts, and of others that may be there."""
     return f'a text for each of {", ".join(names)}', lambda value: (
-        _are_scalars(value) and set(value) == set(names)
+        _are_scalars(value) and set(names) <= set(value) <= {*names, *also}
         and all(isinstance(each, str) for each in value.values())
     )
 
@@ -282,13 +294,13 @@ _JSON: dict[str, tuple[str, Callable[[Any], bool]]] = {
     'departure': ('a whole number', lambda value: type(value) is int and 0 <= value < 2**63),
     'versions': _SCALARS,
     'parameters': _SCALARS,
-    'inputs': _texts_of(*ROLES),
-    'sha256': _texts_of(*ROLES, *_HASHED, *_FILES),
+    'inputs': _texts_of(*ROLES, also=(VIA,)),
+    'sha256': _texts_of(*ROLES, *_HASHED, *_FILES, also=(VIA,)),
     'chain': _texts_of('file', 'follows', 'sha256'),
     'call': (f'just {", ".join(_CALL)}', lambda value: (
         isinstance(value, dict) and {name: type(each) for name, each in value.items()} == _CALL
     )),
-    'trip': ('two places and a tolerance in metres', _is_trip),
+    'trip': ('two places, stops and a tolerance in metres', _is_trip),
     'ends': ('two places in metres', lambda value: (
         isinstance(value, list) and len(value) == 2 and all(map(_is_place, value))
     )),

@@ -13,7 +13,7 @@ from .errors import UnreadableRecording, reading_from
 from .map_changes import MAP_CHANGES_FILE
 from .mcap_file import METADATA_RECORD, MOST_BYTES, MOST_MESSAGES, BadFile, Content, decode
 from .messages import RecordedMessage
-from .metadata import ROLES, BadMetadata, Metadata, broken_hashes, parse_metadata
+from .metadata import BadMetadata, Metadata, broken_hashes, parse_metadata
 from .qos import fields_from_yaml
 from .strategy_file import STRATEGY_FILE, arrays_of
 
@@ -68,7 +68,7 @@ class RecordedDeparture:
         return self.recorded('path').stamp_ns
 
     def recorded(self, role: str) -> RecordedMessage:
-        """Return the recorded message in a role: ``map``, ``start``, ``goal`` or ``path``."""
+        """Return the recorded message in one of the roles of ``Metadata.inputs``."""
         topic = self.metadata.inputs[role]
         return next(each for each in self.messages if each.topic == topic)
 
@@ -192,7 +192,7 @@ def _contents(
 ) -> dict[str, bytes]:
     """What the stated hashes are of, messages and strategy; there must be one of each."""
     contents = {}
-    for role in ROLES:
+    for role in metadata.inputs:
         found = [each.data for each in messages if each.topic == metadata.inputs[role]]
         if len(found) != 1:
             raise BadMetadata(f'it has {len(found)} messages in the role {role!r}, not one')

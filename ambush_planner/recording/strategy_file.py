@@ -40,7 +40,7 @@ _ARRAYS: dict[str, tuple[type, Shape]] = {
     'edges': (np.int64, ('edges', 2)),
     'edge_probability': (np.float64, ('edges',)),
     _START: (np.float64, ('multipliers',)),
-    **dict.fromkeys(('source', 'target'), (np.int64, ())),
+    **dict.fromkeys(('source', 'target', 'legs'), (np.int64, ())),
     **dict.fromkeys((*NUMBERS, _REACH), (np.float64, ())),
 }
 # Lattices join a node with eight others at most, triangulations with six on average.
@@ -59,7 +59,7 @@ def strategy_file(strategy: Strategy) -> bytes:
     network, start = strategy.network, strategy.start
     return packed({
         **{name: getattr(network, name) for name in ('points', 'alpha', 'edges')},
-        **{name: np.int64(getattr(network, name)) for name in ('source', 'target')},
+        **{name: np.int64(getattr(network, name)) for name in ('source', 'target', 'legs')},
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
         **{name: np.float64(getattr(strategy, name)) for name in NUMBERS},
@@ -88,6 +88,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> Strategy:
             network = Network(
                 content['points'], content['alpha'], content['edges'],
                 int(content['source']), int(content['target']),
+                legs=int(content['legs']),
             )
         game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
         if len(network.edges) != len(content['edges']):

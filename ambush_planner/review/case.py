@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
@@ -25,7 +25,7 @@ from ..recording.strategy_file import strategy_from_file
 from ..ros.conversions import risk_map_from_ros
 from ..ros.parameters import PARAMETERS, NodeParameters, parameters_from
 
-_INPUTS = (OccupancyGrid, PoseStamped, PoseWithCovarianceStamped)
+_INPUTS = (OccupancyGrid, PoseStamped, PoseWithCovarianceStamped, PoseArray)
 # No other type is looked for: a file could name any module.
 TYPES: Mapping[str, type] = MappingProxyType({
     type_name(kind): kind

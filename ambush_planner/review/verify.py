@@ -186,6 +186,15 @@ class Verifier:
             check.problems.append(f'map, trip and parameters cannot be planned with: {error}')
             return
         hurried = was_hurried(strategy, case.parameters.planning, solve_seconds(case))
+        if plan.stops_xy != case.metadata.trip.stops:
+            if hurried:
+                check.notes.append(
+                    'not checked: whether another order of the stops follows, as its solve took '
+                    'long for its max_planning_time'
+                )
+            else:
+                check.problems.append('trip: its stops are visited in another order than follows')
+            return
         faults, notes = self._kept['comparison'].get(
             (key, _strategy_key(case), hurried),
             lambda: strategy_faults(strategy, plan.strategy, hurried),
@@ -213,8 +222,10 @@ class Verifier:
             trip.goal_xy,
             case.metadata.trip.tolerance,
             _options(case),
-            start,
-        ), self._worker.solve)
+            stops_xy=trip.stops_xy,
+            order=case.parameters.trip_order,
+            warm=start,
+        ), case.metadata.trip.stops, self._worker.solve)
 
     def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:
         """Markers are made once for a strategy: the same bytes stand in each of its departures."""
@@ -274,8 +285,8 @@ def _strategy_key(case: Case) -> Hashable:
 
 def _plan_key(case: Case, trip: PosedTrip) -> tuple[Hashable, ...]:
     return (
-        case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, case.parameters.occupancy,
-        _options(case),
+        case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, trip.stops_xy,
+        case.parameters.trip_order, case.parameters.occupancy, _options(case),
     )
 
 

@@ -28,7 +28,6 @@ from visualization_msgs.msg import MarkerArray
 from ..core.planner import DRAWN, Plan, Route, departure_path
 from ..core.strategy import Strategy
 from ..recording import type_name
-from ..recording.metadata import ROLES
 from ..ros import markers
 from ..ros.conversions import message_of
 from ..ros.departure_record import INPUTS_LEAD_NS
@@ -48,6 +47,7 @@ _DRAWN = {
     'edge_probabilities': markers.edge_probabilities,
     'mean_direction': markers.mean_direction,
     'ambush_sites': markers.ambush_sites,
+    'stops': lambda strategy, header: markers.stops(strategy.network, header),
 }
 # What the diagnostics say beside the strategy and the departure.
 _UNFORESEEN = {
@@ -60,13 +60,13 @@ _TIMED = {'deciding_sites', 'deciding_sites_near_ends', 'secured_value'}
 
 def kind_faults(case: Case) -> list[str]:
     """Check that there is each message that the node records, and no other."""
-    topics = {case.metadata.inputs[role] for role in ROLES}
+    topics = set(case.metadata.inputs.values())
     kinds = Counter(
         'service event' if each.type in map(type_name, _EVENTS) else each.type
         for each in case.recorded.messages if each.topic not in topics
     )
     expected = {
-        type_name(MarkerArray): 4, type_name(DiagnosticArray): 1,
+        type_name(MarkerArray): len(_DRAWN), type_name(DiagnosticArray): 1,
         'service event': 2 if case.parameters.recording.service_events else 0,
     }
     return [
@@ -125,13 +125,13 @@ def time_faults(case: Case) -> list[str]:
     are right is shown by nothing in a recording.
     """
     begin, end = case.metadata.call.request_ns, case.metadata.call.response_ns
-    inputs = [case.recorded.recorded(role) for role in ('map', 'start', 'goal')]
+    inputs = [case.recorded.recorded(role) for role in case.metadata.inputs if role != 'path']
     others = [each for each in case.recorded.messages if each not in inputs]
     faults = []
     if not all(begin <= each.stamp_ns <= end for each in others):
         faults.append('times: a message is from before the request or after the answer')
     if any(each.stamp_ns != max(0, begin - INPUTS_LEAD_NS) for each in inputs):
-        faults.append('times: map, start and goal are not from half a second before the request')
+        faults.append('times: map and poses are not from half a second before the request')
     stamp = case.message('path').header.stamp
     if not begin <= stamp.sec * 1_000_000_000 + stamp.nanosec <= end:
         faults.append('times: the path is stamped before the request or after the answer')

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
 
 from ..core.acyclic import is_acyclic
-from ..core.construction import build_network, expected_nodes
+from ..core.construction import expected_nodes
 from ..core.judged import open_gap
 from ..core.network import Network
 from ..core.planner import (
@@ -21,6 +21,7 @@ from ..core.planner import (
     with_cover,
 )
 from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
+from ..core.trip import trip_network
 from ..recording.map_changes import changed_map
 from ..recording.npz import BadAttachment
 from ..recording.strategy_file import VALUE_TOLERANCE
@@ -85,12 +86,16 @@ def was_hurried(strategy: Strategy, planning: PlanningOptions, seconds: float) -
 class PlannedAgain:
     """What map, trip and parameters lead to; network and plan when they are asked for.
 
-    ``solve`` makes the plan, as the node's worker does; ``goal_xy`` [m] is the goal, moved as far
-    as it had to be, ``spacing`` as in ``Plan`` [m]. Raises what ``plan`` raises.
+    ``visited`` are the stops [m] as the recorded plan visits them. ``solve`` makes the plan, as the
+    node's worker does; ``goal_xy`` [m] is the goal, moved as far as it had to be, ``spacing`` as in
+    ``Plan`` [m]. Raises what ``plan_trip`` raises.
     """
 
-    def __init__(self, request: PlanRequest, solve: Callable[[PlanRequest], Plan]) -> None:
-        self._request, self._solve = request, solve
+    def __init__(
+        self, request: PlanRequest, visited: Sequence[tuple[float, float]],
+        solve: Callable[[PlanRequest], Plan],
+    ) -> None:
+        self._request, self._visited, self._solve = request, visited, solve
         self._risk_map, self.goal_xy = read_request(request)
         self.spacing = node_spacing(self._risk_map, request.options.network)
 
@@ -99,6 +104,7 @@ class PlannedAgain:
         does_not = 'network: it does not follow from map, trip and parameters: '
         count = len(recorded.points)
         likely = expected_nodes(self._risk_map, self._request.options.network)
+        likely *= len(self._visited) + 1
         if likely > _MOST_TIMES * count + _ALWAYS_BUILT:
             return [f'{does_not}it has {count} points, they lead to some {likely:.2g}']
         for name in ('points', 'edges', 'alpha'):
@@ -109,6 +115,8 @@ class PlannedAgain:
                 return [f'{does_not}{differing} of {len(one)} {name} are others']
         if (recorded.source, recorded.target) != (self._network.source, self._network.target):
             return ['network: its source or its target is another node']
+        if recorded.legs != self._network.legs:
+            return [f'network: it has {recorded.legs} legs, planned again {self._network.legs}']
         return []
 
     @cached_property
@@ -119,8 +127,9 @@ class PlannedAgain:
     @cached_property
     def _network(self) -> Network:
         options = self._request.options
-        network = build_network(
-            self._risk_map, self._request.start_xy, self.goal_xy, options.network
+        network = trip_network(
+            self._risk_map, self._request.start_xy, self.goal_xy, options.network,
+            self._visited, self._request.order,
         )
         return with_cover(network, self._risk_map, options)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from geometry_msgs.msg import Pose, PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import Pose, PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 
+from ..recording.metadata import VIA
 from ..ros.conversions import position_from_ros
 from ..ros.departure_record import software_versions
 from .case import Case
@@ -19,13 +20,15 @@ class PosedTrip:
     """The trip that follows from the recorded poses, as far as it does.
 
     ``start`` and ``goal`` are the poses, or None where they are not in the map's frame;
-    ``goal_xy`` [m] is the goal that was planned for; ``faults`` where the metadata says something
-    else; ``notes`` what could not be checked.
+    ``goal_xy`` [m] is the goal that was planned for, ``stops_xy`` the stops, in the order of the
+    message where that is in the map's frame, else as they were visited; ``faults`` where the
+    metadata says something else; ``notes`` what could not be checked.
     """
 
     start: Pose | None
     goal: Pose | None
     goal_xy: tuple[float, float]
+    stops_xy: tuple[tuple[float, float], ...]
     faults: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -59,7 +62,33 @@ def posed_trip(case: Case) -> PosedTrip:
             goal_xy = asked
         if role == 'start' or trip.tolerance == 0.0 or end != trip.goal_xy:
             faults.append(f'ends: the {which} one is not the position of the {role} pose')
-    return PosedTrip(poses.get('start'), poses.get('goal'), goal_xy, tuple(faults), tuple(notes))
+    stops = _stops(case, faults, notes)
+    return PosedTrip(
+        poses.get('start'), poses.get('goal'), goal_xy, stops, tuple(faults), tuple(notes)
+    )
+
+
+def _stops(
+    case: Case, faults: list[str], notes: list[str]
+) -> tuple[tuple[float, float], ...]:
+    visited, frame = case.metadata.trip.stops, case.metadata.frame
+    if not visited:
+        return ()
+    via = case.message(VIA, PoseArray)
+    if via.header.frame_id != frame:
+        notes.append(
+            f'not checked: the stops are in the frame {via.header.frame_id[:60]!r}, the map in '
+            f'{frame[:60]!r}'
+        )
+        return visited
+    given = tuple(
+        position_from_ros(PoseStamped(pose=pose), f'stop {number}')
+        for number, pose in enumerate(via.poses, start=1)
+    )
+    in_order = sorted if case.parameters.trip_order == 'best' else tuple
+    if in_order(given) != in_order(visited):
+        faults.append('trip: its stops are not those of the recorded poses')
+    return given
 
 
 def ends_faults(case: Case, spacing: float) -> list[str]:
@@ -94,6 +123,8 @@ def metadata_faults(case: Case) -> list[str]:
         faults.append('departure: departures are numbered from 1')
     if trip.tolerance < 0.0 or (trip.tolerance and metadata.service == 'new_route'):
         faults.append('trip: its tolerance is negative, or not 0 at new_route')
+    if trip.stops and metadata.service != 'new_route':
+        faults.append('trip: only new_route has stops')
     return faults
 
 

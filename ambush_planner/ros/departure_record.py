@@ -20,7 +20,7 @@ from service_msgs.msg import ServiceEventInfo
 from ..core.planner import Route
 from ..recording import Attachment, RecordedMessage, type_name
 from ..recording.map_changes import MAP_CHANGES_FILE, map_changes_file
-from ..recording.metadata import metadata_texts
+from ..recording.metadata import VIA, metadata_texts
 from ..recording.strategy_file import STRATEGY_FILE
 from .cdr import plan_event_bytes
 from .conversions import fields_of
@@ -89,7 +89,9 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     trip, begin = departure.trip, departure.begin_ns
     planned_on = departure.held.trip.map.received
     before = max(0, begin - INPUTS_LEAD_NS)
-    inputs = [_received(each, before) for each in (planned_on, trip.start, trip.goal)]
+    inputs = [
+        _received(each, before) for each in (planned_on, trip.start, trip.goal, trip.via) if each
+    ]
     published = [
         replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
         for each in (*departure.others, departure.published)
@@ -105,6 +107,7 @@ def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> 
     planned_on = planned.map.received
     roles: dict[str, Received | RecordedMessage] = {
         'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
+        **({VIA: trip.via} if trip.via else {}),
     }
     return metadata_texts(
         inputs={role: each.topic for role, each in roles.items()},
@@ -119,7 +122,7 @@ def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> 
             'route': departure.route.nodes.tolist(),
             'trip': {
                 'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
-                'tolerance': trip.goal_tolerance,
+                'stops': [*map(list, plan.stops_xy)], 'tolerance': trip.goal_tolerance,
             },
             'ends': [*map(list, departure.held.ends(trip))],
             'call': _call(departure),

@@ -177,7 +177,7 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
     if plan is None:
         return dict.fromkeys(
             (*names, _DIFFERENT, 'nodes', 'edges', 'deciding_sites', 'deciding_sites_near_ends',
-             'secured_value', 'solve_seconds'),
+             'secured_value', 'stops', 'order', 'solve_seconds'),
             '',
         )
     return {
@@ -188,5 +188,7 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
         'deciding_sites': str(len(plan.bottleneck.sites)),
         'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
         'secured_value': f'{plan.bottleneck.secured_value:.9g}',
+        'stops': str(len(plan.order)),
+        'order': plan.order_found if plan.order else '',
         'solve_seconds': f'{plan.seconds:.3f}',
     }

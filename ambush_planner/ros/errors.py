@@ -17,6 +17,8 @@ from ..core.errors import (
     SolverFailed,
     StartBlocked,
     StartOutsideMap,
+    StopBlocked,
+    StopOutsideMap,
     TimeLimit,
 )
 from ..recording import RecordingFailed
@@ -71,8 +73,10 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (FrameMismatch, 'TF_ERROR'),
     (StartOutsideMap, 'START_OUTSIDE_MAP'),
     (GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
+    (StopOutsideMap, 'STOP_OUTSIDE_MAP'),
     (StartBlocked, 'START_OCCUPIED'),
     (GoalBlocked, 'GOAL_OCCUPIED'),
+    (StopBlocked, 'STOP_OCCUPIED'),
     (NoRoute, 'NO_VALID_PATH'),
     (BudgetInfeasible, 'NO_VALID_PATH'),
     (TimeLimit, 'TIMEOUT'),

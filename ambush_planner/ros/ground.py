@@ -123,7 +123,8 @@ class Ground:
         """
         plan, network, options = self._plan, self._plan.network, self._plan.options.network
         corridors = self._corridors(newest)
-        for node, place in zip((network.source, network.target), ends, strict=True):
+        nodes = network.places[[network.source, network.target]].tolist()
+        for node, place in zip(nodes, ends, strict=True):
             if tuple(network.points[node].tolist()) != place:
                 corner, part = self._around(newest, node, place)
                 corridors = with_end_at(
@@ -229,7 +230,7 @@ class Ground:
         values = grid.values[cells[:, 1], cells[:, 0]][None, :]
         alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         network = self._plan.network
-        alpha[[network.source, network.target]] = 0.0
+        alpha[network.ends] = 0.0
         return alpha
 
     def _cells_of_nodes(self) -> _Cells:

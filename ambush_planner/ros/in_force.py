@@ -59,6 +59,7 @@ class PlanInForce:
                 ('edge_probabilities', markers.edge_probabilities(strategy, header)),
                 ('mean_direction', markers.mean_direction(strategy, header)),
                 ('ambush_sites', markers.ambush_sites(strategy, header)),
+                ('stops', markers.stops(plan.network, header)),
             )
         )
         self.held = held

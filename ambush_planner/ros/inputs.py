@@ -20,9 +20,12 @@ from ..core.risk_map import check_occupancy
 from ..recording import type_name
 from .cdr import GridUpdate, grid_bytes, grid_cells
 from .conversions import occupancy_from_ros, pose_to_ros, position_from_ros
-from .errors import NoGoal, NoMap, NoStart
+from .errors import InvalidPose, NoGoal, NoMap, NoStart
 from .qos import LATEST
 from .transforms import FrameTransforms
+
+# Each adds a leg, with a copy of the network.
+MOST_STOPS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +76,13 @@ class Asked:
     """From where to where somebody wants to go.
 
     ``start`` is None for where the robot is. The goal may be moved by ``goal_tolerance`` [m] where
-    it is blocked.
+    it is blocked. ``via`` are the stops on the way, if there are any.
     """
 
     start: Received | None
     goal: Received
     goal_tolerance: float = 0.0
+    via: Received | None = None
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,8 @@ class Trip:
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
     goal_tolerance: float = 0.0
+    via: Received | None = None
+    stops_xy: tuple[tuple[float, float], ...] = ()
 
 
 class Inputs:
@@ -121,6 +127,7 @@ class Inputs:
         self._refused: InvalidRiskMap | None = None
         self._start: Received | None = None
         self._goal: Received | None = None
+        self._via: Received | None = None
 
     def accept_map(self, received: Received) -> MapInForce:
         """Put a map in force and return it; one that equals the present one changes nothing.
@@ -157,6 +164,10 @@ class Inputs:
         """Drive there from now on."""
         self._goal = received
 
+    def set_via(self, received: Received) -> None:
+        """Drive by way of these poses from now on, in their order; of none where there are none."""
+        self._via = received if received.message.poses else None
+
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """What has not arrived yet, by the names of the topics."""
         parts = {
@@ -167,7 +178,7 @@ class Inputs:
         return tuple(name for name, here in parts.items() if not here)
 
     def latest(self, robot: RobotOptions) -> Asked:
-        """Return the trip between the latest start and goal, as it was asked for.
+        """Return the trip between the latest start and goal, by the latest stops, as asked for.
 
         Raises
         ------
@@ -181,7 +192,7 @@ class Inputs:
             )
         if self._goal is None:
             raise NoGoal('no goal yet: publish one on goal_pose')
-        return Asked(self._start, self._goal)
+        return Asked(self._start, self._goal, via=self._via)
 
     def map_in_force(self) -> MapInForce:
         """Return the map; raises NoMap as long as there is none."""
@@ -214,6 +225,8 @@ class Inputs:
             start_xy=position_from_ros(start_pose, 'start'),
             goal_xy=position_from_ros(goal_pose, 'goal'),
             goal_tolerance=asked.goal_tolerance,
+            via=asked.via,
+            stops_xy=self._stops_of(asked.via, present.frame, robot.max_age),
         )
 
     def _start_of(
@@ -226,6 +239,24 @@ class Inputs:
         pose = self._transforms.to_frame(here, 'start', frame, robot.max_age)
         data = serialize_message(pose)
         return Received(robot.start_topic, type_name(pose), pose, data, LATEST), pose
+
+    def _stops_of(
+        self, via: Received | None, frame: str, max_age: float
+    ) -> tuple[tuple[float, float], ...]:
+        """Positions of the stops [m] in the map's frame."""
+        if via is None:
+            return ()
+        if len(via.message.poses) > MOST_STOPS:
+            raise InvalidPose(
+                f'via_poses: {len(via.message.poses)} stops, and {MOST_STOPS} are the most'
+            )
+        stops = []
+        for number, pose in enumerate(via.message.poses, start=1):
+            name = f'stop {number}'
+            given = PoseStamped(header=via.message.header, pose=pose)
+            moved = self._transforms.to_frame(given, name, frame, max_age)
+            stops.append(position_from_ros(moved, name))
+        return tuple(stops)
 
     def _put_in_force(self, new: MapInForce) -> MapInForce:
         present = self._map

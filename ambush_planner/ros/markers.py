@@ -23,7 +23,8 @@ _SELDOM = 1e-4
 # Heights, in parts of the network's extent and at most so high [m]: lines below the path, which is
 # at 0, so that they do not hide it in Foxglove; discs above the map, which it would draw over them.
 _HEIGHT, _HIGHEST = 0.005, 50.0
-_LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1}
+_LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1,
+           'stops': 1}
 # Seldom to always: the convoy in blues, who waits for it in oranges, as in all pictures; seldom is
 # more transparent. No disc is opaque: it would hide the path below it.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
@@ -79,6 +80,17 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     return marker_array(marker, network.points[shown], _colours(_AMBUSHER, q[shown] / often))
 
 
+def stops(network: Network, header: Header) -> bytes:
+    """One list of flat discs at the stops; where there are none it deletes an earlier one."""
+    marker = _marker('stops', Marker.SPHERE_LIST, header, network)
+    size = _edge_length(network)
+    marker.scale = Vector3(x=size, y=size, z=0.1 * size)
+    marker.color = ColorRGBA(r=0.0, g=0.2, b=1.0, a=0.9)
+    if not network.stops.size:
+        marker.action = Marker.DELETE
+    return marker_array(marker, network.points[network.stops], _ONE_COLOUR)
+
+
 def network_lines(network: Network, header: Header) -> bytes:
     """One grey line list of all edges, those of both directions drawn once."""
     marker = _marker('network', Marker.LINE_LIST, header, network)
@@ -101,8 +113,9 @@ def _edge_length(network: Network) -> float:
 
 
 def _pairs(network: Network) -> IndexArray:
-    """Return the pairs (K, 2) of nodes that are joined, each once."""
-    count, tails, heads = len(network.points), network.tails, network.heads
+    """Return the pairs (K, 2) of places that are joined, each once."""
+    count = network.place_count
+    tails, heads = network.places[network.edges].T
     # A number a pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
     return np.stack(np.divmod(keys, count), axis=1)

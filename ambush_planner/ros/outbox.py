@@ -22,6 +22,7 @@ PLANS = {
     'mean_direction': (MarkerArray, LATCHED),
     'ambush_sites': (MarkerArray, LATCHED),
     'network': (MarkerArray, LATCHED),
+    'stops': (MarkerArray, LATCHED),
 }
 STATUS = {
     '/diagnostics': (DiagnosticArray, DIAGNOSTICS),

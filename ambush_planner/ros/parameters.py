@@ -26,6 +26,7 @@ from ..core.game import GameOptions
 from ..core.planner import DriveOptions, PlanningOptions
 from ..core.risk_map import OccupancyOptions
 from ..core.strategy import SOLVERS, StrategyOptions
+from ..core.trip import ORDERS
 from ..recording.recorder import COMPRESSIONS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (
@@ -111,7 +112,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'An ambush hits every route that passes within this distance of it [m]; 0: routes '
         "through the ambush's node."),
     'game.secured_radius': Declaration(
-        _GAME.secured_radius, 'Nobody can wait within this distance of start or goal [m].'),
+        _GAME.secured_radius, 'Nobody can wait within this distance of start, stops or goal [m].'),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold,
         'Nodes whose loss is over this are not driven through; .inf: all may be.'),
@@ -179,6 +180,11 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the path is published. If not, only the answers of get_plan carry routes, and '
         'new_route, whose answer has no room for one, is refused.'),
+    'trip.order': Declaration(
+        'given',
+        'In which order the stops of via_poses are visited: as given, or (best) in the order of '
+        'least value within the length budget of the shortest one; with more than 7 stops in a '
+        'short order.', choices=ORDERS),
     'recording.enabled': Declaration(True, 'Whether each departure is recorded.'),
     'recording.directory': Declaration(
         '~/.ros/ambush_planner', 'Where the folders with the recordings are made.'),
@@ -244,6 +250,7 @@ class NodeParameters:
     queue_size: int
     robot_base_frame: str
     transform_max_age: float
+    trip_order: str
     error_hold: float
     seed: int
     values: Mapping[str, Any]
@@ -280,6 +287,7 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
         queue_size=values['queue.size'],
         robot_base_frame=values['robot_base_frame'],
         transform_max_age=values['transform.max_age'],
+        trip_order=_choice(values, 'trip.order'),
         error_hold=values['diagnostics.error_hold'],
         seed=values['seed'],
         values=MappingProxyType(dict(values)),
@@ -287,15 +295,21 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
 
 
 def _occupancy(values: Mapping[str, Any]) -> OccupancyOptions:
-    preset = values['map.preset']
-    if preset not in PRESETS:
-        raise InvalidOption(f'map.preset must be one of {", ".join(PRESETS)}, got {preset!r}')
+    preset = _choice(values, 'map.preset')
     options = _options(OccupancyOptions, 'map', values)
     if preset == 'alpha':
         return options
     return replace(
         options, obstacle_threshold=min(options.obstacle_threshold, _COSTMAP_OBSTACLE)
     )
+
+
+def _choice(values: Mapping[str, Any], name: str) -> str:
+    choices, value = PARAMETERS[name].choices, values[name]
+    if value not in choices:
+        raise InvalidOption(f'{name} must be one of {", ".join(choices)}, got {value!r}')
+    chosen: str = value
+    return chosen
 
 
 def _drive(values: Mapping[str, Any]) -> DriveOptions:

@@ -173,13 +173,21 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
         return False
     if held.moved and _goal(held.trip) != _goal(trip):
         return False
+    if _by_way_of(held.trip, held.parameters) != _by_way_of(trip, parameters):
+        return False
     apart = _apart(held.trip, trip)
     if apart > _tolerance(parameters, held.plan.spacing):
         return False
     standing = held.ground.standing(trip.map)
     if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
         return False
-    return apart == 0.0 or _connected(held, trip)
+    return apart == 0.0 or (not _is_round_trip(held) and _connected(held, trip))
+
+
+def _is_round_trip(held: HeldPlan) -> bool:
+    """Whether start and goal are one place of the network, which cannot be moved to two."""
+    network = held.plan.network
+    return bool(network.places[network.source] == network.places[network.target])
 
 
 def route_entropy_source(seed: int, departure: int) -> list[int]:
@@ -213,6 +221,7 @@ def _asks(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
         held.trip.start_xy == trip.start_xy
         and _goal(held.trip) == _goal(trip)
         and _options(held.parameters) == _options(parameters)
+        and _by_way_of(held.trip, held.parameters) == _by_way_of(trip, parameters)
     )
 
 
@@ -227,12 +236,18 @@ def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
         and _options(used) == _options(parameters)
         and len(set(limits)) == 1  # whoever allows another time waits for another solve
         and other.goal_tolerance == trip.goal_tolerance
+        and _by_way_of(other, used) == _by_way_of(trip, parameters)
         and _apart(other, trip) <= _tolerance(parameters, spacing)
     )
 
 
 def _goal(trip: Trip) -> tuple[_Position, float]:
     return trip.goal_xy, trip.goal_tolerance
+
+
+def _by_way_of(trip: Trip, parameters: NodeParameters) -> tuple[tuple[_Position, ...], str]:
+    """The stops, which are met exactly, and how their order is chosen, where there is a choice."""
+    return trip.stops_xy, parameters.trip_order if len(trip.stops_xy) > 1 else ''
 
 
 def _connected(held: HeldPlan, trip: Trip) -> bool:
@@ -263,7 +278,7 @@ def _options(parameters: NodeParameters) -> tuple[object, ...]:
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
-    return *where, *_options(parameters), *limit
+    return *where, *_by_way_of(trip, parameters), *_options(parameters), *limit
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
@@ -280,5 +295,7 @@ def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> 
         trip.goal_xy,
         trip.goal_tolerance,
         parameters.planning,
-        warm,
+        stops_xy=trip.stops_xy,
+        order=parameters.trip_order,
+        warm=warm,
     )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -31,8 +31,8 @@ _SELDOM = 10.0  # s
 class Subscriptions:
     """The subscriptions of ``node``.
 
-    ``pose_accepted`` is called after each start and goal, ``map_accepted`` after each map and each
-    change of one. ``start_topic`` and ``goal_topic`` are full names.
+    ``pose_accepted`` is called after each start, goal and array of stops, ``map_accepted`` after
+    each map and each change of one. ``start_topic`` and ``goal_topic`` are full names.
     """
 
     def __init__(
@@ -64,6 +64,10 @@ class Subscriptions:
             inputs.set_goal(got)
             pose_accepted()
 
+        def set_via(got: Received) -> None:
+            inputs.set_via(got)
+            pose_accepted()
+
         self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, accept_map)
         if OccupancyGridUpdate is not None:
             self._subscribe(
@@ -71,6 +75,7 @@ class Subscriptions:
             )
         self.start_topic = self._subscribe(PoseStamped, 'start_pose', LATEST, set_start)
         self.goal_topic = self._subscribe(PoseStamped, 'goal_pose', LATEST, set_goal)
+        self._subscribe(PoseArray, 'via_poses', LATEST, set_via)
         self._subscribe(
             PoseWithCovarianceStamped, 'initialpose', LATEST,
             lambda got: set_start(_without_covariance(got)),

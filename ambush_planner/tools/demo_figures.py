@@ -99,10 +99,10 @@ def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
 
 def _draw_ends(axes: Axes, strategy: Strategy, secured_radius: float) -> None:
     network = strategy.network
-    ends = network.points[[network.source, network.target]]
+    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
     if secured_radius > 0.0:
-        draw_secured(axes, ends, secured_radius)
-    draw_ends(axes, *ends)
+        draw_secured(axes, [start, *stops, goal], secured_radius)
+    draw_ends(axes, start, goal, stops)
 
 
 def _legend(figure: Figure, handles: list[Line2D | Patch]) -> None:

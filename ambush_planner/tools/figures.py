@@ -120,9 +120,13 @@ def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) 
     )
 
 
-def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike) -> None:
-    """Mark the start with a square and the goal with a star, each with its name."""
-    for place, marker, size, name in ((start, 's', 90, 'start'), (goal, '*', 260, 'goal')):
+def draw_ends(
+    axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike, stops: npt.ArrayLike = ()
+) -> None:
+    """Mark the start with a square, the goal with a star, stops with diamonds, by their names."""
+    marks = [(start, 's', 90, 'start'), (goal, '*', 260, 'goal')]
+    marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]
+    for place, marker, size, name in marks:
         x, y = np.asarray(place, dtype=np.float64)
         axes.scatter(x, y, s=size, marker=marker, color='#ffd92f', edgecolors='black', zorder=7)
         axes.annotate(

@@ -94,7 +94,7 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument(
         '--inputs-only', action='store_true',
-        help='publish only map, start and goal, so that a running planner can be fed',
+        help='publish only map, start, stops and goal, so that a running planner can be fed',
     )
     return made
 

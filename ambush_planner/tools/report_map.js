@@ -218,7 +218,7 @@ class View {
     }
     if (this.layers.routes.checked) this.#drawRoutes();
     if (this.layers.sites.checked) this.#drawSites();
-    data.ends.forEach(([x, y], k) => this.#drawEnd(x, y, ['start', 'goal'][k]));
+    data.ends.forEach(([x, y], k) => this.#drawEnd(x, y, ['start', 'goal'][k] || `stop ${k - 1}`));
     this.#drawScale();
   }
 
@@ -248,7 +248,7 @@ class View {
   }
 
   #drawEnd(x, y, name) {
-    const { pen, scale } = this, half = 6 / scale, path = disc(x, y, name === 'goal' ? half : 0);
+    const { pen, scale } = this, half = 6 / scale, path = disc(x, y, name === 'start' ? 0 : half);
     if (name === 'start') path.rect(x - half, y - half, 2 * half, 2 * half);
     pen.fillStyle = YELLOW;
     pen.fill(path);

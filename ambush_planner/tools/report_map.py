@@ -87,6 +87,7 @@ def map_data(section: Section) -> dict[str, object]:
     """
     risk_map, strategy = section.risk_map, section.strategy
     network, game = strategy.network, strategy.game
+    ends = [network.source, network.target, *network.stops]
     secured = section.departures[-1].parameters.planning.game.secured_radius
     cells, levels, cell = _cells(risk_map)
     used = np.flatnonzero(strategy.edge_probability > LEAST)
@@ -99,7 +100,7 @@ def map_data(section: Section) -> dict[str, object]:
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(corners.min(0) - corner).tolist(), *(corners.max(0) - corner).tolist()],
-        'ends': (network.points[[network.source, network.target]] - corner).tolist(),
+        'ends': (network.points[ends] - corner).tolist(),
         'reach': game.ambush_radius, 'held': max(secured, game.ambush_radius),
         'value': strategy.value,
         'cells': _packed(cells, 'u1'), 'points': _packed(network.points - corner, '<f4'),

@@ -26,7 +26,7 @@ from . import cli
 from .frontier_run import read_risk_map
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
-MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites')
+MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 _POSES = ('start_pose', 'goal_pose', 'initialpose')
 TOPICS: Mapping[str, str] = MappingProxyType({
     name: f'/{name}' for name in ('alpha_map', 'path', *MARKERS, *_POSES)
@@ -192,6 +192,7 @@ def _rviz_displays(scene: Scene) -> list[dict[str, Any]]:
     titles = {
         'network': 'Network', 'edge_probabilities': 'How likely each edge is driven',
         'mean_direction': 'Mean direction', 'ambush_sites': 'Where the ambusher waits',
+        'stops': 'Stops',
     }
     length = _short(_ARROW * scale)
     arrow = {

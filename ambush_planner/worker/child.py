@@ -17,7 +17,8 @@ from io import BufferedRWPair
 from pathlib import Path
 
 from ..core.errors import AmbushPlannerError, TimeLimit
-from ..core.planner import Plan, PlanRequest, plan_from_request
+from ..core.planner import Plan, PlanRequest
+from ..core.trip import plan_from_request
 from .errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5

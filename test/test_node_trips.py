@@ -1,0 +1,187 @@
+"""Trips with stops through the node: asked for over DDS, shown, recorded, verified, replayed."""
+
+import os
+import subprocess
+import sys
+from io import BytesIO
+
+import numpy as np
+import pytest
+from forging import Forger
+from geometry_msgs.msg import PoseArray
+from rclpy.parameter import Parameter
+from ros_harness import header, pose, stage, wait_until
+
+from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.recording.npz import BadAttachment, packed
+from ambush_planner.recording.strategy_file import strategy_file, strategy_from_file
+from ambush_planner.review.case import Case
+from ambush_planner.ros.conversions import path_from_ros
+from ambush_planner.ros.inputs import MOST_STOPS
+from ambush_planner.tools import replay, verify
+
+STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
+
+
+def via(stops=STOPS, frame='map'):
+    return PoseArray(header=header(frame), poses=[pose(*stop).pose for stop in stops])
+
+
+def depart(client, stops):
+    """Depart by these stops: the array may still be on its way when the service is called."""
+    client.publish('via_poses', via(stops))
+    client.call_until(
+        'new_route', lambda answer: answer.success and stops_shown(client) == len(stops)
+    )
+
+    def wanted():
+        path = path_from_ros(client.last('path'))
+        met = [bool(len(meets(path, stop))) for stop in stops or STOPS]
+        return [path] if (all(met) if stops else not any(met)) else []
+
+    return wait_until(wanted, 'a path by the stops')[0]
+
+
+def stops_shown(client):
+    (marker,) = client.last('stops').markers
+    return len(marker.points)
+
+
+def meets(path, stop):
+    """At which poses the path is exactly at a stop."""
+    return np.flatnonzero((path[:, :2] == stop).all(axis=1))
+
+
+@pytest.fixture(scope='module')
+def runs(tmp_path_factory):
+    """Departures by three stops, by the best order of them, by none, and by get_plan."""
+    folder = tmp_path_factory.mktemp('trips')
+    with stage(folder, {'network.spacing': 0.8}) as running:
+        client = running.give()
+        assert client.call('new_route').success
+        given = depart(client, STOPS)
+        running.planner.set_parameters([Parameter('trip.order', value='best')])
+        assert client.call('new_route').success
+        client.diagnostics(order='best', stops='3')
+        asked = path_from_ros(client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)))
+        again = depart(client, ())
+    files = recordings_in(folder)
+    return files, given, asked, again
+
+
+def trips(files):
+    return [read_departure(path).metadata.trip for path in files]
+
+
+def test_the_path_meets_each_stop_in_the_order_of_the_message(runs):
+    _, given, _, _ = runs
+    places = [meets(given, stop) for stop in STOPS]
+    assert all(len(each) == 1 for each in places)
+    assert sorted(np.concatenate(places)) == list(np.concatenate(places))
+    assert given[0, :2].tolist() == [1.5, 5.5] and given[-1, :2].tolist() == [8.5, 5.5]
+
+
+def test_get_plan_and_an_empty_array_go_by_no_stop(runs):
+    files, _, asked, again = runs
+    assert not any(len(meets(path, stop)) for path in (asked, again) for stop in STOPS)
+    by = [trip.stops for trip in trips(files)]
+    assert by[0] == by[-1] == () and any(len(stops) == 3 for stops in by)
+
+
+def test_the_best_order_has_no_more_risk(runs):
+    strategies = {
+        read_departure(path).metadata.trip.stops: Case(read_departure(path)).strategy()
+        for path in runs[0]
+    }
+    given, best = strategies[STOPS], [s for stops, s in strategies.items() if len(stops) == 3][-1]
+    assert best.value <= given.value * 1.01 + 1e-9
+    assert best.network.legs == given.network.legs == 4
+
+
+def test_recordings_of_trips_hold(runs, capsys):
+    code = verify.main([str(runs[0][0].parent)])
+    out, err = capsys.readouterr()
+    assert code == 0, out + err
+
+
+def by_stops(files, count=3):
+    return next(path for path, trip in zip(files, trips(files), strict=True)
+                if len(trip.stops) == count)
+
+
+def said(forger, tmp_path, capsys):
+    forger.correct()
+    code = verify.main([str(forger.save(tmp_path / 'forged.mcap'))])
+    assert code != 0
+    return ' '.join(capsys.readouterr().out.split())
+
+
+def test_a_stop_that_was_moved_is_found(runs, tmp_path, capsys):
+    forger = Forger(by_stops(runs[0]))
+    forger.edit(forger.place('via'), lambda message: message.poses.pop())
+    assert 'its stops are not those of the recorded poses' in said(forger, tmp_path, capsys)
+
+
+def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
+    """Taken for one leg, the layers' sites are not one: the value would come out too low."""
+    forger = Forger(by_stops(runs[0]))
+    assert int(forger.arrays()['legs']) == 4
+    forger.set_arrays(legs=np.array(1))
+    assert 'FAILS' in said(forger, tmp_path, capsys)
+
+
+def test_a_strategy_file_keeps_the_legs(runs):
+    case = Case(read_departure(by_stops(runs[0])))
+    strategy = case.strategy()
+    again = strategy_from_file(strategy_file(strategy), case.parameters.planning.game)
+    assert again.network.legs == strategy.network.legs
+    assert np.array_equal(again.network.stops, strategy.network.stops)
+    assert again.value == strategy.value
+
+
+def test_a_replayed_trip_is_planned_again(runs):
+    with stage(parameters={'network.spacing': 0.8}) as running:
+        domain = running.client.node.context.get_domain_id()
+        path = by_stops(runs[0])
+        assert replay_in(domain, path) == 0
+        running.client.diagnostics(state='ready')
+        assert running.client.call('new_route').success
+        wait_until(lambda: stops_shown(running.client) == 3, 'the stops')
+
+
+def replay_in(domain, path):
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    return subprocess.run(
+        [sys.executable, '-m', replay.__name__, str(path), '--inputs-only'],
+        env=environment, timeout=60, check=False,
+    ).returncode
+
+
+@pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [
+    ([(2.0, 2.0), (50.0, 2.0)], 'map', 'STOP_OUTSIDE_MAP', 'stop 2'),
+    ([(2.0, 2.0)], 'moon', 'TF_ERROR', 'stop 1'),
+    ([(2.0, 2.0), (2.0, 2.0)], 'map', 'INVALID_NETWORK', 'stop 1 and stop 2'),
+    ([(2.0, float('nan'))], 'map', 'INVALID_POSE', 'stop 1'),
+    ([(2.0, 2.0)] * (MOST_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
+])
+def test_bad_stops_are_told_and_nothing_else_is_lost(trouble, stops, frame, code, words):
+    trouble.publish('via_poses', via(stops, frame))
+    answer = trouble.call_until('new_route', lambda answer: words in answer.message)
+    assert not answer.success
+    trouble.diagnostics(code=code)
+    depart(trouble, ())
+
+
+@pytest.fixture(scope='module')
+def trouble():
+    with stage() as running:
+        yield running.give()
+
+
+def test_a_strategy_file_with_wrong_legs_is_refused(runs):
+    case = Case(read_departure(by_stops(runs[0])))
+    data = dict(np.load(BytesIO(strategy_file(case.strategy()))))
+    for legs in (0, 3, 5, -4):
+        with pytest.raises(BadAttachment):
+            strategy_from_file(
+                packed({**data, 'legs': np.int64(legs)}), case.parameters.planning.game)

@@ -1,0 +1,341 @@
+"""Trips by way of stops: laws, trips solved by hand, a program over all legs, all orders."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.sparse import coo_matrix, hstack, vstack
+from scipy.spatial import Delaunay
+
+from ambush_planner import (
+    GameOptions,
+    InvalidNetwork,
+    InvalidOption,
+    Network,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    StopBlocked,
+    StrategyOptions,
+    build_network,
+    plan_trip,
+    solve,
+)
+from ambush_planner.core.construction import Roads
+from ambush_planner.core.corridors import make_corridors
+from ambush_planner.core.planner import depart, departure_path
+from ambush_planner.core.trip import trip_network
+
+# The tolerance of a certificate, and as much again.
+NEAR = 2e-5
+FREE = StrategyOptions(max_detour=math.inf, risk_slack=0.0)
+START, GOAL = (15.0, 15.0), (285.0, 150.0)
+STOPS = ((45.0, 250.0), (240.0, 255.0), (255.0, 45.0))
+
+
+def roads_of(seed, stops, count=14):
+    """Random places, joined as Delaunay does; start, stops and goal are the last ones."""
+    rng = np.random.default_rng(seed)
+    points = rng.random((count + stops + 2, 2)) * 10.0
+    alpha = rng.uniform(0.5, 4.0, len(points))
+    alpha[count:] = 0.0
+    triangles = Delaunay(points).simplices
+    pairs = np.unique(np.sort(
+        np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
+    return Roads(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+
+
+def least_value(roads, radius=0.0, detour=math.inf):
+    """The trip's value by a program with a flow of its own for each leg, by HiGHS."""
+    points, count, legs = roads.points, len(roads.points), len(roads.visits) - 1
+    edges = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
+    tail, head = edges.T
+    used = len(edges)
+    # Row i: what leaves node i less what enters it.
+    balance = coo_matrix(
+        (np.repeat((1.0, -1.0), used), (np.concatenate((tail, head)), np.tile(np.arange(used), 2))),
+        shape=(count, used))
+    sites = [j for j in range(count) if roads.alpha[j] > 0.0 and all(
+        radius == 0.0 or math.dist(points[j], points[end]) > radius for end in roads.visits)]
+    hits = np.array([[_hit(points[j], points[a], points[b], radius) for a, b in edges]
+                     if radius else head == j for j in sites], dtype=float)
+    hits *= roads.alpha[sites][:, None]
+    conserved, wanted = [], []
+    for leg, (source, target) in enumerate(itertools.pairwise(roads.visits)):
+        # A route of the leg neither comes back to its source nor goes on behind its target.
+        allowed = (head != source) & (tail != target)
+        blocks = [coo_matrix((count, used))] * legs
+        blocks[leg] = balance.multiply(allowed[None, :])
+        conserved.append(hstack([*blocks, coo_matrix((count, 1))]))
+        wanted.append((np.arange(count) == source) * 1.0 - (np.arange(count) == target))
+        unused = [coo_matrix((1, used))] * legs
+        unused[leg] = coo_matrix(~allowed[None, :] * 1.0)
+        conserved.append(hstack([*unused, coo_matrix((1, 1))]))
+        wanted.append([0.0])
+    rows = [np.hstack([*[hits] * legs, -np.ones((len(sites), 1))])]
+    limits = [np.zeros(len(sites))]
+    lengths = np.hypot(*(points[head] - points[tail]).T)
+    if math.isfinite(detour):
+        shortest = linprog(
+            np.append(np.tile(lengths, legs), 0.0), A_eq=vstack(conserved),
+            b_eq=np.concatenate(wanted), method='highs').fun
+        rows.append(np.append(np.tile(lengths, legs), 0.0)[None])
+        limits.append([detour * shortest])
+    cost = np.append(np.zeros(used * legs), 1.0)
+    return linprog(cost, A_ub=np.vstack(rows), b_ub=np.concatenate(limits),
+                   A_eq=vstack(conserved), b_eq=np.concatenate(wanted), method='highs').fun
+
+
+def _hit(site, a, b, radius):
+    """Whether the way from a to b enters the disc round the site from outside."""
+    step = b - a
+    t = np.clip((site - a) @ step / (step @ step), 0.0, 1.0)
+    return math.dist(site, a) > radius >= math.dist(site, a + t * step)
+
+
+def check_laws(strategy, visits):
+    """Conservation, stops in their order, one value over all legs."""
+    network, p = strategy.network, strategy.edge_probability
+    count, legs = network.place_count, network.legs
+    balance = np.bincount(network.tails, p, len(network.points))
+    balance -= np.bincount(network.heads, p, len(network.points))
+    balance[[network.source, network.target]] -= (1.0, -1.0)
+    assert np.abs(balance).max() < 1e-9
+    assert np.allclose(strategy.visit_probability[network.stops], 1.0)
+    rng = np.random.default_rng(0)
+    for route in strategy.sample_routes(20, rng):
+        layer, place = np.divmod(route, count)
+        begins = np.flatnonzero(np.diff(layer)) + 1
+        assert [place[0], *place[begins], place[-1]] == list(visits)
+        assert layer[begins].tolist() == list(range(1, legs))
+        assert len(set(route.tolist())) == len(route)
+    if strategy.game.ambush_radius == 0.0:
+        entered = np.bincount(network.places[network.heads], p, count)
+        losses = strategy.game.loss[:count] * entered
+        assert strategy.value == pytest.approx(float(losses.max()))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10**6), stops=st.integers(1, 3), radius=st.sampled_from([0.0, 0.7]),
+    detour=st.sampled_from([1.1, 1.5, math.inf]),
+)
+def test_the_value_is_that_of_a_program_over_all_legs(seed, stops, radius, detour):
+    roads = roads_of(seed, stops)
+    network = roads.network(roads.visits)
+    strategy = solve(network, GameOptions(ambush_radius=radius),
+                     StrategyOptions(max_detour=detour, risk_slack=0.001))
+    check_laws(strategy, roads.visits)
+    least = least_value(roads, radius, detour)
+    assert strategy.lower_bound <= least * (1.0 + 1e-6) + 1e-9
+    assert least <= strategy.value * (1.0 + 1e-6) + 1e-9
+    assert strategy.value <= least * (1.0 + 0.0011) + 1e-9
+
+
+def there_and_back(first, second):
+    """A stop that is reached by two sites only, from the start and to the goal."""
+    points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
+    pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
+    return Roads(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+
+
+def test_a_site_that_two_legs_pass_counts_twice():
+    """Two passages share the capacity 1 + 1/3: 2 / (4/3)."""
+    roads = there_and_back(1.0, 3.0)
+    strategy = solve(roads.network(roads.visits), options=FREE)
+    assert strategy.value == pytest.approx(1.5, rel=NEAR)
+    assert strategy.ambush_probability[:2] == pytest.approx([0.75, 0.25], rel=NEAR)
+    assert strategy.ambush_probability.sum() == pytest.approx(1.0)
+    # A leg alone: 1 / (4/3).
+    assert solve(roads.network((2, 3)), options=FREE).value == pytest.approx(0.75, rel=NEAR)
+
+
+def test_legs_past_different_sites_cost_as_much_as_the_worst():
+    points = np.array([(0, 0), (1, 0), (2, 0), (3, 0), (4, 0)], float)
+    pairs = np.array([(0, 1), (1, 2), (2, 3), (3, 4)])
+    roads = Roads(points, np.array([0, 2, 0, 5, 0], float), pairs, (0, 2, 4))
+    strategy = solve(roads.network(roads.visits), options=FREE)
+    assert strategy.value == pytest.approx(5.0, rel=NEAR)
+    assert strategy.ambush_probability[3] == pytest.approx(1.0)
+
+
+def test_several_ambushers_hold_different_places():
+    roads = there_and_back(1.0, 1.0)
+    strategy = solve(roads.network(roads.visits), GameOptions(ambushers=2), FREE)
+    assert strategy.value == pytest.approx(2.0, rel=NEAR)
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    ({'legs': 0}, 'legs must be'), ({'legs': 4}, 'copies'), ({'legs': True + 1.5}, 'legs must be'),
+    ({'alpha': [0, 0, 0, 0, 1, 0]}, 'same points and losses'),
+    ({'edges': [(0, 1), (1, 2), (2, 5), (3, 4), (1, 4), (4, 5)]}, 'end at one stop'),
+    ({'edges': [(0, 1), (4, 5)]}, 'end at one stop'),
+    ({'edges': [(4, 1), (1, 5)]}, 'end at one stop'),
+    ({'target': 1}, 'end at one stop'),
+])
+def test_layers_that_are_none(change, words):
+    good = {'points': [(0, 0), (1, 0), (2, 0)] * 2, 'alpha': [0] * 6,
+            'edges': [(0, 4), (4, 5)], 'source': 0, 'target': 5, 'legs': 2}
+    assert Network(**good).stops.tolist() == [4]
+    with pytest.raises(InvalidNetwork, match=words):
+        Network(**{**good, **change})
+
+
+@pytest.fixture(scope='module')
+def risk_map():
+    rng = np.random.default_rng(5)
+    alpha = 1.0 + 6.0 * np.kron(rng.random((6, 6)), np.ones((5, 5)))
+    obstacles = np.zeros((30, 30), bool)
+    obstacles[12:18, 9:20] = True
+    return RiskMap(alpha, obstacles, 10.0, (0.0, 0.0, 0.0))
+
+
+def options(risk_map=None, **strategy):
+    return PlanningOptions(
+        NetworkOptions(spacing=22.0), GameOptions(secured_radius=20.0),
+        StrategyOptions(**{'risk_slack': 0.01, **strategy}),
+    )
+
+
+@pytest.mark.parametrize('radius', [0.0, 15.0])
+def test_the_best_order_is_the_best_of_all(risk_map, radius):
+    asked = options()
+    asked = PlanningOptions(
+        asked.network, GameOptions(ambush_radius=radius, secured_radius=20.0), asked.strategy)
+    best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
+    assert best.order_found == 'best'
+    assert best.stops_xy == tuple(STOPS[k] for k in best.order)
+    orders = list(itertools.permutations(range(3)))
+    networks = {
+        order: build_network(risk_map, START, GOAL, asked.network, [STOPS[k] for k in order])
+        for order in orders
+    }
+    lengths = {order: solve(network, options=FREE).shortest_length
+               for order, network in networks.items()}
+    budget = asked.strategy.max_detour * min(lengths.values())
+    values = {
+        order: plan_trip(
+            risk_map, START, GOAL,
+            PlanningOptions(asked.network, asked.game,
+                            StrategyOptions(max_detour=max(1.0, budget / lengths[order]))),
+            stops=[STOPS[k] for k in order],
+        ).strategy.value
+        for order in orders if lengths[order] <= budget
+    }
+    assert best.order in values
+    assert best.strategy.value <= min(values.values()) * 1.0101
+    assert best.strategy.length_budget == pytest.approx(budget)
+
+
+def test_the_best_order_does_not_depend_on_the_given_one(risk_map):
+    plans = [plan_trip(risk_map, START, GOAL, options(), stops=stops, order='best')
+             for stops in (STOPS, STOPS[::-1])]
+    assert plans[0].stops_xy == plans[1].stops_xy
+    assert np.array_equal(*(each.strategy.edge_probability for each in plans))
+    for each, order in ((plans[0], 'best'), (plan_trip(
+            risk_map, START, GOAL, options(), stops=STOPS), 'given')):
+        again = trip_network(
+            risk_map, START, GOAL, options().network, each.stops_xy, order)
+        assert np.array_equal(again.points, each.network.points)
+        assert np.array_equal(again.edges, each.network.edges)
+
+
+def test_many_stops_come_in_a_short_order(risk_map):
+    rng = np.random.default_rng(3)
+    stops = [(x, y) for x, y in 20.0 + 260.0 * rng.random((14, 2))
+             if not (85.0 < x < 205.0 and 115.0 < y < 185.0)][:8]
+    best = plan_trip(risk_map, START, GOAL, options(), stops=stops, order='best')
+    given = plan_trip(risk_map, START, GOAL, options(), stops=stops)
+    assert best.order_found == 'heuristic' and sorted(best.order) == list(range(8))
+    assert (given.order_found, given.order) == ('given', tuple(range(8)))
+    assert best.strategy.shortest_length < given.strategy.shortest_length
+
+
+@pytest.mark.parametrize('turning_radius', [0.0, 12.0])
+def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(risk_map, turning_radius):
+    plan = plan_trip(risk_map, START, GOAL, options(), stops=STOPS)
+    for seed in range(5):
+        route = depart(plan, np.random.default_rng(seed))
+        path = departure_path(plan, route, 5.0)
+        at = [np.flatnonzero((path[:, :2] == stop).all(axis=1)).tolist() for stop in STOPS]
+        assert all(len(each) == 1 for each in at) and at == sorted(at)
+        assert path[0, :2].tolist() == list(START) and path[-1, :2].tolist() == list(GOAL)
+        steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+        assert steps.max() <= 5.0 + 1e-9 and steps.min() > 0.0
+        moved = (START[0] + 3.0, START[1]), (GOAL[0], GOAL[1] - 3.0)
+        beside = departure_path(plan, route, 5.0, moved)
+        assert (tuple(beside[0, :2]), tuple(beside[-1, :2])) == moved
+
+
+def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):
+    trip = plan_trip(risk_map, START, GOAL, options(), stops=STOPS[:1])
+    network, count = trip.network, trip.network.place_count
+    inner = network.heads // count == network.tails // count
+    first = np.flatnonzero(inner & (network.heads < count))
+    leg = Network(network.points[:count], network.alpha[:count], network.edges[first],
+                  network.source, int(network.stops[0]) - count)
+    alone = make_corridors(leg, risk_map)
+    theirs = {tuple(link): k for k, link in enumerate(trip.corridors.links.tolist())}
+    at = [theirs[tuple(link)] for link in alone.links.tolist() if tuple(link) in theirs]
+    ours = [k for k, link in enumerate(alone.links.tolist()) if tuple(link) in theirs]
+    assert len(ours) >= len(leg.edges)
+    for name in ('left', 'right', 'beyond'):
+        assert np.array_equal(getattr(trip.corridors, name)[at], getattr(alone, name)[ours])
+
+
+def test_a_round_trip(risk_map):
+    plan = plan_trip(risk_map, START, START, options(), stops=STOPS[:2])
+    assert plan.goal_xy == START and plan.stops_xy == STOPS[:2]
+    check_laws(plan.strategy, [
+        *(np.array([plan.network.source, *plan.network.stops, plan.network.target])
+          % plan.network.place_count)])
+
+
+def test_without_stops_it_is_the_plain_plan(risk_map):
+    plain = solve(build_network(risk_map, START, GOAL, options().network), options().game)
+    for order in ('given', 'best'):
+        plan = plan_trip(risk_map, START, GOAL, options(), order=order)
+        assert plan.order == () and plan.network.legs == 1
+        assert np.array_equal(plan.strategy.edge_probability, plain.edge_probability)
+
+
+@pytest.mark.parametrize('method', [
+    'uniform_grid8', 'random_delaunay', 'lattice_delaunay', 'gradient_delaunay'])
+def test_stops_are_nodes_of_every_network(risk_map, method):
+    """Two of them in one cell of the lattice, and one at the start's place."""
+    stops = [(50.0, 250.0), (52.0, 251.0), START, (54.0, 252.0)]
+    network = build_network(
+        risk_map, START, GOAL, NetworkOptions(method=method, spacing=25.0), stops)
+    assert network.points[network.stops].tolist() == [list(stop) for stop in stops]
+    assert (network.alpha[network.ends] == 0.0).all()
+    assert solve(network, GameOptions(secured_radius=20.0)).value > 0.0
+
+
+def test_a_stop_behind_a_door_that_the_lattice_misses():
+    """Nodes are laid in the passages to all ends, not only to the goal."""
+    obstacles = np.zeros((40, 40), bool)
+    obstacles[:, 13] = obstacles[:, 26] = True
+    obstacles[7, 13] = obstacles[31, 26] = False
+    risk_map = RiskMap(np.ones((40, 40)), obstacles, 1.0, (0.0, 0.0, 0.0))
+    network = build_network(
+        risk_map, (20.0, 20.0), (22.0, 5.0), NetworkOptions(spacing=6.0),
+        [(5.0, 30.0), (35.0, 5.0)])
+    assert network.legs == 3
+
+
+@pytest.mark.parametrize(('stops', 'order', 'error', 'words'), [
+    (STOPS, 'quick', InvalidOption, "order must be one of given, best, got 'quick'"),
+    ([(150.0, 150.0)], 'given', StopBlocked, 'stop 1 .* lies in an obstacle'),
+    ([STOPS[0], (500.0, 1.0)], 'given', StopBlocked, 'stop 2 .* is outside the map'),
+    ([STOPS[0], (math.nan, 1.0)], 'given', StopBlocked, 'stop 2 must be finite'),
+    ([(1.0, 2.0, 3.0)], 'best', StopBlocked, 'stop 1 must be a position'),
+    ([STOPS[0], STOPS[0]], 'given', InvalidNetwork, 'stop 1 and stop 2 are the same position'),
+    ([START, STOPS[0]], 'given', InvalidNetwork, 'start and stop 1 are the same position'),
+])
+def test_bad_stops(risk_map, stops, order, error, words):
+    with pytest.raises(error, match=words):
+        plan_trip(risk_map, START, GOAL, options(), stops=stops, order=order)
