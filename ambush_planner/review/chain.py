@@ -4,28 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.errors import shown
 from ..recording.bag_folder import FILE_NAME, bag_of, listed_files, read_bag
-from ..recording.metadata import Link
 from .departures import source_findings
 from .verify import Verdict
-
-
-@dataclass(frozen=True)
-class Linked:
-    """A file that is there, with its own SHA-256 and, if it could be read, its place."""
-
-    path: Path
-    sha256: str
-    link: Link | None
-
-    @property
-    def name(self) -> str:
-        """As the chain names files, whatever their folder is called now."""
-        return self.path.name
 
 
 def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str], list[str]]:
@@ -38,11 +22,7 @@ def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str]
     expected
         The SHA-256 of a recording that was noted elsewhere, or ''.
     """
-    files = [
-        Linked(each.path, each.sha256, each.metadata.link if each.metadata else None)
-        for each in verdicts
-    ]
-    faults, notes = chain_faults(files)
+    faults, notes = chain_faults(verdicts)
     faults += folder_faults(verdicts)
     faults += [
         f'random source: {each}' for each in source_findings(
@@ -58,8 +38,8 @@ def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str]
     return faults, notes
 
 
-def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:
-    """Follow the chain through files in their order.
+def chain_faults(verdicts: Sequence[Verdict]) -> tuple[list[str], list[str]]:
+    """Follow the chain through files in their order, named as they are in it.
 
     Returns
     -------
@@ -67,50 +47,46 @@ def chain_faults(files: Sequence[Linked]) -> tuple[list[str], list[str]]:
         What is wrong: files that are missing, exchanged, moved or inserted. And what is no fault:
         where the chain comes from.
     """
-    by_hash = {each.sha256: each for each in files}
-    by_name = {each.name: each for each in files}
+    by_hash = {each.sha256: each for each in verdicts if each.sha256}
+    names = [each.path.name for each in verdicts]
     faults, notes = [], []
     followed: dict[str, list[str]] = {}
-    for number, each in enumerate(files):
-        if each.link is None:
+    for number, (name, each) in enumerate(zip(names, verdicts, strict=True)):
+        if each.metadata is None:
             continue
-        if each.link.file != each.name:
-            faults.append(
-                f'{_shown(each.name)} is moved: it was recorded as {_shown(each.link.file)}'
-            )
-        if not each.link.follows:
-            earlier = {_session(other.name) for other in files[:number]}
-            if _session(each.name) in earlier:
-                faults.append(f'{_shown(each.name)} is inserted: it follows nothing')
+        link = each.metadata.link
+        if link.file != name:
+            faults.append(f'{_shown(name)} is moved: it was recorded as {_shown(link.file)}')
+        if not link.follows:
+            earlier = set(map(_session, names[:number]))
+            if _session(name) in earlier:
+                faults.append(f'{_shown(name)} is inserted: it follows nothing')
             elif earlier:
-                notes.append(f'{_shown(each.name)} begins a chain of its own')
+                notes.append(f'{_shown(name)} begins a chain of its own')
             continue
-        followed.setdefault(each.link.sha256, []).append(each.name)
-        if before := by_hash.get(each.link.sha256):
-            if before.link and before.link.file != each.link.follows:
-                faults.append(f'{_shown(each.name)} states another name of the file before it')
+        followed.setdefault(link.sha256, []).append(name)
+        if before := by_hash.get(link.sha256):
+            if before.metadata and before.metadata.link.file != link.follows:
+                faults.append(f'{_shown(name)} states another name of the file before it')
             continue
-        what, is_fault = _unfollowed(each, by_name, number)
+        what, is_fault = _unfollowed(name, link.follows, names, number)
         (faults if is_fault else notes).append(what)
-    for names in followed.values():
+    for together_after in followed.values():
         # Two sessions may begin after the same file; in one session nothing has two successors.
-        sessions = list(map(_session, names))
+        sessions = list(map(_session, together_after))
         if len(set(sessions)) < len(sessions):
-            faults.append(
-                f'{_shown(" and ".join(names))} follow the same file: one of them is inserted'
-            )
+            said = _shown(' and '.join(together_after))
+            faults.append(f'{said} follow the same file: one of them is inserted')
     return faults, notes
 
 
-def _unfollowed(each: Linked, by_name: dict[str, Linked], number: int) -> tuple[str, bool]:
+def _unfollowed(name: str, before: str, names: Sequence[str], number: int) -> tuple[str, bool]:
     """What it means that the file before one is not there, and whether that is a fault."""
-    before = each.link.follows
-    if before in by_name:
-        return f'{_shown(before)} is exchanged: {_shown(each.name)} followed another one', True
-    same_session = _session(before) == _session(each.name)
-    if number == 0 and not same_session:
-        return f'the first, {_shown(each.name)}, follows {_shown(before)}, which is not here', False
-    return f'{_shown(before)} is missing: {_shown(each.name)} followed it', True
+    if before in names:
+        return f'{_shown(before)} is exchanged: {_shown(name)} followed another one', True
+    if number == 0 and _session(before) != _session(name):
+        return f'the first, {_shown(name)}, follows {_shown(before)}, which is not here', False
+    return f'{_shown(before)} is missing: {_shown(name)} followed it', True
 
 
 def folder_faults(verdicts: Sequence[Verdict]) -> list[str]:
