@@ -31,7 +31,7 @@ NAMES = """
     strategy.max_gap replan.tolerance queue.size autostart robot_base_frame transform.max_age
     max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
     recording.enabled recording.directory recording.compression recording.service_events
-    path.publish seed autostart
+    path.publish seed
 """.split()
 
 
