@@ -120,12 +120,12 @@ def test_what_was_planned_is_kept_while_it_is_inactive():
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
-        held = running.planner._dispatcher._shown
+        held = running.planner._dispatcher._in_force.held
         manager.go(deactivate='inactive')
         assert 'inactive' in client.call('new_route').message
         manager.go(activate='active')
         assert client.call('new_route').success
-        assert running.planner._dispatcher._shown is held
+        assert running.planner._dispatcher._in_force.held is held
         client.last('path', 2)
         client.diagnostics(departures='2')
 
@@ -154,7 +154,7 @@ def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
         wait_until(lambda: running.planner._inputs.map_in_force().values[4, 5] == 100, 'the map')
         assert not running.planner._dispatcher.solving
         manager.go(activate='active')
-        wait_until(lambda: running.planner._dispatcher._shown.trip.map
+        wait_until(lambda: running.planner._dispatcher._in_force.held.trip.map
                    is running.planner._inputs.map_in_force(), 'a new plan')
 
 

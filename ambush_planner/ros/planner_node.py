@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
@@ -106,7 +106,8 @@ class PlannerNode(LifecycleNode):
             self, self._guard, lambda: _there(self._dispatcher), lambda: _there(self._inputs),
             self._robot,
         )
-        self._closing.callback(ComputePath(self, self._guard, requests).close)
+        self._goals = ComputePath(self, self._guard, requests)
+        self._closing.callback(self._goals.close)
 
     def _start(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -170,10 +171,12 @@ class PlannerNode(LifecycleNode):
     def _forget(self) -> None:
         self._dispatcher, self._inputs, self._listening = None, None, None
 
-    def stop_solving(self) -> None:
-        """End all solves, now and to come; requests that wait for one are answered."""
+    def stop_solving(self, executor: Executor | None = None) -> None:
+        """End all solves, now and to come; who waits for one is answered, goals by ``executor``."""
         if self._dispatcher is not None:
             self._dispatcher.stop_solving()
+        if executor is not None:
+            self._goals.answer_last(executor)
 
     def destroy_node(self) -> None:
         """Answer all who wait, write the last recordings, and end all that belongs to the node."""
@@ -299,7 +302,7 @@ def main(args: list[str] | None = None) -> int:
     finally:
         # Those who wait are answered, and the last recordings written, as the node is destroyed.
         if node is not None:
-            node.stop_solving()
+            node.stop_solving(executor)
         if executor is not None:
             executor.shutdown()
         if node is not None:
