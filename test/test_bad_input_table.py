@@ -241,7 +241,7 @@ ROWS = {
         (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
     'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
-        ({'map.alpha_min': 20.0}, 'map.alpha_min'),
+        ({'map.alpha_min': 20.0, 'map.alpha_max': 10.0}, 'map.alpha_min'),
         ({'strategy.solver': 'simplex', 'strategy.max_exposure': 2.0}, 'strategy.max_exposure')),
     'a parameter out of its range or of another type': refused_parameters(
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),

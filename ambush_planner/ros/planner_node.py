@@ -27,7 +27,8 @@ from .errors import NotActive
 from .guard import Guard
 from .inputs import Inputs, RobotOptions
 from .outbox import PLANS, STATUS, Outbox
-from .parameters import NodeParameters, declare_parameters
+from .parameter_changes import declare_parameters
+from .parameters import NodeParameters
 from .reporter import Reporter
 from .requests import Requests
 from .subscriptions import Subscriptions
@@ -234,9 +235,12 @@ class PlannerNode(LifecycleNode):
             return response
 
     def _on_timer(self) -> None:
+        self._guard.attempt('diagnostics', 'request', self._report)
+
+    def _report(self) -> None:
         listening = self._listening
         self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
-        self._guard.attempt('diagnostics', 'request', self._reporter.report)
+        self._reporter.report()
 
 
 def _there(part: _Part | None) -> _Part:
