@@ -133,7 +133,7 @@ def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
 
 
 def test_a_response_is_recorded_as_it_was_sent(tmp_path):
-    with stage(tmp_path) as running:
+    with stage(tmp_path, {'recording.service_events': True}) as running:
         plan = running.give().get_plan(START, GOAL)
     (file,) = tmp_path.rglob('*.mcap')
     (sent,) = [
