@@ -63,6 +63,7 @@ class PlannerNode(LifecycleNode):
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
         self._configured, self._closing = ExitStack(), ExitStack()
+        self._closing.callback(self._leave_graph)
         self._closing.callback(super().destroy_node)
         with ExitStack() as unless_built:
             unless_built.enter_context(self._closing)
@@ -179,6 +180,10 @@ class PlannerNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Answer all who wait, write the last recordings, and end all that belongs to the node."""
         self._closing.close()
+
+    def _leave_graph(self) -> None:
+        # The state machine would keep the node in the graph until Python looks for cycles.
+        self._state_machine = None
 
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
