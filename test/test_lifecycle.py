@@ -234,7 +234,7 @@ def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path)
                 asked.append(client.send('new_route'))
                 client.publish('goal_pose', GOAL)
                 client.publish('start_pose', START)
-                time.sleep(0.005)
+                time.sleep(0.05)
 
         start(running)
         client.publish('alpha_map', risk_grid())
