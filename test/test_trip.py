@@ -279,8 +279,8 @@ def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):
     leg = Network(network.points[:count], network.alpha[:count], network.edges[first],
                   network.source, int(network.stops[0]) - count)
     alone = make_corridors(leg, risk_map)
-    assert np.array_equal(trip.corridors.left[first], alone.left)
-    assert np.array_equal(trip.corridors.disc[:count], alone.disc)
+    for name in ('uv', 'links', 'left', 'right', 'beyond'):
+        assert np.array_equal(getattr(trip.corridors, name), getattr(alone, name))
 
 
 def test_a_round_trip(risk_map):
