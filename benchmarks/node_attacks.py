@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import node_rig
 import numpy as np
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -24,10 +26,14 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+sys.path.append(str(node_rig.TESTS))
+from standin_types import grid_update, message_type  # noqa: E402
+
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.parameters import PARAMETERS
 
 Random = np.random.Generator
+GRID_UPDATE = message_type("map_msgs", "OccupancyGridUpdate")
 
 SIDE = 10.0  # of the map in force [m]
 _ODD = (float("nan"), float("inf"), -float("inf"), -0.0, 5e-324, 1e-30, 1e30, 1.8e308, -1.0)
@@ -73,13 +79,15 @@ def good_pose(x: float, y: float) -> PoseStamped:
 
 def _bytes_on_a_topic(rng: Random) -> Attack:
     kind, topic, make = _pick(rng, (
-        (OccupancyGrid, "/alpha_map", _map), (PoseStamped, "/start_pose", _pose_stamped),
+        (OccupancyGrid, "/alpha_map", _map), (GRID_UPDATE, "/alpha_map_updates", _update),
+        (PoseStamped, "/start_pose", _pose_stamped),
         (PoseStamped, "/goal_pose", _pose_stamped),
         (PoseWithCovarianceStamped, "/initialpose", _estimate),
     ))
     if rng.random() < 0.1:
         return Attack("random bytes", kind, topic, rng.bytes(int(rng.integers(0, 300))))
-    data = bytes(serialize_message(make(rng)))
+    made = make(rng)
+    data = made if isinstance(made, bytes) else bytes(serialize_message(made))
     if rng.random() < 0.25:
         return Attack("any numbers", kind, topic, data)
     names = []
@@ -157,6 +165,14 @@ def _map(rng: Random) -> OccupancyGrid:
         made.info.origin.orientation.z = _number(rng)
         made.info.width = _pick(rng, (*map(int, shape), *_LENGTHS))
     return made
+
+
+def _update(rng: Random) -> bytes:
+    """Most of them lie within a map of ``SIDE``, some beside it, and few on the good one."""
+    values = rng.integers(*_pick(rng, ((0, 60), (0, 101), (-128, 128))), rng.integers(0, 6, 2))
+    x, y = rng.integers(-2, 20, 2).tolist() if rng.random() < 0.9 else (-(2**31), 2**31 - 1)
+    frame = "map" if rng.random() < 0.8 else _pick(rng, _NAMES)
+    return grid_update(frame, x, y, values, (int(rng.integers(2**31)), int(rng.integers(2**32))))
 
 
 def _pose_stamped(rng: Random) -> PoseStamped:

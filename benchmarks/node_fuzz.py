@@ -14,12 +14,24 @@ import re
 import sys
 import time
 from collections import Counter, deque
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from geometry_msgs.msg import PoseStamped
 from node_attacks import Attack, attack, good_map, good_pose
-from node_rig import FAILURES, Caller, Refused, Rig, children, resident, running_node, say, scratch
+from node_rig import (
+    FAILURES,
+    Caller,
+    Refused,
+    Rig,
+    children,
+    give_nodes_map_updates,
+    resident,
+    running_node,
+    say,
+    scratch,
+)
 from report import RESULTS, conditions, table, write_block
 
 from ambush_planner.ros.parameters import PARAMETERS
@@ -146,7 +158,10 @@ def main() -> int:
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.messages)
     try:
-        with scratch() as folder, running_node(folder, NODE) as rig:
+        with ExitStack() as stack:
+            folder = stack.enter_context(scratch())
+            give_nodes_map_updates(folder)
+            rig = stack.enter_context(running_node(folder, NODE))
             try:
                 with Caller(rig.domain, rig.process.check) as caller:
                     outcome = fuzz(rig, caller, options.seed, numbers)

@@ -17,12 +17,15 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from node_rig import (
+    EMPTY,
     FAILURES,
     FRAME,
     Caller,
+    empty_service,
     field,
     percentiles,
     pose,
+    processor_time,
     resident,
     running_node,
     say,
@@ -31,6 +34,7 @@ from node_rig import (
 from node_timings import stopwatch
 from report import RESULTS, conditions, table, write_block
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
 
@@ -43,9 +47,12 @@ MEDIAN, SELDOM = 100.0, 500.0  # ms, targets
 
 @dataclass(frozen=True)
 class Found:
-    """Times of departures [ms], how many solves there were, and the node's memory [MB]."""
+    """Times of departures and of a service that does nothing [ms], the node's processor time for
+    each departure with all else [ms], how many solves there were, and its memory [MB]."""
 
     times: list[float]
+    nothing: list[float]
+    processor: float
     solves: int
     maps: int
     memory: tuple[float, float]
@@ -54,13 +61,16 @@ class Found:
 def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]) -> Found:
     """Depart every ``PERIOD``; ``change`` is called before each with the time passed [s]."""
     solved = {caller.status["solve_seconds"]}
-    begin, times, maps, before = time.monotonic(), [], 0, resident(pid)
+    begin, maps, before = time.monotonic(), 0, resident(pid)
+    times, nothing, used = [], [], processor_time(pid)
     for k in range(int(seconds / PERIOD)):
         caller.idle_until(begin + k * PERIOD)
         maps += change(time.monotonic() - begin)
         times.append(stopwatch(caller.new_route))
+        nothing.append(stopwatch(lambda: caller.call(Trigger, EMPTY)))
         solved.add(caller.status["solve_seconds"])
-    return Found(times, len(solved) - 1, maps, (before, resident(pid)))
+    used = (processor_time(pid) - used) / len(times)
+    return Found(times, nothing, used, len(solved) - 1, maps, (before, resident(pid)))
 
 
 def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
@@ -102,6 +112,7 @@ def measure(seconds: float, cells: int) -> dict[str, Found]:
     with (
         scratch() as folder,
         running_node(folder, PARAMETERS) as rig,
+        empty_service(rig.domain),
         Caller(rig.domain, rig.process.check) as caller,
     ):
         caller.give(grid, start, goal)
@@ -126,11 +137,14 @@ def result(found: dict[str, Found], cells: int) -> tuple[str, bool]:
         every.append(median < MEDIAN and seldom < SELDOM)
         rows.append([
             name, str(len(each.times)), f"{median:.3g} / {seldom:.3g} / {largest:.3g}",
+            " / ".join(f"{value:.3g}" for value in percentiles(each.nothing)),
+            f"{each.processor:.3g}",
             f"< {MEDIAN:g} / {SELDOM:g}", "yes" if every[-1] else "**no**", str(each.maps),
             str(each.solves), f"{each.memory[0]:.0f} -> {each.memory[1]:.0f}",
         ])
     head = ("meanwhile", "departures", "`new_route` answered: median / 99 % / largest [ms]",
-            "target", "met", "maps", "solves", "memory [MB]")
+            "a service that does nothing, of another process",
+            "node's processor time for each [ms]", "target", "met", "maps", "solves", "memory [MB]")
     text = (
         f"A map of {cells} x {cells} cells, published whole each time, 10 000 nodes; a departure "
         f"every {PERIOD:g} s.\n\n{table(head, rows)}"

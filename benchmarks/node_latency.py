@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from node_rig import FAILURES, percentiles, say
-from node_timings import Beside, Departures, beside_a_solve, departures, large_maps
+from node_timings import NOTHING, Beside, Departures, beside_a_solve, departures, large_maps
 from report import RESULTS, conditions, table, write_block
 
 PERIOD = 0.05  # s
@@ -84,10 +84,12 @@ def departure_results(
                 met = median < PATH
             every.append(met)
             shown = f"< {target[0]:g} / {target[1]:g}" if target and judged else ""
-            rows.append([name, "on" if each.recording else "off", pace, spread(times), shown,
-                         verdict(met) if shown else ""])
+            nothing = statistics.median(each.times[NOTHING])
+            rows.append([name, "on" if each.recording else "off", pace, spread(times),
+                         f"{median / nothing:.1f}", shown, verdict(met) if shown else ""])
     poses = statistics.median(sum((each.poses for each in found), []))
-    head = ("departure", "recording", "calls", "median / 99 % / largest [ms]", "target", "met")
+    head = ("departure", "recording", "calls", "median / 99 % / largest [ms]",
+            "median, times the empty service's", "target", "met")
     text = (
         f"### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls a row; paths of "
         f"{poses:.0f} poses (median).\n\n{table(head, rows)}"

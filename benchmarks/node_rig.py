@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import statistics
+import subprocess
 import sys
 import tempfile
 import time
@@ -41,6 +43,16 @@ TIMEOUT = 30.0
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MEGABYTE = 2.0**20
+EMPTY = "empty"
+EMPTY_SERVICE = f"""
+import rclpy
+from std_srvs.srv import Trigger
+rclpy.init()
+node = rclpy.create_node("empty")
+node.create_service(Trigger, "{PLANNER}/{EMPTY}", lambda _, answer: answer)
+rclpy.spin(node)
+"""
+TESTS = Path(__file__).resolve().parent.parent / "test"
 
 
 class NodeSilent(Exception):
@@ -81,6 +93,21 @@ def scratch() -> Iterator[Path]:
         yield Path(name)
 
 
+def give_nodes_map_updates(folder: Path) -> None:
+    """Let nodes started from now on have ``map_msgs``, or a stand-in where there is none."""
+    if importlib.util.find_spec("map_msgs") is not None:
+        return
+    package = folder / "standins" / "map_msgs"
+    package.mkdir(parents=True)
+    (package / "__init__.py").touch()
+    (package / "msg.py").write_text(
+        "from standin_types import standin\n"
+        "OccupancyGridUpdate = standin('map_msgs', 'OccupancyGridUpdate')\n"
+    )
+    added = (str(package.parent), str(TESTS), os.environ.get("PYTHONPATH", ""))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, added))
+
+
 @contextmanager
 def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig]:
     """Start a node that records and logs in a folder, and stop it in the end; see NodeProcess."""
@@ -90,6 +117,18 @@ def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig
     where = {"recording.directory": str(folder / "recordings")}
     with NodeProcess({**where, **parameters}, domain, folder / "node.log") as process:
         yield Rig(process, domain, folder)
+
+
+@contextmanager
+def empty_service(domain: int) -> Iterator[None]:
+    """Serve, from a process of its own, a Trigger that does nothing: what ROS itself takes."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+    process = subprocess.Popen([sys.executable, "-c", EMPTY_SERVICE], env=environment)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
 
 
 class StampingExecutor(SingleThreadedExecutor):
@@ -253,6 +292,12 @@ def resident(pid: int) -> float:
     """Memory of a process that is in RAM [MB]."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / MEGABYTE
+
+
+def processor_time(pid: int) -> float:
+    """What a process has used of the processors so far, all its threads together [ms]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def children(pid: int) -> list[int]:

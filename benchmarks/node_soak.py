@@ -2,9 +2,9 @@
 
 An obstacle is somewhere else each time. Now and then the goal changes, the whole map, somebody asks
 for a plan between other places, or has the game solved anew. Every departure is recorded in a
-temporary folder, about 0.5 GB in an hour. Exit code 1 if a call failed, if the node grew (judged
-in runs of ten minutes or more), or if it left anything: a file that metadata.yaml does not list,
-shared memory, a process.
+temporary folder, about 0.5 GB in an hour, and some are verified in the end. Exit code 1 if a call
+failed, if the node grew (judged in runs of ten minutes or more), if a recording does not hold, or
+if the node left anything: a file that metadata.yaml does not list, shared memory, a process.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ from node_rig import (
 )
 from report import RESULTS, conditions, table, write_block
 
+from ambush_planner.recording import recordings_in
 from ambush_planner.recording.bag_folder import FILE_NAME, listed_files
+from ambush_planner.review.verify import Verifier
 
 CELLS, RESOLUTION, SPACING = 120, 0.5, 2.0
 SIDE = 3  # cells, of an obstacle that is somewhere else at each departure
@@ -52,6 +54,7 @@ WINDOW = 0.05  # share of the run in which its memory is taken, at either end
 GROWTH_ALLOWED = 5.0  # %
 LONG_ENOUGH = 600.0  # s
 SHARED = Path("/dev/shm")
+VERIFIED = 60  # recordings
 
 
 @dataclass
@@ -63,6 +66,7 @@ class Journal:
     failures: list[str] = field(default_factory=list)
     answers: list[float] = field(default_factory=list)
     memory: list[tuple[float, float]] = field(default_factory=list)
+    solves: set[tuple[str, str]] = field(default_factory=set)
 
     def note(self, failure: str) -> None:
         """Count a call."""
@@ -83,6 +87,7 @@ def soak(rig: Rig, caller: Caller, seconds: float, period: float) -> Journal:
         journal.note(trouble(caller.new_route))
         journal.answers.append(1e3 * (time.perf_counter() - asked))
         journal.departures += 1
+        journal.solves.add((caller.status["solve_seconds"], caller.status["value"]))
         journal.memory.append((time.monotonic() - begin, resident(rig.process.pid)))
         if (k + 1) % max(1, int(seconds / period / 20)) == 0:
             say(f"{journal.memory[-1][0]:.0f} s: {journal.departures} departures, "
@@ -157,6 +162,17 @@ def shared_memory_if_alive(pid: int) -> set[Path]:
         return set()
 
 
+def verified(folder: Path) -> tuple[int, list[str]]:
+    """How many recordings, of all times, were verified, and what does not hold."""
+    files = recordings_in(folder)
+    some = files[::max(1, len(files) // VERIFIED)]
+    with Verifier() as verifier:
+        verdicts = [verifier.verify(path) for path in some]
+    return len(some), [
+        f"{each.path.name}: {problem}" for each in verdicts for problem in each.problems
+    ]
+
+
 def growth(memory: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
     """Memory after the warm-up and in the end [MB], medians of windows, and its growth [%]."""
     total = memory[-1][0]
@@ -168,7 +184,8 @@ def growth(memory: Sequence[tuple[float, float]]) -> tuple[float, float, float]:
 
 
 def results(
-    journal: Journal, period: float, files: tuple[int, float], left: Sequence[str]
+    journal: Journal, period: float, files: tuple[int, float], left: Sequence[str],
+    held: tuple[int, Sequence[str]],
 ) -> tuple[str, bool]:
     """A table, and whether nothing was wrong."""
     seconds = journal.memory[-1][0]
@@ -176,13 +193,15 @@ def results(
     tenth = max(1, len(journal.answers) // 10)
     judged = seconds >= LONG_ENOUGH - period
     met = not journal.failures and not left and not (judged and change >= GROWTH_ALLOWED)
-    met = met and files[0] == journal.departures
+    met = met and files[0] == journal.departures and not held[1]
     rows = [
         ["**memory growth**", f"**{change:+.2f} %**" + ("" if judged else " (too short to tell)")],
         ["memory after the warm-up, in the end, largest [MB]",
          f"{before:.1f}, {after:.1f}, {max(size for _, size in journal.memory):.1f}"],
         ["calls, failed", f"{journal.calls}, {len(journal.failures)}"],
         ["departures, recordings", f"{journal.departures}, {files[0]} ({files[1]:.1f} MB)"],
+        ["strategies in force at a departure", str(len(journal.solves))],
+        ["recordings verified", f"{held[0]}: " + (", ".join(held[1][:9]) or "all hold")],
         ["answer of `new_route` in the first and the last tenth, median / 99 % / largest [ms]",
          "; ".join(" / ".join(f"{value:.3g}" for value in percentiles(part))
                    for part in (journal.answers[:tenth], journal.answers[-tenth:]))],
@@ -193,8 +212,8 @@ def results(
         f"departures, a plan between other places every {OTHER_PLAN}, a solve anew every {REPLAN}, "
         f"a new map every {NEW_MAP}, and an obstacle of {SIDE} x {SIDE} cells that is somewhere "
         f"else each time. {conditions('ros-jazzy-rclpy')}.\n\n{table(('', ''), rows)}\n"
-        f"\nTarget: no failed call, memory growth < {GROWTH_ALLOWED:g} %, nothing left behind; "
-        f"{'met' if met else '**missed**'}."
+        f"\nTarget: no failed call, memory growth < {GROWTH_ALLOWED:g} %, all holds, nothing left "
+        f"behind; {'met' if met else '**missed**'}."
     )
     return text, met
 
@@ -209,8 +228,9 @@ def run(seconds: float, period: float) -> tuple[str, bool]:
             memory = shared_memory(rig.process.pid) - others
             workers = children(rig.process.pid)
         left = list(leftovers(rig, sorted(memory), workers))
+        held = verified(rig.recordings)
         sizes = [path.stat().st_size for path in rig.recordings.rglob("*.mcap")]
-        return results(journal, period, (len(sizes), sum(sizes) / node_rig.MEGABYTE), left)
+        return results(journal, period, (len(sizes), sum(sizes) / node_rig.MEGABYTE), left, held)
 
 
 def main() -> int:

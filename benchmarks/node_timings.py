@@ -11,7 +11,19 @@ import numpy as np
 import rclpy
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
-from node_rig import FRAME, Caller, NodeSilent, Rig, field, pose, running_node, say, scratch
+from node_rig import (
+    EMPTY,
+    FRAME,
+    Caller,
+    NodeSilent,
+    Rig,
+    empty_service,
+    field,
+    pose,
+    running_node,
+    say,
+    scratch,
+)
 from rcl_interfaces.srv import DescribeParameters
 from rclpy.context import Context
 from rclpy.parameter import Parameter
@@ -33,6 +45,8 @@ QUICK = {
 }
 # The paper's simplex method needs minutes for 40 000 nodes.
 SLOW = {"strategy.solver": "simplex", "network.spacing": 0.5, "max_planning_time": 3600.0}
+
+NOTHING = "a service that does nothing, of another process: answer arrived"
 
 Samples = dict[str, list[float]]
 
@@ -154,7 +168,8 @@ def departures(
         with Caller(rig.domain, rig.process.check) as caller:
             caller.give(field(CELLS, RESOLUTION), START, GOAL)
             caller.new_route()
-        return [departures_every(rig, calls, recording, period) for period in periods]
+        with empty_service(rig.domain):
+            return [departures_every(rig, calls, recording, period) for period in periods]
 
 
 def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> Departures:
@@ -162,6 +177,7 @@ def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> De
     say(f"{calls} departures of each kind, recording {recording}, every {period:g} s")
     times: Samples = {}
     with Caller(rig.domain, rig.process.check) as caller:
+        _, times[NOTHING] = arrivals(caller, calls, period, lambda: caller.call(Trigger, EMPTY))
         read, times["`new_route`: answer arrived"] = arrivals(
             caller, calls, period, caller.new_route)
         times["`new_route`: answer read by Python"] = read

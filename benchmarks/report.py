@@ -18,10 +18,14 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def conditions(*libraries: str) -> str:
-    """One line: what the numbers were measured with."""
+    """One line: what the numbers were measured with, and how busy the machine was.
+
+    A load over the number of cores, as processes that want to run, makes all times longer.
+    """
     python = f"Python {platform.python_version()}"
     versions = [f"{name} {version(name)}" for name in ("numpy", "scipy", *libraries)]
-    return ", ".join([python, *versions, f"{os.cpu_count()} cores"])
+    load = f"load {os.getloadavg()[0]:.1f}"
+    return ", ".join([python, *versions, f"{os.cpu_count()} cores", load])
 
 
 def write_block(path: Path, name: str, text: str) -> None:

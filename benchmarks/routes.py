@@ -1,6 +1,7 @@
 """Would you drive it? Paths of 200 departures on four maps, against what a grid planner finds.
 
-The table goes to the screen and into results.md, a picture of each map into ``--pictures``.
+The table goes to the screen and into results.md, a picture of each map into ``--pictures``, and one
+of all maps with routes of the paper's strategy, as they are drawn, above paths of ours.
 """
 
 from __future__ import annotations
@@ -18,7 +19,16 @@ from grounds import GROUNDS, Ground
 from matplotlib.figure import Figure
 from report import RESULTS, conditions, table, write_block
 
-from ambush_planner import NetworkOptions, Strategy, StrategyOptions, build_network, solve
+from ambush_planner import (
+    Network,
+    NetworkOptions,
+    RiskMap,
+    SolverFailed,
+    Strategy,
+    StrategyOptions,
+    build_network,
+    solve,
+)
 from ambush_planner.core.arrays import FloatArray
 from ambush_planner.core.construction import chosen_spacing
 from ambush_planner.core.corridors import make_corridors
@@ -59,6 +69,7 @@ class Trial:
     ground: Ground
     strategy: Strategy
     spacing: float
+    papers: list[FloatArray]
     paths: list[FloatArray]
     drives: list[Drive]
     shortest: FixedRoute
@@ -87,12 +98,13 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     seconds = time.process_time() - started
     straight, grid = energy_efficient_route(strategy.game), shortest_line(ground)
     shortest, safest = (
-        FixedRoute(name, driven_path(corridors, route, step), _worst(strategy, route))
+        _fixed(name, driven_path(corridors, route, step), risk_map)
         for name, route in (
             ("shortest", straight), ("safest", risk_avoiding_route(strategy.game)))
     )
     return Trial(
-        ground, strategy, spacing, paths[:departures],
+        ground, strategy, spacing,
+        _papers_routes(network, rng), paths[:departures],
         [measure(path, risk_map, spacing, step) for path in paths[:departures]],
         shortest, safest, measure(shortest.points, risk_map, spacing, step),
         _turning(network.points[straight]),
@@ -101,9 +113,20 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     )
 
 
-def _worst(strategy: Strategy, route: np.ndarray) -> FloatArray:
-    """Where an ambush on a route that is known costs most."""
-    return strategy.network.points[route[np.argmax(strategy.network.alpha[route])]]
+def _papers_routes(network: Network, rng: np.random.Generator) -> list[FloatArray]:
+    """Routes (K, 2) of the paper's strategy with the first version's budget; none if it fails."""
+    options = StrategyOptions(solver="interior_point", max_detour=1.5)
+    try:
+        strategy = solve(network, options=options)
+    except SolverFailed:
+        return []
+    return [network.points[route] for route in strategy.sample_routes(SHOWN, rng)]
+
+
+def _fixed(name: str, poses: FloatArray, risk_map: RiskMap) -> FixedRoute:
+    """A path that is known, and where an ambush on it costs most."""
+    losses = risk_map.alpha[risk_map.cells(risk_map.to_map_axes(poses[:, :2]))]
+    return FixedRoute(name, poses, poses[np.argmax(losses), :2])
 
 
 def _turning(points: FloatArray) -> float:
@@ -193,6 +216,24 @@ def picture(trial: Trial, path: Path) -> None:
     figure.savefig(path)
 
 
+def before_and_after(trials: dict[str, Trial], path: Path) -> None:
+    """Above: eight routes of the paper's strategy, as drawn. Below: eight paths of ours."""
+    trials = {name: trial for name, trial in trials.items() if trial.papers}
+    wide = [np.divide(*trial.ground.risk_map.size) for trial in trials.values()]
+    figure = Figure(figsize=(4.0 * sum(wide) + 1.0, 9.0), dpi=80, layout="compressed")
+    grid = figure.subplots(2, len(trials), width_ratios=wide, squeeze=False)
+    for (name, trial), pair in zip(trials.items(), grid.T, strict=True):
+        ours = [poses[:, :2] for poses in trial.paths[:SHOWN]]
+        for axes, who, lines in zip(
+            pair, ("the paper's, as drawn", "driven now"), (trial.papers, ours), strict=True
+        ):
+            frame(axes, trial.ground.risk_map, f"{name}: {who}")
+            draw_routes(axes, lines)
+            draw_risk_map(axes, trial.ground.risk_map)
+            draw_ends(axes, trial.ground.start, trial.ground.goal)
+    figure.savefig(path)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
@@ -215,6 +256,7 @@ def main() -> None:
         trials[name] = run(ground, options.departures, options.draws)
         picture(trials[name], options.pictures / f"{name}.png")
         print(name, figures_of(trials[name]), file=sys.stderr)
+    before_and_after(trials, options.pictures / "before_and_after.png")
     text = "\n\n".join([
         f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
         *missing, routes_table(trials),

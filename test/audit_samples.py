@@ -66,6 +66,7 @@ def strategy_arrays(strategy):
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
         'reach': strategy.game.ambush_radius,
+        'start': np.empty(0),
         **{name: getattr(strategy, name) for name in NUMBERS},
     }
 

@@ -83,7 +83,7 @@ def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12
 
 
 def ground_network(seed: int, kind: str) -> Network:
-    """A network of 500 to 900 nodes over terrain, a city of blocks or a maze of walls."""
+    """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
     rng = np.random.default_rng(seed)
     if kind == "terrain":
         return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
@@ -92,6 +92,13 @@ def ground_network(seed: int, kind: str) -> Network:
     rows, columns = np.mgrid[0:cells, 0:cells]
     if kind == "city":
         obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
+    elif kind == "depot":
+        # Rooms along three corridors, doors between the two, shelves in some rooms.
+        wall, side = (rows % 13 == 4) | (rows % 13 == 12), columns % 10 == 9
+        obstacles = wall | (side & (rows % 13 > 4))
+        obstacles &= ~(wall & np.isin(columns % 10, rng.integers(2, 8, 2)[:, None] + (0, 1)))
+        obstacles |= (rows % 13 == 8) & (columns % 10 > 2) & (columns % 20 < 8)
+        obstacles &= ~(side & (rows % 13 == rng.integers(6, 11)))
     else:
         obstacles = columns % 5 == 4
         for wall in range(4, cells, 5):

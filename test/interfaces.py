@@ -9,6 +9,8 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -30,11 +32,10 @@ for name in {names}:
 
 def missing():
     """What an interface cannot be built without, '' if all is there."""
-    try:
-        import rosidl_adapter  # noqa: F401
-        import rosidl_generator_py  # noqa: F401
-    except ImportError as error:
-        return f'no {error.name}'
+    for tool in ('rosidl_adapter', 'rosidl_generator_type_description', C, PYTHON, DISPATCH,
+                 FAST_DDS, INTROSPECTION):
+        if not find_spec(tool):
+            return f'no {tool}'
     if not (SHARE / C / 'resource').is_dir():
         return "rosidl's templates are not below sys.prefix"
     if not all(map(shutil.which, ('gcc', 'g++'))):
@@ -52,14 +53,6 @@ def build_interface(folder, package, name, definition):
 
 
 def _generate(folder, package, source):
-    from rosidl_adapter import convert_to_idl
-    from rosidl_generator_c import generate_c
-    from rosidl_generator_py import generate_py
-    from rosidl_generator_type_description import generate_type_hash
-    from rosidl_typesupport_c import generate_c as generate_dispatch
-    from rosidl_typesupport_fastrtps_c import generate_typesupport_fastrtps_c
-    from rosidl_typesupport_introspection_c import generate_c as generate_introspection
-
     idl = str(source.with_suffix('.idl'))
 
     def arguments(generator, **more):
@@ -75,16 +68,18 @@ def _generate(folder, package, source):
         }))
         return str(file)
 
-    convert_to_idl(folder / package, package, source, folder / 'idl')
+    import_module('rosidl_adapter').convert_to_idl(
+        folder / package, package, source, folder / 'idl')
     installed = {each.parents[1] for each in SHARE.glob('*/[ms][sr][gv]/*.json')}
-    hashes = generate_type_hash(arguments(
-        'rosidl_generator_type_description',
-        include_paths=[f'{each.name}:{each}' for each in sorted(installed)]))
-    generate_c(arguments(C, type_description_tuples=[f'{idl}:{hashes[0]}']))
-    generate_typesupport_fastrtps_c(arguments(FAST_DDS))
-    generate_introspection(arguments(INTROSPECTION))
-    generate_dispatch(arguments(DISPATCH), [FAST_DDS, INTROSPECTION])
-    generate_py(arguments(PYTHON), [DISPATCH])
+    hasher = 'rosidl_generator_type_description'
+    hashes = import_module(hasher).generate_type_hash(arguments(
+        hasher, include_paths=[f'{each.name}:{each}' for each in sorted(installed)]))
+    import_module(C).generate_c(arguments(
+        C, type_description_tuples=[f'{idl}:{hashes[0]}']))
+    import_module(FAST_DDS).generate_typesupport_fastrtps_c(arguments(FAST_DDS))
+    import_module(INTROSPECTION).generate_c(arguments(INTROSPECTION))
+    import_module(DISPATCH).generate_c(arguments(DISPATCH), [FAST_DDS, INTROSPECTION])
+    import_module(PYTHON).generate_py(arguments(PYTHON), [DISPATCH])
     for generator in (C, FAST_DDS, INTROSPECTION):
         template = SHARE / generator / 'resource' / f'{generator}__visibility_control.h.in'
         header = folder / generator / package / 'msg' / template.stem

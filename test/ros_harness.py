@@ -174,11 +174,12 @@ class Client:
 def whole_graph(node):
     """Whether the graph has all that the planner's node has: it fills step by step."""
     who = node.get_name(), node.get_namespace()
+    topics = [{each.topic_name for each in made} for made in (node.publishers, node.subscriptions)]
     return all(
-        len(of_this_node(*who)) >= len(list(made)) for of_this_node, made in (
-            (node.get_publisher_names_and_types_by_node, node.publishers),
-            (node.get_subscriber_names_and_types_by_node, node.subscriptions),
-            (node.get_service_names_and_types_by_node, node.services),
+        len(of_this_node(*who)) >= len(made) for of_this_node, made in (
+            (node.get_publisher_names_and_types_by_node, topics[0]),
+            (node.get_subscriber_names_and_types_by_node, topics[1]),
+            (node.get_service_names_and_types_by_node, list(node.services)),
         )
     )
 

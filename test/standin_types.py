@@ -58,7 +58,7 @@ def message_type(package, name):
     try:
         return getattr(import_module(f'{package}.msg'), name)
     except ImportError:
-        return _standin(package, name)
+        return standin(package, name)
 
 
 def encode(type_name, **fields):
@@ -104,7 +104,8 @@ def _header(frame, stamp):
     return types['std_msgs/msg/Header'](stamp=time, frame_id=frame)
 
 
-def _standin(package, name):
+def standin(package, name):
+    """A type of this name that raw publishers and subscriptions take."""
     Path.__class__.__import_type_support__()
     capsule = Path.__class__._TYPE_SUPPORT
     label = _C.PyCapsule_GetName(capsule)

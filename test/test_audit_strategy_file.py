@@ -53,6 +53,8 @@ def bad_strategies(arrays):
     yield 'source', np.array([0, 1])
     yield 'source', np.array(0.5)
     yield 'source', arrays['target']
+    yield 'start', np.ones(3)
+    yield 'start', -np.ones(len(q) + 2)
     yield 'value', np.array(np.nan)
     yield 'value', np.array(0.0)
     yield 'value', np.array([1.0])

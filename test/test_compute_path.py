@@ -1,16 +1,33 @@
 """Nav2's action, built from its definition, and called as Nav2 calls it."""
 
+import os
+import signal
+import subprocess
 import sys
 from contextlib import contextmanager
 from importlib import invalidate_caches
+from pathlib import Path
 
 import interfaces
 import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from recording_samples import read_with_rosbags
-from ros_harness import pose, stage, wait_until
-from test_guarded_routes import Names, Profile
+from ros_harness import (
+    Client,
+    Stage,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    spinning,
+    stage,
+    wait_until,
+)
+from test_guarded_routes import Profile
+from waiting import TIMEOUT
 
 pytestmark = [
     pytest.mark.slow,
@@ -74,6 +91,7 @@ class Goals:
 
     def __init__(self, action, running):
         self.action, self.planner, self.client = action, running.planner, running.client
+        # It ends with its node: to destroy it while that spins would end the executor.
         self._client = ActionClient(
             running.client.node, action, 'ambush_planner/compute_path_to_pose')
         wait_until(self._client.server_is_ready, 'the action')
@@ -107,19 +125,12 @@ class Goals:
         assert not result.path.poses
         return result.error_code, result.error_msg
 
-    def close(self):
-        self._client.destroy()
-
 
 @contextmanager
 def asking(action, *arguments, **options):
     with stage(*arguments, **options) as running:
         running.give()
-        goals = Goals(action, running)
-        try:
-            yield goals
-        finally:
-            goals.close()
+        yield Goals(action, running)
 
 
 def test_a_goal_is_a_departure(action, tmp_path):
@@ -149,7 +160,9 @@ def test_a_path_that_is_not_published_is_in_the_result(action):
 
 def test_the_policy_knows_the_action(action):
     with asking(action) as goals:
-        actions = Names(goals.planner).actions
+        served = goals.planner.get_service_names_and_types_by_node('ambush_planner', '/')
+    goal = '/_action/send_goal'
+    actions = {name.removesuffix(goal) for name, _ in served if name.endswith(goal)}
     assert actions == Profile('/ambush_planner').listed('action', 'execute')
 
 
@@ -213,6 +226,28 @@ def test_it_is_too_late_to_cancel_once_the_route_is_drawn(action):
         assert goals.cancel(handle) == 0
         assert status == GoalStatus.STATUS_SUCCEEDED
         assert result.path == goals.client.last('path')
+
+
+def test_whoever_waits_is_told_when_the_node_ends(action, tmp_path):
+    parameters = [f'{name}:={value}' for name, value in LONG.items()]
+    command = [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', '-p',
+               'recording.enabled:=false', *(w for each in parameters for w in ('-p', each))]
+    with free_domain() as domain, ros_context(domain) as context:
+        node = Node('client', context=context)
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain),
+                       'PYTHONPATH': str(Path(sys.modules['nav2_msgs'].__file__).parents[1])}
+        process = subprocess.Popen(command, env=environment)
+        with spinning(node, SingleThreadedExecutor(context=context)):
+            client = Client(node)
+            client.publish('alpha_map', risk_grid())
+            client.diagnostics(message='waiting for start_pose, goal_pose')
+            goals = Goals(action, Stage(None, client))
+            waiting = [goals.send().get_result_async() for _ in range(3)]
+            client.diagnostics(state='solving')
+            process.send_signal(signal.SIGINT)
+            assert process.wait(TIMEOUT) == 0
+            wait_until(lambda: all(each.done() for each in waiting), 'the results')
+    assert {each.result().result.error_msg for each in waiting} == {'the planner is shutting down'}
 
 
 def test_many_goals_at_once(action):

@@ -26,6 +26,7 @@ from ambush_planner.ros import subscriptions
 from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
 from ambush_planner.ros.ground import Ground, Standing
+from ambush_planner.ros.in_force import PlanInForce
 from ambush_planner.ros.inputs import MapInForce
 from ambush_planner.worker.process import WorkerProcess
 
@@ -49,7 +50,7 @@ def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
     made = plan(risk_map, *risk_map.to_world([START, GOAL]), options)
     on = grid(values, origin)
-    return made, on, Ground(made, on, OCCUPANCY, game, clearance)
+    return made, on, Ground(made, on, OCCUPANCY)
 
 
 def rough(seed):
@@ -391,7 +392,7 @@ def test_a_start_moved_a_little_uses_the_steps_that_are_left(monkeypatch):
     with stage(parameters=parameters) as running:
         client = running.give(risk_grid(FLAT))
         assert client.call('new_route').success
-        held = running.planner._dispatcher._shown
+        held = running.planner._dispatcher._in_force.held
         network = held.plan.network
         firsts = network.points[network.heads[
             (network.tails == network.source) & (held.plan.strategy.edge_probability > 0)]]
@@ -399,8 +400,7 @@ def test_a_start_moved_a_little_uses_the_steps_that_are_left(monkeypatch):
         # Away from the start, so that the cell meets this step only.
         x, y = firsts[np.argmax(firsts[:, 1])] * 0.8 + np.array([1.5, 5.5]) * 0.2
         column, row = int(x / 0.5), int(y / 0.5)
-        monkeypatch.setattr(type(running.planner._dispatcher), '_solve_in_background',
-                            lambda *_: None)
+        monkeypatch.setattr(PlanInForce, '_solve_anew', lambda *_: None)
         update(client, column, row, [[100]])
         client.diagnostics(stale='yes')
         path = client.get_plan(pose(1.5, 5.45), pose(8.5, 5.5))

@@ -220,8 +220,7 @@ def test_the_documents_table_has_the_arguments():
 
 def test_ros2s_own_parser_reads_the_file():
     pytest.importorskip('launch_xml', reason='ROS 2 launch is not on PyPI')
-    from launch.frontend import Parser
-    root, parser = Parser.load(str(FILE))
+    root, parser = pytest.importorskip('launch.frontend').Parser.load(str(FILE))
     description = parser.parse_description(root)
     assert {each.name for each in description.get_launch_arguments()} == set(arguments())
 

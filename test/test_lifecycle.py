@@ -1,5 +1,6 @@
 """The node's states, changed by the services that Nav2's lifecycle manager calls."""
 
+import gc
 import threading
 import time
 from contextlib import suppress
@@ -8,8 +9,18 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
+from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+from ros_harness import (
+    LATCHED,
+    free_domain,
+    pose,
+    risk_grid,
+    ros_context,
+    stage,
+    stage_in,
+    wait_until,
+)
 from test_node_life import threads
 from waiting import TIMEOUT
 
@@ -109,12 +120,12 @@ def test_what_was_planned_is_kept_while_it_is_inactive():
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
-        held = running.planner._dispatcher._shown
+        held = running.planner._dispatcher._in_force.held
         manager.go(deactivate='inactive')
         assert 'inactive' in client.call('new_route').message
         manager.go(activate='active')
         assert client.call('new_route').success
-        assert running.planner._dispatcher._shown is held
+        assert running.planner._dispatcher._in_force.held is held
         client.last('path', 2)
         client.diagnostics(departures='2')
 
@@ -143,7 +154,7 @@ def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
         wait_until(lambda: running.planner._inputs.map_in_force().values[4, 5] == 100, 'the map')
         assert not running.planner._dispatcher.solving
         manager.go(activate='active')
-        wait_until(lambda: running.planner._dispatcher._shown.trip.map
+        wait_until(lambda: running.planner._dispatcher._in_force.held.trip.map
                    is running.planner._inputs.map_in_force(), 'a new plan')
 
 
@@ -249,3 +260,18 @@ def test_it_is_found_by_the_manager_below_a_namespace():
         assert running.client.name == 'convoy/ambush_planner'
         start(running)
         assert running.give().call('new_route').success
+
+
+def test_a_destroyed_node_leaves_the_graph_at_once():
+    """Not only when Python looks for cycles."""
+    with free_domain() as domain, ros_context(domain) as own:
+        looker = Node('looker', context=own)
+        gc.disable()
+        try:
+            name = 'ambush_planner', '/leaving'
+            with stage_in(domain, namespace=name[1]):
+                wait_until(lambda: name in looker.get_node_names_and_namespaces(), 'the planner')
+            wait_until(lambda: name not in looker.get_node_names_and_namespaces(), 'its end')
+        finally:
+            gc.enable()
+            looker.destroy_node()

@@ -10,6 +10,8 @@ from games import (
     METHODS,
     PLAIN,
     examples,
+    geometric_hits,
+    ground_network,
     is_acyclic,
     least_weight,
     networks,
@@ -114,6 +116,23 @@ def test_value_within_the_slack_of_the_linear_programs(network, detour, count, s
     assert strategy.value >= loose * (1 - 1e-6) - 1e-9
     assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
     assert is_acyclic(network, strategy.edge_probability)
+
+
+@pytest.mark.parametrize("reach", [0.0, 2.0])
+@examples(6)
+@given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
+def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
+    """As in a depot: narrow places, and a budget that decides which of them can be reached."""
+    network = ground_network(seed, "depot")
+    reach *= float(np.median(network.lengths))
+    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
+        max_detour=detour, risk_slack=slack))
+    hits = geometric_hits(network, reach) if reach else None
+    least = program_value(network, hits, strategy.length_budget)
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+    assert strategy.lower_bound <= least * (1 + 1e-5)
+    assert strategy.value <= least * (1 + slack + 2e-5)
+    assert strategy.value >= least * (1 - 2e-5)
 
 
 def test_routes_past_all_sites_are_taken_with_value_zero():

@@ -70,8 +70,9 @@ def test_all_kinds_of_messages_are_sent(attacks):
     assert names >= {"random bytes", "any numbers", "any request", "any parameters", "flip",
                      "truncate", "extend", "absurd_length", "odd_number", "other_encoding"}
     assert {each.target for each in sent} >= {
-        "/alpha_map", "/start_pose", "/goal_pose", "/initialpose", "get_plan", "new_route",
-        "replan", "cancel", "set_parameters_atomically", "set_parameters"}
+        "/alpha_map", "/alpha_map_updates", "/start_pose", "/goal_pose", "/initialpose",
+        "get_plan", "new_route", "replan", "cancel", "set_parameters_atomically",
+        "set_parameters"}
 
 
 def test_twenty_calls_at_once_are_all_answered(tmp_path):

@@ -30,7 +30,6 @@ from ambush_planner.recording import Recorder
 from ambush_planner.ros import dispatcher, planning
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.errors import NoMap
-from ambush_planner.ros.ground import Ground
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.worker.errors import SolveCancelled
 
@@ -199,15 +198,6 @@ def test_ground_that_changes_too_fast_is_answered(monkeypatch):
         assert not answer.success
         assert 'were out of date before they were done' in answer.message
         running.client.diagnostics(code='NO_VALID_PATH')
-
-
-def test_a_path_that_meets_a_new_obstacle_is_not_published(monkeypatch):
-    found = iter([True, False])
-    monkeypatch.setattr(Ground, 'meets_new_obstacle', lambda *_: next(found))
-    with stage() as running:
-        assert running.give().call('new_route').success
-        assert len(running.client.received['path']) == 1
-
 
 
 def test_more_plans_at_once_than_are_kept(monkeypatch):

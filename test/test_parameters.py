@@ -28,11 +28,11 @@ NAMES = """
     game.ambush_radius game.secured_radius game.alpha_threshold game.ambushers
     game.ambush_in_obstacles strategy.max_exposure route.tube route.turning_radius
     strategy.solver strategy.max_detour strategy.risk_slack strategy.length_weight
-    strategy.max_gap replan.tolerance queue.size autostart robot_base_frame transform.max_age
+    strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
     max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
     recording.enabled recording.directory recording.compression recording.service_events
     trip.order
-    path.publish seed autostart
+    path.publish autostart seed
 """.split()
 
 

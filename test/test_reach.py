@@ -7,7 +7,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
-from games import examples, geometric_hits
+from games import examples, geometric_hits, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -140,6 +140,44 @@ def test_a_route_that_comes_back_to_a_disc_is_where_the_value_is_an_upper_bound(
     network = Network(points, [0, 0, 0, 3.0, 0, 0], edges, 0, 5)
     strategy = solve(network, GameOptions(ambush_radius=1.0), EXACT)
     assert strategy.value == pytest.approx(6.0) and strategy.lower_bound == pytest.approx(6.0)
+
+
+def counted_once(strategy) -> tuple[float, int]:
+    """What the best ambush costs if a route is hit once by each, and the most entries of a disc.
+
+    With ``outside[i]`` the chance to come to node i not hit yet: one pass over the edges in order.
+    """
+    network, p = strategy.network, strategy.edge_probability
+    used = np.flatnonzero(p > 0.0)
+    order = list(networkx.topological_sort(networkx.DiGraph(network.edges[used].tolist())))
+    leaving = {node: used[network.tails[used] == node] for node in order}
+    entering = geometric_hits(network, strategy.game.ambush_radius).toarray() > 0.0
+    worst, most = 0.0, 1
+    for site in np.flatnonzero(strategy.game.loss > 0.0):
+        outside, entries = np.zeros(len(network.points)), np.zeros(len(network.points), int)
+        outside[network.source] = 1.0
+        for node in order[:-1]:
+            edges = leaving[node]
+            share, hit = p[edges] / p[edges].sum(), entering[site, edges]
+            outside[network.heads[edges]] += outside[node] * share * ~hit
+            at = network.heads[edges]
+            entries[at] = np.maximum(entries[at], entries[node] + hit)
+        worst = max(worst, strategy.game.loss[site] * (1.0 - outside[network.target]))
+        most = max(most, int(entries[network.target]))
+    return worst, most
+
+
+@examples(12)
+@given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.2, np.inf)))
+def test_the_loss_is_at_least_the_value_over_the_most_entries(seed, reach, detour):
+    network = terrain_network(seed, cells=11)
+    strategy = solve(
+        network, GameOptions(ambush_radius=reach), StrategyOptions(max_detour=detour)
+    )
+    loss, entries = counted_once(strategy)
+    assert strategy.value / entries * (1 - 1e-9) <= loss <= strategy.value * (1 + 1e-9)
+    if entries == 1:
+        assert loss == pytest.approx(strategy.value, rel=1e-9)
 
 
 def hilly_network(nodes_across: int) -> Network:

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
+from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from ros_harness import risk_grid, stage, wait_until
 
@@ -38,15 +39,17 @@ def test_maps_plans_and_departures_are_told_in_a_line_each(capfd):
 
 def test_a_map_that_is_published_volatile_is_told_as_long_as_it_is():
     with stage() as running:
-        client, node = running.client, running.client.node
-        publisher = node.create_publisher(OccupancyGrid, 'alpha_map', QoSProfile(depth=1))
+        client = running.client
+        # Of its own and not spun, so that it can be destroyed at any time.
+        other = Node('mapper', context=client.node.context)
+        other.create_publisher(OccupancyGrid, 'alpha_map', QoSProfile(depth=1))
 
         def message():
             return client.diagnostics(state='waiting')['message']
 
-        words = '/client publishes /alpha_map with volatile durability'
+        words = '/mapper publishes /alpha_map with volatile durability'
         wait_until(lambda: words in message(), 'a warning')
         assert message().startswith('waiting for alpha_map, start_pose, goal_pose; ')
         assert client.diagnostics(state='waiting')['level'] == b'\1'
-        node.destroy_publisher(publisher)
+        other.destroy_node()
         wait_until(lambda: 'volatile' not in message(), 'no warning')

@@ -24,6 +24,7 @@ from ambush_planner.review.case import Case
 from ambush_planner.review.verify import Verifier
 from ambush_planner.review.verify_plan import strategy_faults
 from ambush_planner.ros.dispatcher import Dispatcher
+from ambush_planner.ros.in_force import PlanInForce
 from ambush_planner.ros.paths import path_between
 from ambush_planner.tools import verify as tool
 
@@ -220,7 +221,7 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
 
 def test_departures_beside_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal moved a little, an obstacle that is new: routes are drawn until clear."""
-    monkeypatch.setattr(Dispatcher, '_solve_in_background', lambda *_: None)
+    monkeypatch.setattr(PlanInForce, '_solve_anew', lambda *_: None)
     parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}
     with stage(tmp_path, parameters) as running:
         client = running.give()

@@ -116,7 +116,7 @@ def spoil(forger, rng):
         forger.metadata[key] = text[:at] + new + text[at + 1:]
     else:
         arrays = forger.arrays()
-        name = str(rng.choice(sorted(arrays)))
+        name = str(rng.choice(sorted(name for name in arrays if arrays[name].size)))
         values = np.array(arrays[name])
         changed = rng.choice([0, -1, 2**31, 7]) if values.dtype.kind == 'i' else rng.choice(
             [np.nan, np.inf, -1.0, 1e300, 0.0]

@@ -9,9 +9,9 @@
 6. ``acyclic``, ``gibbs``, ``most_entropy``, ``max_entropy``: of the best strategies, the most
    unpredictable.
 7. ``linear_program``: the paper's solvers. ``strategy``: the record, and ``solve``.
-8. ``routes``, ``corridors`` (by ``room``), ``taut_string``, ``driven_path``: drawing a route, and
-   the path that is driven; ``day``: routes that do not share their middle.
-9. ``evaluation``, ``bottleneck``, ``frontier``: what is said about a strategy.
+8. ``routes``, ``corridors`` (by ``room``), ``refitted``, ``taut_string``, ``driven_path``: drawing
+   a route, and the path that is driven; ``day``: routes that do not share their middle.
+9. ``judged``, ``evaluation``, ``bottleneck``, ``frontier``: what is said about a strategy.
 10. ``planner`` (with ``cover``), ``trip``, ``batch``: the whole story, once, by way of stops, and
     many times.
 """

@@ -4,8 +4,8 @@ On such a part every strategy's p and x are probabilities and every drawn route 
 order is that of the *harmonic potential*: the voltage when the edges are resistors as long as they
 are, the source is at 0 and the target at 1. Every node but these two lies between its neighbours,
 so on a two-way network every node that can lie on a route has a forward edge out of it and one
-into it, and each edge is kept in one of its two directions. Where a given strategy has to stay
-possible, its edges come first and the potential only decides between them.
+into it, and each edge is kept in one of its two directions. A strategy that has to stay possible
+comes first: its edges go forward, and the potential only decides between nodes that are free.
 """
 
 from __future__ import annotations

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import BoolArray, IndexArray, frozen_array
-from .certificate import Budget, lower_bound
+from .certificate import lower_bound
 from .errors import TimeLimit
 from .game import Game
+from .judged import budgets_in
 from .max_entropy import max_entropy_strategy
 from .strategy import Strategy
 
@@ -67,19 +68,12 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
 
 def _least_value(game: Game, strategy: Strategy, deadline: float) -> float:
     """Least value of a game within the budgets of a strategy, by its certificate's bound."""
-    network = game.network
-    length = Budget(
-        game, network.lengths, strategy.length_budget, strategy.shortest_length, "length", "m"
-    )
-    exposure = Budget(
-        game, network.edge_exposure, strategy.exposure_budget, strategy.least_exposure,
-        "exposure", "loss x m",
-    )
+    budgets = budgets_in(game, strategy)
     try:
-        outcome = max_entropy_strategy(game, (length, exposure), ROUGH, deadline)
+        outcome = max_entropy_strategy(game, budgets, ROUGH, deadline, strategy.law)
     except TimeLimit:
         return 0.0
-    return lower_bound(game, outcome.q, (length, exposure), outcome.prices)
+    return lower_bound(game, outcome.q, budgets, outcome.prices)
 
 
 def _within(game: Game, node: int, distance: float) -> BoolArray:

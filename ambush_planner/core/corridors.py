@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, IndexArray, frozen_array
+from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidOption
 from .network import Network
 from .obstacles import ObstacleField
 from .risk_map import RiskMap
-from .room import Room, among_nodes, on_the_map
+from .room import Room, among_nodes, on_the_map, whole_room
 
 # Cosine of the least turn that a shortcut may leave out; and how far at least it stays from other
 # nodes [lengths].
@@ -53,8 +53,8 @@ class Corridors:
     beyond : (L, 2, 2) float
         Radii of the quarters beyond tail and head, to the left and to the right [m]; none is wider
         than its strip.
-    shortcuts
-        Whether a path may leave out nodes of its route: without a tube.
+    shortcut : (L,) bool
+        Links by which a path may leave out nodes of its route: all of them without a tube.
     """
 
     network: Network
@@ -64,7 +64,7 @@ class Corridors:
     left: FloatArray
     right: FloatArray
     beyond: FloatArray
-    shortcuts: bool
+    shortcut: BoolArray
     _keys: IndexArray
 
     def links_along(self, route: IndexArray) -> IndexArray:
@@ -78,7 +78,7 @@ class Corridors:
         It leaves nodes out and takes in none, so no ambush at a node hits it more often. Where a
         tube is to be kept, the route comes back as it is.
         """
-        if not self.shortcuts:
+        if not self.shortcut.any():
             return route
         first, end = np.searchsorted(self._keys, np.stack((route, route + 1)) * len(self.uv))
         count = end - first
@@ -87,7 +87,7 @@ class Corridors:
         place = np.full(len(self.uv), -1)
         place[route] = np.arange(len(route))
         ahead = place[self.links[link, 1]]
-        forward = ahead > step
+        forward = (ahead == step + 1) | ((ahead > step) & self.shortcut[link])
         step, ahead = step[forward], ahead[forward]
         gaps = np.hypot(*(self.uv[route[ahead]] - self.uv[route[step]]).T)
         length, before = [np.inf] * len(route), [0] * len(route)
@@ -130,8 +130,7 @@ def make_corridors(
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, room = _with_shortcuts(uv, edges, field, clearance)
     else:
-        pairs = edges
-        room = Room(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
+        pairs, room = edges, whole_room(uv, edges, tube)
     room = on_the_map(room, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
@@ -147,7 +146,7 @@ def make_corridors(
         frozen_array(widths[:, 0], np.float64),
         frozen_array(widths[:, 1], np.float64),
         frozen_array(beyond, np.float64),
-        tube is None,
+        frozen_array(np.full(len(links), tube is None), np.bool_),
         frozen_array(_keys(links, len(uv)), np.int64),
     )
 

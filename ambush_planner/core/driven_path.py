@@ -15,7 +15,7 @@ import numpy as np
 from .arrays import FloatArray, IndexArray
 from .corridors import Corridors
 from .errors import InvalidOption
-from .risk_map import to_map_axes, to_world
+from .risk_map import to_world
 from .routes import MOST_POSES
 from .taut_string import Portals, cross, portals_along, taut_string
 
@@ -70,8 +70,8 @@ def driven_path(
     route : (K,) int
         Node indices, source first, target last.
     ends
-        Start and goal [m] where they are beside the route's ends: from and to there the path is
-        the straight line to the route's next node, which the caller has found to be clear.
+        Start and goal [m] to the last digit, where the corridors lead from and to other places than
+        the network's source and target (``with_end_at``).
 
     Raises
     ------
@@ -97,7 +97,8 @@ def _driven_leg(
     corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float,
     ends: tuple[tuple[float, float], tuple[float, float]],
 ) -> FloatArray:
-    route, portals = _way(corridors, route, ends)
+    route = corridors.shortened(route)
+    portals = portals_along(corridors, route)
     line = _smooth(portals, turning_radius)
     uv, yaw = _poses(line, spacing)
     in_world = to_world(corridors.origin, uv)
@@ -150,25 +151,6 @@ def different_paths(paths: list[FloatArray], distance: float) -> int:
             kinds[count] = here
             count += 1
     return count
-
-
-def _way(
-    corridors: Corridors, route: IndexArray,
-    ends: tuple[tuple[float, float], tuple[float, float]],
-) -> tuple[IndexArray, Portals]:
-    """The route that is followed, and its portals."""
-    at = corridors.network.points[route[[0, -1]]]
-    moved = [not np.array_equal(*pair) for pair in zip(at, np.array(ends), strict=True)]
-    first, last = int(moved[0]), len(route) - int(moved[1])
-    if last - first > 1:
-        inner = corridors.shortened(route[first:last])
-        route = np.concatenate((route[:first], inner, route[last:]))
-    portals = portals_along(corridors, route)
-    for end, next_to_it in ((0, 1), (-1, -2)):
-        if moved[end]:
-            portals.nodes[end] = to_map_axes(corridors.origin, ends[end])
-            portals.left[next_to_it] = portals.right[next_to_it] = 0.0
-    return route, portals
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Corners:

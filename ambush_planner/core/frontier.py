@@ -10,10 +10,15 @@ from .errors import BudgetInfeasible, TimeLimit
 from .game import GameOptions
 from .max_entropy import Law
 from .network import Network
-from .strategy import Strategy, StrategyOptions, solve
+from .strategy import StrategyOptions, solve
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
+# What a row takes over from its strategy.
+MEASURED = (
+    "value", "lower_bound", "expected_length", "shortest_length", "expected_exposure",
+    "least_exposure", "route_entropy",
+)
 
 
 @dataclass(frozen=True)
@@ -90,17 +95,5 @@ def _row(
         if error.strategy is None:
             return replace(row, error=str(error)), None
         strategy = error.strategy
-    return _measured(row, strategy), strategy.law
-
-
-def _measured(row: FrontierRow, strategy: Strategy) -> FrontierRow:
-    return replace(
-        row,
-        value=strategy.value,
-        lower_bound=strategy.lower_bound,
-        expected_length=strategy.expected_length,
-        shortest_length=strategy.shortest_length,
-        expected_exposure=strategy.expected_exposure,
-        least_exposure=strategy.least_exposure,
-        route_entropy=strategy.route_entropy,
-    )
+    measured = {name: getattr(strategy, name) for name in MEASURED}
+    return replace(row, **measured), strategy.law

@@ -4,8 +4,8 @@ With f = p / z in units of a loss near the value, the program is to send as much
 
     maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
 
-because the budget's row is homogeneous in f. It is solved by HiGHS' interior point method on an
-acyclic part of the network; its duals are the ambusher's q and the prices of the budgets. If the
+because the budget's row is homogeneous in f. It is solved by HiGHS' interior point method on a
+part of the network; its duals are the ambusher's q and the prices of the budgets. If the
 certificate then finds better routes outside that part, their edges join it, and so on.
 """
 

@@ -148,7 +148,8 @@ class _Search:
         """Budgets that raise the value, a reach, several ambushers: a linear program first."""
         try:
             closed = CLOSED * self.slack
-            first, until = self._first_part(), self._time(PROGRAM_SHARE)
+            first, now = self._first_part(), time.monotonic()
+            until = now + PROGRAM_SHARE * max(self.deadline - now, 0.0)
             risk = least_risk(self.game, first, self.budgets, closed, until)
         except (TimeLimit, SolverFailed):
             return self._anytime(forward_part(self.game, rank_by(self.potential)) or self.game)
@@ -205,16 +206,15 @@ class _Search:
     def _within(self, found: Outcome, partner: FloatArray, bound: float) -> Outcome | None:
         """Mix in just so much of ``partner`` that value and budgets hold; None if none does."""
         limit = bound * (1.0 + self.slack)
-        fits = self._fits(partner)
+        most = [b.limit * (1.0 + ROUNDING) for b in self.budgets]
+        if self._fits(partner):
+            most = [max(m, b.mean(partner)) for m, b in zip(most, self.budgets, strict=True)]
+        priced = [(c, b) for c, b in zip(found.prices, self.budgets, strict=True) if c > 0.0]
 
         def holds(p: FloatArray) -> bool:
-            value = upper_bound(self.game, p)
-            for budget, price in zip(self.budgets, found.prices, strict=True):
-                most = budget.limit * (1.0 + ROUNDING)
-                if budget.mean(p) > (max(most, budget.mean(partner)) if fits else most):
-                    return False
-                value += price * budget.overrun(p) if price > 0.0 else 0.0
-            return value <= limit
+            kept = all(b.mean(p) <= m for m, b in zip(most, self.budgets, strict=True))
+            over = sum(price * budget.overrun(p) for price, budget in priced)
+            return kept and upper_bound(self.game, p) + over <= limit
 
         if found.law is not None and holds(found.p):
             return found
@@ -231,10 +231,6 @@ class _Search:
 
     def _fits(self, p: FloatArray) -> bool:
         return all(b.mean(p) <= b.limit * (1.0 + FITS) for b in self.budgets)
-
-    def _time(self, share: float) -> float:
-        now = time.monotonic()
-        return now + share * max(self.deadline - now, 0.0)
 
     def _anytime(self, part: Game) -> Outcome:
         """Where no program could be solved: soft limits, ever harder, and the best of each side.

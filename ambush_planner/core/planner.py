@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from .arrays import FloatArray, IndexArray, frozen_array
 from .bottleneck import Bottleneck, find_bottleneck
@@ -16,6 +17,8 @@ from .cover import with_hiding_places
 from .driven_path import different_paths, driven_path, driven_paths
 from .errors import TimeLimit
 from .game import GameOptions
+from .judged import open_gap
+from .max_entropy import Law
 from .network import Network
 from .obstacles import nearest_free_cell
 from .options import check_at_least
@@ -27,8 +30,6 @@ Ends = tuple[tuple[float, float], tuple[float, float]]
 DEFAULT_TUBE = 0.35
 # Paths that are drawn to count the different ones, and how far these are apart [spacings].
 DRAWN, APART = 200, 0.1
-# Beside so much of the value a gap is rounding.
-ROUNDING = 1e-5
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,21 @@ class PlanningOptions:
 
 
 @dataclass(frozen=True, eq=False)
+class WarmStart:
+    """The law of a strategy on other ground, and where its nodes (N, 2) are [m]."""
+
+    points: FloatArray
+    law: Law
+
+    def on(self, network: Network) -> Law:
+        """The law with each site's multiplier taken from the node that was nearest."""
+        if np.array_equal(self.points, network.points):
+            return self.law
+        _, nearest = cKDTree(self.points).query(network.points)
+        return Law(frozen_array(self.law.sites[nearest], np.float64), self.law.budgets)
+
+
+@dataclass(frozen=True, eq=False)
 class PlanRequest:
     """Everything that a plan follows from.
 
@@ -96,6 +112,8 @@ class PlanRequest:
         Network, game and strategy.
     stops_xy, order
         Where to go by, as ``plan_trip`` takes them [m].
+    warm
+        Where the search for the strategy starts, if anything like it is known.
     """
 
     values: npt.NDArray[np.int8]
@@ -108,11 +126,14 @@ class PlanRequest:
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
     order: str = "given"
+    warm: WarmStart | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took.
+
+    ``options`` are what it was worked out with.
 
     ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
     the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
@@ -126,7 +147,7 @@ class Plan:
     strategy: Strategy
     bottleneck: Bottleneck
     corridors: Corridors
-    drive: DriveOptions
+    options: PlanningOptions
     spacing: float
     different_paths: int | None
     seconds: float
@@ -138,6 +159,11 @@ class Plan:
         """The stops as they are visited [m]."""
         stops = self.network.points[self.network.stops].tolist()
         return tuple((x, y) for x, y in stops)
+
+    @property
+    def tube(self) -> float | None:
+        """How far paths may leave the drawn route [m]; None: as far as no other node is met."""
+        return _tube(self.options, self.spacing)
 
     @property
     def goal_xy(self) -> tuple[float, float]:
@@ -159,24 +185,30 @@ def plan(
     start_xy: npt.ArrayLike,
     goal_xy: npt.ArrayLike,
     options: PlanningOptions | None = None,
+    warm: WarmStart | None = None,
 ) -> Plan:
     """Build the network and solve the game; raises what ``build_network`` and ``solve`` raise."""
     options = options or PlanningOptions()
     begin = time.monotonic()
     network = build_network(risk_map, start_xy, goal_xy, options.network)
-    return replace(plan_on(risk_map, network, options), seconds=time.monotonic() - begin)
+    return replace(plan_on(risk_map, network, options, warm), seconds=time.monotonic() - begin)
 
 
-def plan_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Plan:
+def plan_on(
+    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
+) -> Plan:
     """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
     begin = time.monotonic()
-    return plan_of(risk_map, strategy_on(risk_map, network, options), options, begin)
+    return plan_of(risk_map, strategy_on(risk_map, network, options, warm), options, begin)
 
 
-def strategy_on(risk_map: RiskMap, network: Network, options: PlanningOptions) -> Strategy:
+def strategy_on(
+    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
+) -> Strategy:
     """Solve the game on a network; raises what ``solve`` raises."""
     network = with_cover(network, risk_map, options)
-    return _solved(network, options, reach(risk_map, options))
+    start = warm.on(network) if warm else None
+    return _solved(network, options, reach(risk_map, options), start)
 
 
 def plan_of(
@@ -194,8 +226,7 @@ def plan_of(
         different = _different_paths(strategy, corridors, options.drive, spacing)
     seconds = time.monotonic() - begin
     return Plan(
-        strategy.network, strategy, bottleneck, corridors, options.drive, spacing, different,
-        seconds,
+        strategy.network, strategy, bottleneck, corridors, options, spacing, different, seconds
     )
 
 
@@ -209,18 +240,19 @@ def _different_paths(
     return different_paths(paths, APART * spacing)
 
 
-def _solved(network: Network, options: PlanningOptions, radius: float) -> Strategy:
+def _solved(
+    network: Network, options: PlanningOptions, radius: float, start: Law | None
+) -> Strategy:
     """The strategy for the reach ``radius`` [m], or what was reached if that is good enough."""
+    game = replace(options.game, ambush_radius=radius)
     try:
-        return solve(network, replace(options.game, ambush_radius=radius), options.strategy)
+        return solve(network, game, options.strategy, start)
     except TimeLimit as late:
         strategy = late.strategy
         if strategy is None:
             raise
-        # As far as it was not asked for: with a slack, a better strategy is known and not taken.
-        slack = options.strategy.risk_slack if options.strategy.solver == "max_entropy" else 0.0
-        gap = strategy.value / (1.0 + slack) - strategy.lower_bound
-        if gap <= (options.max_gap + ROUNDING) * strategy.value:
+        gap = open_gap(strategy, options.strategy)
+        if gap <= options.max_gap * strategy.value:
             return strategy
         raise TimeLimit(
             f"the strategy that was found in {options.strategy.time_limit:g} s may be "
@@ -285,14 +317,15 @@ def departure_path(
 ) -> FloatArray:
     """Poses (L, 3) = (x, y, yaw) of the path that is driven, at most ``spacing`` [m] apart.
 
-    ``ends`` are start and goal [m] where these are somewhat beside the route's.
+    ``ends`` are start and goal [m] where the plan's corridors lead from and to these.
 
     Raises
     ------
     InvalidOption
         That would be more than ``MOST_POSES``.
     """
-    return driven_path(a_plan.corridors, route.nodes, spacing, a_plan.drive.turning_radius, ends)
+    radius = a_plan.options.drive.turning_radius
+    return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)
 
 
 def departure_paths(
@@ -300,4 +333,4 @@ def departure_paths(
 ) -> list[FloatArray]:
     """Draw ``n`` departures and return their paths, as ``departure_path`` does."""
     routes = a_plan.strategy.sample_routes(n, rng)
-    return driven_paths(a_plan.corridors, routes, spacing, a_plan.drive.turning_radius)
+    return driven_paths(a_plan.corridors, routes, spacing, a_plan.options.drive.turning_radius)

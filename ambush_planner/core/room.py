@@ -32,6 +32,13 @@ class Room:
     beyond: FloatArray
 
 
+def whole_room(uv: FloatArray, pairs: IndexArray, tube: float | None) -> Room:
+    """As far as the ``tube`` reaches [m]; None: as far as no other node is met."""
+    if tube is None:
+        return among_nodes(uv, pairs)
+    return Room(np.full((len(pairs), 2), tube), np.full((len(pairs), 2, 2), tube))
+
+
 def among_nodes(uv: FloatArray, pairs: IndexArray) -> Room:
     """As far as strips and quarters hold no other node; never wider than the edge is long."""
     start, direction, length = _frame(uv, pairs)
@@ -64,14 +71,29 @@ def on_the_map(
     clear_of_edge: bool,
 ) -> Room:
     """Of a room, what keeps the clearance [m]; quarters are no wider than the strips."""
-    cells, resolution = _Cells(risk_map), risk_map.resolution
-    kept = clearance + KEPT * resolution
-    margin = kept if clear_of_edge else KEPT * resolution
+    margin = (clearance if clear_of_edge else 0.0) + KEPT * risk_map.resolution
     strips, quarters = _to_map_edge(uv, pairs, np.array(risk_map.size), margin)
-    widths = np.minimum(room.widths, strips)
-    widths = np.minimum(widths, _strips(uv, pairs, cells, widths, kept, resolution))
-    beyond = np.minimum(np.minimum(room.beyond, quarters), widths[:, None])
-    beyond = np.minimum(beyond, _quarters(uv, pairs, cells, beyond, kept, resolution))
+    room = Room(np.minimum(room.widths, strips), np.minimum(room.beyond, quarters))
+    return clear_of_cells(
+        room, uv, pairs, rim_cells(risk_map), clearance, risk_map.resolution
+    )
+
+
+def clear_of_cells(
+    room: Room,
+    uv: FloatArray,
+    pairs: IndexArray,
+    cells: FloatArray,
+    clearance: float,
+    resolution: float,
+) -> Room:
+    """Of a room, what keeps the clearance [m] from cells with these centres (C, 2)."""
+    kept, around = clearance + KEPT * resolution, _Cells(cells, resolution)
+    widths = np.minimum(
+        room.widths, _strips(uv, pairs, around, room.widths, kept, resolution)
+    )
+    beyond = np.minimum(room.beyond, widths[:, None])
+    beyond = np.minimum(beyond, _quarters(uv, pairs, around, beyond, kept, resolution))
     return Room(np.maximum(widths, 0.0), np.maximum(beyond, 0.0))
 
 
@@ -95,15 +117,20 @@ def _ahead(direction: FloatArray) -> list[tuple[int, FloatArray]]:
     return [(0, -direction), (1, direction)]
 
 
-class _Cells:
-    """The obstacle cells of a map that touch free ground, in map axes."""
+def rim_cells(risk_map: RiskMap) -> FloatArray:
+    """Centres (C, 2) in map axes of the obstacle cells that touch free ground."""
+    inner = binary_erosion(risk_map.obstacles, border_value=1)
+    cells = np.argwhere(risk_map.obstacles & ~inner)
+    return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
 
-    def __init__(self, risk_map: RiskMap) -> None:
-        inner = binary_erosion(risk_map.obstacles, border_value=1)
-        cells = np.argwhere(risk_map.obstacles & ~inner)[:, ::-1]
-        self._centres = (cells + 0.5) * risk_map.resolution
-        self._tree = cKDTree(self._centres) if len(cells) else None
-        self._corners = CORNERS * risk_map.resolution
+
+class _Cells:
+    """Obstacle cells in map axes, by their centres (C, 2)."""
+
+    def __init__(self, centres: FloatArray, resolution: float) -> None:
+        self._centres = centres
+        self._tree = cKDTree(centres) if len(centres) else None
+        self._corners = CORNERS * resolution
 
     def around(
         self, places: FloatArray, radius: FloatArray, of: IndexArray

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from .arrays import FloatArray, IndexArray, frozen_array, sums
-from .certificate import Budget, Certificate, certify, lower_bound, upper_bound
+from .certificate import Budget, Certificate, certify
 from .errors import InvalidNetwork, InvalidOption, TimeLimit
 from .game import Game, GameOptions, make_game
 from .linear_program import linear_program_strategy
@@ -104,7 +104,8 @@ class Strategy:
         q: the ambusher's equilibrium strategy, sums to the number of ambushers.
     value : float
         z(p): what the best ambush costs on average. With a reach every entry into its disc
-        counts, so it is an upper bound where a route comes back to a disc.
+        counts: an upper bound where a route comes back to a disc, and at most R times what the
+        best ambush costs if no route enters a disc more than R times.
     lower_bound : float
         No strategy within the budgets has a smaller value (one Dijkstra over q).
     gap : float
@@ -122,8 +123,8 @@ class Strategy:
         Fall of the value per unit that the budget grows.
     iterations : int
         Evaluations of the law, or iterations of the interior point or simplex method.
-    law : Law or None
-        The Gibbs law's multipliers, for a warm start.
+    law, start : Law or None
+        The Gibbs law's multipliers, for a warm start, and those that the search started from.
     """
 
     game: Game
@@ -145,6 +146,7 @@ class Strategy:
     exposure_price: float
     iterations: int
     law: Law | None = field(repr=False)
+    start: Law | None = field(repr=False)
     _sampler: RouteSampler = field(repr=False)
 
     @property
@@ -213,7 +215,7 @@ def solve(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _published(prepared, outcome, budgets, options)
+    return _published(prepared, outcome, budgets, options, warm)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -230,28 +232,16 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     names = (("length", "m"), ("exposure", "loss x m"))
     budgets = []
     for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
-        least = float(
-            distances_from(network.edges, cost, len(network.points), network.source)[
-                network.target
-            ]
-        )
+        least = least_cost(network, cost)
         limit = factor * least if math.isfinite(factor) else math.inf
         budgets.append(Budget(game, cost, limit, least, name, unit))
     return budgets[0], budgets[1]
 
 
-def revalue(strategy: Strategy, network: Network) -> Certificate:
-    """Value and bound of a strategy where the losses of its network's nodes have changed.
-
-    ``network`` has the same nodes and edges as the strategy's; the bound is its old ambusher's.
-    """
-    game = replace(
-        strategy.game,
-        network=network,
-        loss=frozen_array(np.where(strategy.game.loss > 0.0, network.alpha, 0.0), np.float64),
-    )
-    q = strategy.ambush_probability
-    return Certificate(upper_bound(game, strategy.edge_probability), lower_bound(game, q))
+def least_cost(network: Network, cost: FloatArray) -> float:
+    """What the network's best route costs, by the costs (M,) of edges."""
+    found = distances_from(network.edges, cost, len(network.points), network.source)
+    return float(found[network.target])
 
 
 def _check_losses(network: Network) -> None:
@@ -266,11 +256,12 @@ def _check_losses(network: Network) -> None:
 
 
 def _published(
-    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions,
+    start: Law | None,
 ) -> Strategy:
     """The strategy as computed from p, q and prices alone; TimeLimit if its gap is too wide."""
     certificate = certify(game, outcome.p, outcome.q, budgets, outcome.prices)
-    strategy = _strategy(game, outcome, budgets, certificate)
+    strategy = _strategy(game, outcome, budgets, certificate, start)
     slack = options.risk_slack if options.solver == "max_entropy" else 0.0
     slack += CERTIFICATE_TOLERANCE
     # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
@@ -286,7 +277,8 @@ def _published(
 
 
 def _strategy(
-    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate,
+    start: Law | None,
 ) -> Strategy:
     network, p = game.network, outcome.p
     leaving = sums(network.tails, p, game.node_count)
@@ -311,6 +303,7 @@ def _strategy(
         exposure_price=outcome.prices[1],
         iterations=outcome.iterations,
         law=outcome.law,
+        start=start,
         _sampler=RouteSampler(network, p),
     )
 

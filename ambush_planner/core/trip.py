@@ -28,6 +28,7 @@ from .planner import (
     Plan,
     PlanningOptions,
     PlanRequest,
+    WarmStart,
     plan_of,
     reach,
     read_request,
@@ -54,6 +55,7 @@ def plan_trip(
     *,
     stops: Iterable[npt.ArrayLike] = (),
     order: str = 'given',
+    warm: WarmStart | None = None,
 ) -> Plan:
     """Plan a trip from start to goal by way of stops, all world positions [m].
 
@@ -66,7 +68,8 @@ def plan_trip(
     ``max_detour`` times the shortest way in any order. For up to ``MOST_STOPS`` stops no other
     order has a value that is better by more than the risk slack (``Plan.order_found`` is 'best');
     with more, or where the time limit passes, the order may be a worse one ('heuristic'): with
-    more stops it is a short one. ``Plan.order`` tells which stop comes when.
+    more stops it is a short one. ``Plan.order`` tells which stop comes when. A ``warm`` start is
+    for the given order.
 
     Raises
     ------
@@ -86,7 +89,7 @@ def plan_trip(
     chosen = tuple(range(len(asked)))
     found = order
     if order == 'given' or len(asked) < 2:
-        strategy = strategy_on(risk_map, roads.network(roads.visits), options)
+        strategy = strategy_on(risk_map, roads.network(roads.visits), options, warm)
     else:
         search = _OrderSearch(risk_map, roads, options)
         strategy, chosen, found = search.run()
@@ -108,7 +111,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
     risk_map, goal_xy = read_request(request)
     return plan_trip(
         risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
-        order=request.order,
+        order=request.order, warm=request.warm,
     )
 
 

@@ -13,6 +13,7 @@ from ..core.arrays import frozen_array, sums
 from ..core.certificate import Budget, certify
 from ..core.errors import AmbushPlannerError
 from ..core.game import Game, GameOptions, make_game
+from ..core.max_entropy import Law
 from ..core.network import Network
 from ..core.routes import RouteSampler
 from ..core.strategy import Strategy
@@ -29,12 +30,16 @@ VALUE_TOLERANCE = 1e-9
 _BUDGETS = ('length_budget', 'exposure_budget')
 # How far an ambush reaches in the game that was solved [m]: with the tube of the driven path.
 _REACH = 'reach'
+# What the search for the law started from, if not from nothing: the multipliers of the sites
+# (N,), then of the budgets.
+_START = 'start'
 _ARRAYS: dict[str, tuple[type, Shape]] = {
     'points': (np.float64, ('nodes', 2)),
     'alpha': (np.float64, ('nodes',)),
     'ambush_probability': (np.float64, ('nodes',)),
     'edges': (np.int64, ('edges', 2)),
     'edge_probability': (np.float64, ('edges',)),
+    _START: (np.float64, ('multipliers',)),
     **dict.fromkeys(('source', 'target', 'legs'), (np.int64, ())),
     **dict.fromkeys((*NUMBERS, _REACH), (np.float64, ())),
 }
@@ -51,13 +56,14 @@ _MOST_PACKED = 40
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file."""
-    network = strategy.network
+    network, start = strategy.network, strategy.start
     return packed({
         **{name: getattr(network, name) for name in ('points', 'alpha', 'edges')},
         **{name: np.int64(getattr(network, name)) for name in ('source', 'target', 'legs')},
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
         **{name: np.float64(getattr(strategy, name)) for name in NUMBERS},
+        _START: np.empty(0) if start is None else np.append(start.sites, start.budgets),
         _REACH: np.float64(strategy.game.ambush_radius),
     })
 
@@ -111,7 +117,9 @@ def arrays_of(data: bytes) -> dict[str, np.ndarray]:
         number = float(content[name])
         if math.isnan(number) or (name not in _BUDGETS and math.isinf(number)):
             raise BadAttachment(f'{name} is not a finite number')
-    for name in ('edge_probability', 'ambush_probability'):
+    if len(content[_START]) not in (0, nodes + len(_BUDGETS)):
+        raise BadAttachment(f'{_START} has {len(content[_START])} multipliers')
+    for name in ('edge_probability', 'ambush_probability', _START):
         if not (np.isfinite(content[name]) & (content[name] >= 0.0)).all():
             raise BadAttachment(f'{name} must be finite and >= 0')
     return content
@@ -154,8 +162,14 @@ def _strategy(game: Game, content: dict[str, np.ndarray]) -> Strategy:
         exposure_price=prices[1],
         iterations=0,
         law=None,
+        start=_start(content),
         _sampler=RouteSampler(network, p),
     )
+
+
+def _start(content: dict[str, np.ndarray]) -> Law | None:
+    sites, budgets = np.split(frozen_array(content[_START], np.float64), [len(content['points'])])
+    return Law(sites, tuple(budgets.tolist())) if len(sites) else None
 
 
 def _compare(strategy: Strategy, content: dict[str, np.ndarray]) -> None:

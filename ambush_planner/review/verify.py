@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import AmbushPlannerError
-from ..core.planner import PlanningOptions, PlanRequest
+from ..core.planner import PlanningOptions, PlanRequest, WarmStart
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording
 from ..recording.bag_folder import BagFile, describe_file
@@ -40,6 +40,7 @@ from .verify_plan import (
     PlannedAgain,
     certificate_faults,
     changed_route_faults,
+    ground_then,
     route_faults,
     source_faults,
     strategy_faults,
@@ -167,14 +168,16 @@ class Verifier:
 
         The game is solved only on the network that was recorded.
         """
-        key = _plan_key(case, trip)
+        start = strategy.start and WarmStart(strategy.network.points, strategy.start)
+        key = (*_plan_key(case, trip), start and _strategy_key(case))
         try:
-            again = self._kept['plan'].get(key, lambda: self._plan(case, trip))
+            again = self._kept['plan'].get(key, lambda: self._plan(case, trip, start))
             if again.goal_xy != case.metadata.trip.goal_xy:
                 check.problems.append(
                     'trip: its goal is not where the goal pose and the tolerance lead to'
                 )
-            check.problems += ends_faults(case, again.spacing)
+            apart = ends_faults(case, again.spacing)
+            check.problems += apart
             if faults := again.network_faults(strategy.network):
                 check.problems += faults
                 return
@@ -199,12 +202,16 @@ class Verifier:
         # On the recorded strategy, which may differ by rounding, or where time was up.
         used = replace(plan, strategy=strategy)
         check.problems += [*faults, *status_faults(case, used if hurried else plan, hurried)]
-        if not check.problems and case.recorded.map_changes:
-            check.problems += changed_route_faults(case, used)
-        check.problems += path_faults(case, used, trip)
         check.notes += notes
+        if apart:
+            return
+        ground, newest = ground_then(case, used)
+        if not check.problems and case.recorded.map_changes:
+            check.problems += changed_route_faults(case, ground, newest)
+        fitted = ground.fitted(newest, case.metadata.ends)
+        check.problems += path_faults(case, fitted, trip)
 
-    def _plan(self, case: Case, trip: PosedTrip) -> PlannedAgain:
+    def _plan(self, case: Case, trip: PosedTrip, start: WarmStart | None) -> PlannedAgain:
         self._planning(case.path)
         if self._worker is None or not self._worker.alive:
             self._worker = WorkerProcess()
@@ -217,6 +224,7 @@ class Verifier:
             _options(case),
             trip.stops_xy,
             case.parameters.trip_order,
+            start,
         ), case.metadata.trip.stops, self._worker.solve)
 
     def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:
@@ -275,7 +283,7 @@ def _strategy_key(case: Case) -> Hashable:
     return case.metadata.sha256['strategy'], case.parameters.planning.game
 
 
-def _plan_key(case: Case, trip: PosedTrip) -> Hashable:
+def _plan_key(case: Case, trip: PosedTrip) -> tuple[Hashable, ...]:
     return (
         case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, trip.stops_xy,
         case.parameters.trip_order, case.parameters.occupancy, _options(case),

@@ -10,6 +10,7 @@ import numpy as np
 
 from ..core.acyclic import is_acyclic
 from ..core.construction import expected_nodes
+from ..core.judged import open_gap
 from ..core.network import Network
 from ..core.planner import (
     Plan,
@@ -67,7 +68,7 @@ def certificate_faults(strategy: Strategy, planning: PlanningOptions) -> list[st
             faults.append(
                 f'strategy: its {what}, {mean:.9g}{unit}, is over its budget of {budget:.9g}{unit}'
             )
-    gap = _open_gap(strategy, planning)
+    gap = open_gap(strategy, planning.strategy)
     if gap > planning.max_gap * strategy.value:
         faults.append(f'strategy: its certificate does not close: gap {gap:.3g}')
     return faults
@@ -79,18 +80,7 @@ def was_hurried(strategy: Strategy, planning: PlanningOptions, seconds: float) -
     What it would have found with more time nobody knows; its certificate is checked all the same.
     """
     limit = planning.strategy.time_limit
-    return _open_gap(strategy, planning) > 0.0 or seconds >= _HURRIED * limit
-
-
-def _open_gap(strategy: Strategy, planning: PlanningOptions) -> float:
-    """What the certificate leaves open beyond the slack and rounding; 0 where it closes."""
-    options = planning.strategy
-    # With a length weight it is the weighted sum that is minimal.
-    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
-    gap = strategy.value / (1.0 + slack) - strategy.lower_bound
-    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
-    return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0
+    return open_gap(strategy, planning.strategy) > 0.0 or seconds >= _HURRIED * limit
 
 
 class PlannedAgain:
@@ -197,28 +187,29 @@ def route_faults(case: Case, strategy: Strategy) -> list[str]:
     return ['route: it is not what route_entropy_source draws from the strategy']
 
 
-def changed_route_faults(case: Case, plan: Plan) -> list[str]:
-    """Draw the route again as the node does on ground that has changed: until it is clear.
+def ground_then(case: Case, plan: Plan) -> tuple[Ground, MapInForce]:
+    """The ground as it was planned on, with the recorded strategy, and the newest map.
 
-    ``plan`` has the recorded strategy.
+    Raises
+    ------
+    UnreadableRecording
+        The changes of the map are none.
     """
     values, resolution, origin = occupancy_from_ros(case.message('map'))
-    try:
-        after = changed_map(values, case.recorded.map_changes)
-    except BadAttachment as error:
-        return [f'map_changes: {error}']
-    planned, newest = (
-        MapInForce(None, cells, resolution, origin)  # what came, and where from, is not looked at
-        for cells in (values, after)
-    )
-    planning = case.parameters.planning
-    ground = Ground(
-        plan, planned, case.parameters.occupancy, planning.game, planning.network.clearance
-    )
-    drawn = ground.draw(
-        np.random.default_rng(case.metadata.route_entropy_source), newest,
-        case.parameters.path_spacing or plan.spacing, case.metadata.ends,
-    )
-    if drawn is None or not np.array_equal(drawn[0].nodes, case.metadata.route):
+    # What came, and where from, is not looked at.
+    planned = newest = MapInForce(None, values, resolution, origin)
+    if case.recorded.map_changes:
+        try:
+            after = changed_map(values, case.recorded.map_changes)
+        except BadAttachment as error:
+            raise case.unreadable(f'map_changes: {error}') from error
+        newest = MapInForce(None, after, resolution, origin)
+    return Ground(plan, planned, case.parameters.occupancy), newest
+
+
+def changed_route_faults(case: Case, ground: Ground, newest: MapInForce) -> list[str]:
+    """Draw the route again as the node does on ground that has changed: until it is clear."""
+    drawn = ground.draw(np.random.default_rng(case.metadata.route_entropy_source), newest)
+    if drawn is None or not np.array_equal(drawn.nodes, case.metadata.route):
         return ['route: it is not what route_entropy_source draws on the map as it had changed']
     return []

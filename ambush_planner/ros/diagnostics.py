@@ -11,13 +11,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
 from ..core.bottleneck import Bottleneck
+from ..core.judged import open_gap
 from ..core.planner import DRAWN, Plan
 from ..worker.errors import SolveCancelled
 from .errors import OK_CODE, code_of
 from .ground import Standing
 
-# Of the value: a gap that is left by rounding, or by the slack that is usual.
-_SOLVED = 0.02
 _DIFFERENT = f'different_paths_of_{DRAWN}'
 
 
@@ -127,12 +126,13 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
 
 def _gap_warning(plan: Plan) -> str:
     """Say so where the time was up before the strategy was the best."""
-    strategy = plan.strategy
-    if strategy.gap <= _SOLVED * strategy.value:
+    gap = open_gap(plan.strategy, plan.options.strategy)
+    if gap == 0.0:
         return ''
     return (
-        f'the value {strategy.value:.4g} may be {strategy.gap:.3g} over the least one: allow more '
-        'max_planning_time, or a smaller strategy.risk_slack'
+        f'time was up before the best strategy was found: beyond strategy.risk_slack, the value '
+        f'{plan.strategy.value:.4g} may be {gap:.3g} over the least one; allow more '
+        'max_planning_time, or choose a larger network.spacing'
     )
 
 

@@ -19,13 +19,13 @@ from std_srvs.srv import Trigger
 
 from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError, InvalidOption
-from ..core.planner import Plan, Route
+from ..core.planner import Plan, Route, departure_path
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
-from . import markers
 from .departure_record import Departure, ServiceCall
 from .errors import GroundChanges, NotActive
 from .futures import settle
+from .in_force import PlanInForce
 from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
 from .parameters import NodeParameters, RecordingOptions
@@ -78,8 +78,9 @@ class Dispatcher:
         self._start_topic = start_topic
         self._reporter, self._clock, self._logger = reporter, clock, logger
         self._plans = Plans(self._tell_solved)
-        self._shown: HeldPlan | None = None
-        self._markers: tuple[RecordedMessage, ...] = ()
+        self._in_force = PlanInForce(
+            self._plans, inputs, outbox, reporter, clock, self._in_turn
+        )
         self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
         self._count = 0
         self._told_to_end: float | None = None
@@ -108,7 +109,7 @@ class Dispatcher:
     def resume(self) -> None:
         """Take requests, as it does not from the beginning."""
         self._paused = False
-        if self._shown is not None:
+        if self._in_force.held is not None:
             self.ground_changed()
 
     def close(self) -> None:
@@ -170,7 +171,7 @@ class Dispatcher:
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
 
         def show(held: HeldPlan) -> None:
-            self._show(held)
+            self._in_force.show(held)
             self._review()
             self._reporter.succeeded()
             outcome.set_result(held.plan)
@@ -244,8 +245,8 @@ class Dispatcher:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()
-        if held is not self._shown:
-            self._show(held)
+        if held is not self._in_force.held:
+            self._in_force.show(held)
             if held.trip.map is not trip.map:
                 self._review()
         parameters = request.parameters
@@ -263,11 +264,11 @@ class Dispatcher:
         published = self._path_out(path, request)
         self._count = number
         self._logger.info(f'departure {number} ({departure_id})')
-        tight = tight_turns(path.rows, held.plan.drive.turning_radius)
+        tight = tight_turns(path.rows, held.plan.options.drive.turning_radius)
         report, trouble = self._reporter.departed(number, departure_id, tight)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
-            published, tuple(filter(None, (*self._markers, report))), request.begin_ns,
+            published, tuple(filter(None, (*self._in_force.markers, report))), request.begin_ns,
             max(leaving, self._now()), trouble,
         ))
 
@@ -293,11 +294,11 @@ class Dispatcher:
         stamp_ns: int,
     ) -> tuple[Route, DeparturePath] | None:
         """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
-        spacing = parameters.path_spacing or held.plan.spacing
-        drawn = held.ground.draw(np.random.default_rng(source), trip.map, spacing, held.ends(trip))
-        if drawn is None:
+        route = held.ground.draw(np.random.default_rng(source), trip.map)
+        if route is None:
             return None
-        route, rows = drawn
+        spacing, ends = parameters.path_spacing or held.plan.spacing, held.ends(trip)
+        rows = departure_path(held.ground.fitted(trip.map, ends), route, spacing, ends)
         poses = trip.start_pose.pose, trip.goal_pose.pose
         return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
@@ -314,60 +315,9 @@ class Dispatcher:
             raise NotActive(INACTIVE)
 
     def _review(self) -> None:
-        """Tell how the plan that is shown stands on the map in force; solve anew if it is stale."""
-        held, newest, parameters = self._shown, self._inputs.map_in_force(), self._parameters
-        self._plans.keep_ground(newest)
-        if held is None or not newest.same_ground(held.trip.map):
-            self._reporter.stands(None, '')
-            return
-        standing = held.ground.standing(newest)
-        if not standing.stale(held.plan.strategy.value, parameters.replan_tolerance):
-            self._plans.withdraw_background()
-            self._reporter.stands(standing, '')
-            return
-        why = (
-            f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
-            else f'the value has risen to {standing.value:.4g}'
-        )
-        if self._paused:
-            self._reporter.stands(standing, f'the map has changed: {why}')
-            return
-        self._reporter.stands(standing, f'the map has changed: {why}; it is being solved anew')
-        trip = replace(held.trip, map=newest)
-        self._solve_in_background(trip, held.parameters, f'the map has changed: {why}')
-
-    def _solve_in_background(self, trip: Trip, parameters: NodeParameters, why: str) -> None:
-        def show(solve: Future[HeldPlan]) -> None:
-            try:
-                self._show(solve.result())
-            except AmbushPlannerError as error:
-                if not isinstance(error, SolveCancelled):
-                    self._reporter.stale(f'{why}, and cannot be solved anew: {error}')
-                return
-            self._review()
-
-        solve = self._plans.solve(trip, parameters, background=True)
-        self._reporter.refresh()
-        solve.add_done_callback(lambda done: self._in_turn(lambda: show(done)))
-
-    def _show(self, held: HeldPlan) -> None:
-        """Publish the markers of the plan that is in force from now on."""
-        plan, strategy = held.plan, held.plan.strategy
-        header = self._header(held.trip, self._now())
-        self._markers = tuple(
-            self._outbox.publish(topic, message)
-            for topic, message in (
-                ('network', markers.network_lines(plan.network, header)),
-                ('edge_probabilities', markers.edge_probabilities(strategy, header)),
-                ('mean_direction', markers.mean_direction(strategy, header)),
-                ('ambush_sites', markers.ambush_sites(strategy, header)),
-                ('stops', markers.stops(plan.network, header)),
-            )
-        )
-        self._shown = held
-        newest = self._inputs.map_in_force()
-        same = newest.same_ground(held.trip.map)
-        self._reporter.plan_shown(plan, held.ground.standing(newest) if same else None)
+        """See how the plan in force stands; solve it anew if it is stale, unless paused."""
+        again = None if self._paused else self._review
+        self._in_force.review(self._parameters.replan_tolerance, again)
 
     def _robot(self, parameters: NodeParameters) -> RobotOptions:
         return RobotOptions(

@@ -11,13 +11,12 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..core.arrays import FloatArray, IndexArray
-from ..core.certificate import Budget, lower_bound, upper_bound
-from ..core.errors import BudgetInfeasible, NoRoute
-from ..core.game import Game, GameOptions, make_game
+from ..core.corridors import Corridors
+from ..core.judged import revalue
 from ..core.obstacles import ObstacleField
-from ..core.planner import Ends, Plan, Route, depart, departure_path
+from ..core.planner import Ends, Plan, Route, depart
+from ..core.refitted import among_new_obstacles, with_end_at
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
-from ..core.strategy import Strategy, StrategyOptions, make_budgets
 from .conditioned import Conditioned
 from .inputs import MapInForce
 
@@ -30,7 +29,6 @@ _MOST_DRAWS = 300
 _MOST_LOST = 0.01
 # Where fewer routes than this are left, nobody departs before it is solved anew.
 _LEAST_SHARE = 0.1
-_TINY = np.finfo(float).tiny
 _TOUCH = 1e-6  # of a cell: touching is meeting
 _SIDE_MARGIN = 2  # cells around what a connection can meet
 
@@ -80,26 +78,19 @@ class Ground:
     ----------
     plan, planned_on
         The plan, and the map that it was worked out on.
-    occupancy, game
-        The options that it was worked out with.
-    reach
-        How far from an obstacle its paths have to stay, measured from the drawn route [m].
+    occupancy
+        How cells are read.
     """
 
     def __init__(
-        self,
-        plan: Plan,
-        planned_on: MapInForce,
-        occupancy: OccupancyOptions,
-        game: GameOptions,
-        reach: float,
+        self, plan: Plan, planned_on: MapInForce, occupancy: OccupancyOptions
     ) -> None:
-        self._plan, self._planned_on = plan, planned_on
-        self._occupancy, self._game, self._reach = occupancy, game, reach
+        self._plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
+        self._clearance = plan.options.network.clearance
         network = plan.network
         self._uv = _map_axes(planned_on, network.points)
         self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
-        self._segments = _Segments(*(self._uv[network.edges[self._used, k]] for k in (0, 1)))
+        self._segments = _Segments(*(self._uv[network.edges[:, k]] for k in (0, 1)))
         self._conditioned: Conditioned | None = None
         self._cells = self._cells_of_nodes()
         self._latest: _Look | None = None
@@ -113,33 +104,38 @@ class Ground:
         pairs = self._look(newest).lost_pairs
         return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
 
-    def draw(
-        self, rng: np.random.Generator, newest: MapInForce, spacing: float, ends: Ends
-    ) -> tuple[Route, FloatArray] | None:
+    def draw(self, rng: np.random.Generator, newest: MapInForce) -> Route | None:
         """Draw routes until one is clear on the newest map, which nearly all are.
 
-        So a route is drawn with its chance on condition that it is clear. Returns it with its path
-        (L, 3) between the ``ends`` [m]; None after too many.
+        So a route is drawn with its chance on condition that it is clear; None after too many.
         """
         for _ in range(_MOST_DRAWS):
             route = depart(self._plan, rng)
             if self.holds(route.nodes, newest):
-                path = departure_path(self._plan, route, spacing, ends)
-                if not self.meets_new_obstacle(path[:, :2], newest):
-                    return route, path
+                return route
         return None
 
-    def lost(self, newest: MapInForce) -> npt.NDArray[np.bool_]:
-        """Which edges (M,) in use meet an obstacle that is new, or lead where nobody may drive."""
-        return self._look(newest).lost
+    def fitted(self, newest: MapInForce, ends: Ends) -> Plan:
+        """The plan with corridors that are clear on the newest map, and lead from and to ``ends``.
 
-    def meets_new_obstacle(self, points: FloatArray, newest: MapInForce) -> bool:
-        """Whether a path (K, 2) comes within the clearance of an obstacle that is new."""
-        centres = self._look(newest).new_obstacles
-        if not len(centres):
-            return False
-        uv = _map_axes(newest, points)
-        return len(_Segments(uv[:-1], uv[1:]).met(centres, self._distance(newest))) > 0
+        The path of a route that ``holds`` is then clear, and so are the ways from and to the ends
+        if their straight lines are (``clear``).
+        """
+        plan, network, options = self._plan, self._plan.network, self._plan.options.network
+        corridors = self._corridors(newest)
+        for node, place in zip((network.source, network.target), ends, strict=True):
+            if tuple(network.points[node].tolist()) != place:
+                node %= network.place_count
+                corner, part = self._around(newest, node, place)
+                corridors = with_end_at(
+                    corridors, node, place, part, corner, self._clearance, plan.tube,
+                    options.clear_of_edge,
+                )
+        return plan if corridors is plan.corridors else replace(plan, corridors=corridors)
+
+    def lost(self, newest: MapInForce) -> npt.NDArray[np.bool_]:
+        """Which edges (M,) meet an obstacle that is new, or lead where nobody may drive."""
+        return self._look(newest).lost
 
     def clear(self, a: FloatArray, b: FloatArray, newest: MapInForce) -> bool:
         """Whether all segments a -> b, both (K, 2), stay clear of the newest map's obstacles."""
@@ -147,14 +143,37 @@ class Ground:
         size = np.array(newest.values.shape[::-1]) * newest.resolution
         if not ((ends >= 0.0) & (ends <= size)).all():
             return False
-        corner, part = self._part(newest, ends)
+        corner, part = self._part(newest, ends, self._clearance)
         tails, heads = np.split(ends - corner, [len(a)])
-        return bool(ObstacleField(part).clear_segments(tails, heads, self._reach).all())
+        return bool(ObstacleField(part).clear_segments(tails, heads, self._clearance).all())
 
-    def _part(self, newest: MapInForce, uv: FloatArray) -> tuple[FloatArray, RiskMap]:
+    def _corridors(self, newest: MapInForce) -> Corridors:
+        """The plan's corridors where there are new obstacles."""
+        look = self._look(newest)
+        if look.corridors is None:
+            look.corridors = among_new_obstacles(
+                self._plan.corridors, look.new_obstacles, self._clearance, newest.resolution
+            ) if len(look.new_obstacles) else self._plan.corridors
+        return look.corridors
+
+    def _around(
+        self, newest: MapInForce, node: int, place: tuple[float, float]
+    ) -> tuple[FloatArray, RiskMap]:
+        """The map around the links of a node that is at another place, as far as paths may go."""
+        links = self._plan.corridors.links
+        at = links[(links == node).any(axis=1)].ravel()
+        uv = np.vstack((self._uv[at], _map_axes(newest, np.array([place]))))
+        wide = self._plan.tube
+        if wide is None:
+            wide = float(np.hypot(*(uv - uv[-1]).T).max())
+        return self._part(newest, uv, wide + self._clearance)
+
+    def _part(
+        self, newest: MapInForce, uv: FloatArray, reach: float
+    ) -> tuple[FloatArray, RiskMap]:
         """The map around some positions, and where its lower left corner lies."""
         step = newest.resolution
-        margin = math.ceil(self._reach / step) + _SIDE_MARGIN
+        margin = math.ceil(reach / step) + _SIDE_MARGIN
         low = np.maximum(np.floor(uv.min(axis=0) / step).astype(np.int64) - margin, 0)
         high = np.floor(uv.max(axis=0) / step).astype(np.int64) + margin + 1
         values = newest.values[low[1]:high[1], low[0]:high[0]]
@@ -179,20 +198,20 @@ class Ground:
         lost = np.zeros(len(network.edges), dtype=bool)
         if len(cells) > _MOST_CELLS:
             return _Look(newest, Standing(math.inf, 0.0, 0.0), centres, lost, frozenset())
-        lost[self._used[self._segments.met(centres, self._distance(newest))]] = True
-        lost[self._used] |= (alpha > self._game.alpha_threshold)[network.heads[self._used]]
+        lost[self._segments.met(centres, self._distance(newest))] = True
+        lost |= (alpha > self._plan.options.game.alpha_threshold)[network.heads]
         share, p = 1.0, strategy.edge_probability
-        if lost.any():
+        if lost[self._used].any():
             if self._conditioned is None:
                 self._conditioned = Conditioned(strategy)
             share, p = self._conditioned.avoiding(lost)
-        value, bound = revalue(strategy, self._game, alpha, p)
+        known = revalue(strategy, self._plan.options.game, alpha, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return _Look(newest, Standing(value, bound, share), centres, lost, pairs)
+        return _Look(newest, Standing(known.value, known.bound, share), centres, lost, pairs)
 
     def _distance(self, newest: MapInForce) -> float:
         """From a cell's centre, so that what stays further away cannot meet the cell."""
-        return self._reach + (math.sqrt(0.5) + _TOUCH) * newest.resolution
+        return self._clearance + (math.sqrt(0.5) + _TOUCH) * newest.resolution
 
     def _new_obstacles(self, newest: MapInForce) -> _Cells:
         """Cells (K, 2) = (column, row) that are obstacles now and were none."""
@@ -231,43 +250,11 @@ class Ground:
         return found
 
 
-def revalue(
-    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray
-) -> tuple[float, float]:
-    """Value of the strategy p (M,), and the strategy's lower bound, where losses (N,) are others.
-
-    A strategy without routes, p = 0, has an infinite value. The budget of exposure is as many times
-    the least one as before.
-    """
-    network = replace(strategy.network, alpha=alpha)
-    try:
-        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
-        budgets = _budgets(game, strategy)
-    except (NoRoute, BudgetInfeasible):
-        return math.inf, 0.0
-    value = upper_bound(game, p) if p.any() else math.inf
-    prices = strategy.length_price, strategy.exposure_price
-    return value, min(lower_bound(game, strategy.ambush_probability, budgets, prices), value)
-
-
-def _budgets(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    network, least = game.network, strategy.shortest_length
-    length = Budget(game, network.lengths, strategy.length_budget, least, 'detour', 'm')
-    if not math.isfinite(strategy.exposure_budget):
-        return length, Budget(
-            game, network.edge_exposure, math.inf, strategy.least_exposure, 'exposure', 'loss x m'
-        )
-    options = StrategyOptions(
-        max_exposure=strategy.exposure_budget / max(strategy.least_exposure, _TINY)
-    )
-    return length, make_budgets(game, options)[1]
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Look:
-    """What the newest map means: centres (K, 2) of cells, and the edges in use that are lost.
+    """What the newest map means: centres (K, 2) of cells, and the edges that are lost.
 
-    The edges are given as a mask (M,) and as pairs (tail, head).
+    The edges are given as a mask (M,) and as pairs (tail, head). ``corridors`` are those left.
     """
 
     newest: MapInForce
@@ -275,6 +262,7 @@ class _Look:
     new_obstacles: FloatArray
     lost: npt.NDArray[np.bool_]
     lost_pairs: frozenset[tuple[int, ...]]
+    corridors: Corridors | None = None
 
 
 class _Segments:

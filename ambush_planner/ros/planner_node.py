@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
@@ -63,6 +63,7 @@ class PlannerNode(LifecycleNode):
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
         self._configured, self._closing = ExitStack(), ExitStack()
+        self._closing.callback(self._leave_graph)
         self._closing.callback(super().destroy_node)
         with ExitStack() as unless_built:
             unless_built.enter_context(self._closing)
@@ -104,7 +105,8 @@ class PlannerNode(LifecycleNode):
             self, self._guard, lambda: _there(self._dispatcher), lambda: _there(self._inputs),
             self._robot,
         )
-        self._closing.callback(ComputePath(self, self._guard, requests).close)
+        self._goals = ComputePath(self, self._guard, requests)
+        self._closing.callback(self._goals.close)
 
     def _start(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -168,14 +170,20 @@ class PlannerNode(LifecycleNode):
     def _forget(self) -> None:
         self._dispatcher, self._inputs, self._listening = None, None, None
 
-    def stop_solving(self) -> None:
-        """End all solves, now and to come; requests that wait for one are answered."""
+    def stop_solving(self, executor: Executor | None = None) -> None:
+        """End all solves, now and to come; who waits for one is answered, goals by ``executor``."""
         if self._dispatcher is not None:
             self._dispatcher.stop_solving()
+        if executor is not None:
+            self._goals.answer_last(executor)
 
     def destroy_node(self) -> None:
         """Answer all who wait, write the last recordings, and end all that belongs to the node."""
         self._closing.close()
+
+    def _leave_graph(self) -> None:
+        # The state machine would keep the node in the graph until Python looks for cycles.
+        self._state_machine = None
 
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
@@ -290,7 +298,7 @@ def main(args: list[str] | None = None) -> int:
     finally:
         # Those who wait are answered, and the last recordings written, as the node is destroyed.
         if node is not None:
-            node.stop_solving()
+            node.stop_solving(executor)
         if executor is not None:
             executor.shutdown()
         if node is not None:

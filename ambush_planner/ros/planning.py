@@ -10,9 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from threading import RLock
 
-import numpy as np
-
-from ..core.planner import Plan, PlanRequest
+from ..core.planner import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .futures import done
 from .ground import Ground
@@ -138,7 +136,7 @@ class Plans:
     ) -> Future[HeldPlan]:
         solve = self._solves.submit(
             _key(trip, parameters),
-            _request(trip, parameters),
+            _request(trip, parameters, self._warm_start(trip, parameters)),
             partial(_held, trip, parameters),
             parameters.queue_size,
             background,
@@ -149,6 +147,14 @@ class Plans:
             solve.add_done_callback(self._keep_solved)
         return solve
 
+    def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
+        """The law of a plan that answers the same question on an earlier map, if there is one."""
+        for held in reversed(self._kept):
+            law = held.plan.strategy.law
+            if law is not None and held.trip.map is not trip.map and _asks(held, trip, parameters):
+                return WarmStart(held.plan.network.points, law)
+        return None
+
     def _keep_solved(self, solve: Future[HeldPlan]) -> None:
         with self._lock:
             self._pending = [each for each in self._pending if each.solve is not solve]
@@ -157,7 +163,7 @@ class Plans:
                 self._solved(solve.result().plan)
 
     def _keep(self, held: HeldPlan) -> None:
-        others = [each for each in self._kept if not _supersedes(held, each)]
+        others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]
         self._kept = [*others, held][-_KEPT:]
 
 
@@ -203,13 +209,13 @@ def _tolerance(parameters: NodeParameters, spacing: float) -> float:
     return min(parameters.start_tolerance, 0.5 * spacing)
 
 
-def _supersedes(new: HeldPlan, old: HeldPlan) -> bool:
-    """Whether a plan answers the same question as an older one: of an earlier map, perhaps."""
+def _asks(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
+    """Whether a plan answers the same question: of another map, perhaps."""
     return (
-        old.trip.start_xy == new.trip.start_xy
-        and _goal(old.trip) == _goal(new.trip)
-        and _by_way_of(old.trip, old.parameters) == _by_way_of(new.trip, new.parameters)
-        and _options(old.parameters) == _options(new.parameters)
+        held.trip.start_xy == trip.start_xy
+        and _goal(held.trip) == _goal(trip)
+        and _by_way_of(held.trip, held.parameters) == _by_way_of(trip, parameters)
+        and _options(held.parameters) == _options(parameters)
     )
 
 
@@ -244,15 +250,19 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     All of them: whether a route can be used must not depend on which one is drawn.
     """
     network, p = held.plan.network, held.plan.strategy.edge_probability
+    visited = np.array([network.source, *network.stops, network.target]) % network.place_count
+    if len(set(visited.tolist())) < len(visited):
+        return False  # a place that is visited again cannot be moved for one visit only
     start, goal = held.ends(trip)
     left = (p > 0.0) & ~held.ground.lost(trip.map)
-    firsts = network.points[network.heads[left & (network.tails == network.source)]]
-    lasts = network.points[network.tails[left & (network.heads == network.target)]]
-    a = np.concatenate((np.broadcast_to(start, firsts.shape), lasts))
-    b = np.concatenate((firsts, np.broadcast_to(goal, lasts.shape)))
-    if left[(network.tails == network.source) & (network.heads == network.target)].any():
-        a, b = np.vstack((a, [start])), np.vstack((b, [goal]))
-    return held.ground.clear(a, b, trip.map)
+    first, last = left & (network.tails == network.source), left & (network.heads == network.target)
+    places = network.points.copy()
+    places[[network.source, network.target]] = start, goal
+    # One after the other: the ground that both lie on may be the whole map.
+    return all(
+        held.ground.clear(places[network.tails[steps]], places[network.heads[steps]], trip.map)
+        for steps in (first, last)
+    )
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:
@@ -269,14 +279,10 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
 
 
 def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    planning = parameters.planning
-    ground = Ground(
-        plan, trip.map, parameters.occupancy, planning.game, planning.network.clearance
-    )
-    return HeldPlan(plan, trip, parameters, ground)
+    return HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
 
 
-def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
+def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
     return PlanRequest(
         trip.map.values,
         trip.map.resolution,
@@ -288,4 +294,5 @@ def _request(trip: Trip, parameters: NodeParameters) -> PlanRequest:
         parameters.planning,
         trip.stops_xy,
         parameters.trip_order,
+        warm,
     )

@@ -70,7 +70,8 @@ def _parameters() -> str:
     for name, each in PARAMETERS.items():
         choices = f' One of {", ".join(each.choices)}.' if each.choices else ''
         text = fill(
-            each.description + choices, 96, initial_indent=' ' * 6, subsequent_indent=' ' * 6
+            each.description + choices, 96, initial_indent=' ' * 6, subsequent_indent=' ' * 6,
+            break_on_hyphens=False,
         )
         lines += [f'  {name} = {each.default!r}', text]
     return '\n'.join(lines)

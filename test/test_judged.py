@@ -1,0 +1,36 @@
+"""What a strategy is worth on other losses, and how near to the best it is known to be."""
+
+import numpy as np
+import pytest
+from games import geometric_hits, quiet_network, terrain_network
+
+from ambush_planner import GameOptions, StrategyOptions, solve
+from ambush_planner.core.judged import revalue
+
+
+def with_alpha(network, alpha):
+    return quiet_network(network.points, alpha, network.edges, network.source, network.target)
+
+
+@pytest.mark.parametrize("reach", [0.0, 2.0])
+def test_revalue_is_what_the_strategy_is_worth_on_the_new_losses(reach):
+    network = terrain_network(4, cells=14)
+    game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
+    strategy = solve(network, game, free)
+    same = revalue(strategy, game, network.alpha)
+    assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
+    changed = with_alpha(network, network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
+    other, best = revalue(strategy, game, changed.alpha), solve(changed, game, free)
+    hits = geometric_hits(changed, reach) if reach else None
+    p = strategy.edge_probability
+    hit = hits @ p if reach else np.bincount(changed.heads, p, len(changed.alpha))
+    assert other.value == pytest.approx((changed.alpha * hit).max())
+    assert other.bound <= best.value and best.lower_bound <= other.value
+
+
+def test_twice_the_losses_are_twice_the_value():
+    network = terrain_network(4, cells=10)
+    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
+    twice = revalue(strategy, GameOptions(), 2.0 * network.alpha)
+    assert twice.value == pytest.approx(2 * strategy.value)
+    assert twice.bound == pytest.approx(2 * strategy.lower_bound)

@@ -1,0 +1,135 @@
+"""Corridors refitted: clear by geometry of new obstacles, and from ends that have moved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from drive_samples import drives, some_route
+from games import examples
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from ambush_planner import NetworkOptions, RiskMap, build_network
+from ambush_planner.core.corridors import make_corridors
+from ambush_planner.core.driven_path import driven_path
+from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.core.paths import distances_from, shortest_path
+from ambush_planner.core.refitted import among_new_obstacles, with_end_at
+from ambush_planner.core.risk_map import to_world
+
+
+def with_obstacles(risk_map, cells):
+    obstacles = risk_map.obstacles.copy()
+    obstacles[tuple(np.array(cells).T)] = True
+    return RiskMap(risk_map.alpha, obstacles, risk_map.resolution, risk_map.origin)
+
+
+def a_route_left(network, lost, seed):
+    weights = 0.05 + np.random.default_rng(seed).random(len(network.edges))
+    kept = np.flatnonzero(~lost)
+    graph = network.edges[kept], weights[kept], len(network.points), network.source
+    assume(np.isfinite(distances_from(*graph)[network.target]))
+    return shortest_path(*graph, network.target)
+
+
+@examples(150)
+@given(drives(), st.data())
+def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
+    corridors, _, risk_map, clearance, tube, clear_of_edge = drive
+    rows, columns = risk_map.obstacles.shape
+    cell = st.tuples(st.integers(0, rows - 1), st.integers(0, columns - 1))
+    newest = with_obstacles(risk_map, data.draw(st.lists(cell, min_size=1, max_size=4)))
+    new = np.argwhere(newest.obstacles & ~risk_map.obstacles)
+    assume(len(new))
+    centres = (new[:, ::-1] + 0.5) * risk_map.resolution
+    field, ends = ObstacleField(newest, clear_of_edge), corridors.uv[corridors.network.edges]
+    lost = ~field.clear_segments(ends[:, 0], ends[:, 1], clearance)
+    route = a_route_left(corridors.network, lost, data.draw(st.integers(0, 99)))
+    refitted = among_new_obstacles(corridors, centres, clearance, risk_map.resolution)
+    poses = driven_path(refitted, route, 0.2)
+    uv = risk_map.to_map_axes(poses[:, :2])
+    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
+    # Nothing is any wider, and nothing narrower than measured on the whole new map.
+    whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge)
+    before, now, anew = (
+        {tuple(link): widths for link, *widths in zip(
+            each.links.tolist(), each.left, each.right, each.beyond, strict=True)}
+        for each in (corridors, refitted, whole)
+    )
+    links = corridors.uv[corridors.links]
+    clear = field.clear_segments(links[:, 0], links[:, 1], clearance)
+    for link in map(tuple, corridors.links[clear].tolist()):
+        widths = now[link]
+        for width, once, again in zip(widths, before[link], anew.get(link, (0, 0, 0)), strict=True):
+            assert np.all(width <= once) and np.all(width >= np.asarray(again) - 1e-9)
+
+
+@examples(150)
+@given(drives(), st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
+def test_paths_from_and_to_a_place_beside_the_end(drive, far, angle, at_start):
+    corridors, route, risk_map, clearance, tube, clear_of_edge = drive
+    network = corridors.network
+    node = network.source if at_start else network.target
+    place = corridors.uv[node] + far * np.array([np.cos(angle), np.sin(angle)])
+    field = ObstacleField(risk_map, clear_of_edge)
+    at = (network.tails == node) | (network.heads == node)
+    others = corridors.uv[np.setdiff1d(network.edges[at], [node])]
+    assume(np.hypot(*(others - place).T).min() > 1e-3)
+    assume(field.clear_segments(np.broadcast_to(place, others.shape), others, clearance).all())
+    where = tuple(to_world(corridors.origin, place).tolist())
+    moved = with_end_at(
+        corridors, node, where, risk_map, np.zeros(2), clearance, tube, clear_of_edge
+    )
+    ends = [tuple(network.points[k].tolist()) for k in (network.source, network.target)]
+    ends[0 if at_start else 1] = where
+    poses = driven_path(moved, route, 0.2, ends=tuple(ends))
+    assert [*map(tuple, poses[[0, -1], :2].tolist())] == ends
+    uv = risk_map.to_map_axes(poses[:, :2])
+    assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
+    turned = np.abs((np.diff(poses[:, 2]) + np.pi) % (2 * np.pi) - np.pi)
+    assert turned.max(initial=0.0) <= np.radians(20) + 1e-6
+    # No longer than straight to the next node and along the drawn route.
+    drawn = moved.uv[route]
+    assert length(uv) <= length(drawn) + 1e-9
+    if tube is not None:
+        assert aside(uv, drawn) <= tube + 1e-9
+
+
+def length(points):
+    return np.hypot(*np.diff(points, axis=0).T).sum()
+
+
+def aside(points, line):
+    """The largest distance of points from a polyline."""
+    a, along = line[:-1], np.diff(line, axis=0)
+    t = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
+    foot = a + np.clip(t, 0.0, 1.0)[..., None] * along
+    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1).max()
+
+
+@pytest.mark.parametrize("tube", [None, 0.4])
+def test_on_open_ground_the_way_from_beside_the_start_has_no_kink(tube):
+    """Wherever within half a spacing of the start: no turn of 45 degrees within 0.1 spacings."""
+    risk_map = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)
+    network = build_network(risk_map, (2.5, 10.0), (17.5, 10.0), NetworkOptions(spacing=1.0))
+    corridors = make_corridors(network, risk_map, tube=tube)
+    rng, kinks = np.random.default_rng(3), 0
+    for seed in range(60):
+        step = rng.uniform(-0.35, 0.35, 2)
+        place = tuple((network.points[network.source] + step).tolist())
+        moved = with_end_at(
+            corridors, network.source, place, risk_map, np.zeros(2), tube=tube)
+        route = some_route(network, seed)
+        poses = driven_path(moved, route, 0.1, ends=(place, (17.5, 10.0)))
+        begin = np.hypot(*(poses[:, :2] - place).T) < 1.5
+        kinks += sharpest(poses[begin], 0.1) > np.radians(45)
+    assert kinks <= 1
+
+
+def sharpest(poses, within):
+    """The most that a path turns within so many metres [rad]."""
+    gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))))
+    yaw = np.unwrap(poses[:, 2])
+    return max(
+        (abs(yaw[j] - yaw[i]) for i in range(len(yaw)) for j in range(i, len(yaw))
+         if gone[j] - gone[i] <= within), default=0.0)

@@ -1,0 +1,87 @@
+"""A solve that starts from the law of a strategy on other ground: laws, and through the node."""
+
+import numpy as np
+import pytest
+from forging import Forger
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from ros_harness import risk_grid, stage
+
+from ambush_planner import GameOptions, NetworkOptions, StrategyOptions
+from ambush_planner.core.max_entropy import Law
+from ambush_planner.core.planner import PlanningOptions, WarmStart, plan
+from ambush_planner.core.risk_map import risk_map_from_occupancy
+from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.review.case import Case
+from ambush_planner.review.verify import Verifier
+
+ENDS = (1.5, 5.0), (10.5, 7.0)
+
+
+def ground(seed, changed=()):
+    values = np.random.default_rng(seed).integers(0, 60, (24, 24), dtype=np.int8)
+    for row, column, value in changed:
+        values[row, column] = value
+    return risk_map_from_occupancy(values, 0.5)
+
+
+@examples(10)
+@given(
+    st.integers(0, 99), st.sampled_from((0.0, 2.0)), st.sampled_from((1.1, 1.3, np.inf)),
+    st.lists(st.tuples(st.integers(0, 23), st.integers(4, 19), st.sampled_from((0, 80, 100))),
+             min_size=1, max_size=12),
+)
+def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
+    options = PlanningOptions(
+        NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
+        StrategyOptions(max_detour=detour),
+    )
+    before = plan(ground(seed), *ENDS, options)
+    newest = ground(seed, changed)
+    cold = plan(newest, *ENDS, options)
+    warm = plan(newest, *ENDS, options, WarmStart(before.network.points, before.strategy.law))
+    assert (cold.strategy.start, warm.strategy.start is None) == (None, False)
+    assert np.array_equal(warm.network.points, cold.network.points)
+    assert warm.strategy.value <= cold.strategy.lower_bound * 1.01 * (1 + 1e-5)
+    assert warm.strategy.lower_bound == pytest.approx(cold.strategy.lower_bound, rel=2e-3)
+    assert warm.strategy.route_entropy == pytest.approx(cold.strategy.route_entropy, rel=0.01)
+    # The law that was used, on these nodes, leads to the same strategy bit for bit.
+    again = plan(newest, *ENDS, options, WarmStart(warm.network.points, warm.strategy.start))
+    assert np.array_equal(again.strategy.edge_probability, warm.strategy.edge_probability)
+
+
+def test_multipliers_are_those_of_the_nearest_node():
+    made = plan(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
+    law = Law(np.array([1.0, 2.0]), (3.0, 4.0))
+    found = WarmStart(np.array([ENDS[0], ENDS[1]]), law).on(made.network)
+    nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
+        *(made.network.points - ENDS[1]).T)
+    assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))
+    assert found.budgets == (3.0, 4.0)
+    assert WarmStart(made.network.points, made.strategy.law).on(made.network) is made.strategy.law
+
+
+def test_stale_strategies_are_solved_from_their_law_which_is_recorded(tmp_path):
+    values = np.full((20, 20), 10, dtype=np.int8)
+    with stage(tmp_path) as running:
+        client = running.give(risk_grid(values))
+        assert client.call('new_route').success
+        dear = values.copy()
+        dear[:, 8:12] = 60
+        client.publish('alpha_map', risk_grid(dear))
+        client.last('edge_probabilities', 2)
+        client.diagnostics(stale='no')
+        assert client.call('new_route').success
+    cold, warm = recordings_in(tmp_path)
+    assert Case(read_departure(cold)).strategy().start is None
+    assert Case(read_departure(warm)).strategy().start is not None
+    with Verifier() as verifier:
+        assert verifier.verify(cold).holds
+        verdict = verifier.verify(warm)
+        assert verdict.problems == ()
+        forger = Forger(warm)
+        forger.set_arrays(start=np.empty(0))
+        forger.correct()
+        verdict = verifier.verify(forger.save(tmp_path / 'forged.mcap'))
+        assert any('planned again' in problem for problem in verdict.problems)
