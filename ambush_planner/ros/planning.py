@@ -250,8 +250,8 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     All of them: whether a route can be used must not depend on which one is drawn.
     """
     network, p = held.plan.network, held.plan.strategy.edge_probability
-    visited = np.array([network.source, *network.stops, network.target]) % network.place_count
-    if len(set(visited.tolist())) < len(visited):
+    visits = [network.source, *network.stops.tolist(), network.target]
+    if len({node % network.place_count for node in visits}) < len(visits):
         return False  # a place that is visited again cannot be moved for one visit only
     start, goal = held.ends(trip)
     left = (p > 0.0) & ~held.ground.lost(trip.map)
