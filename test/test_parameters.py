@@ -31,7 +31,8 @@ NAMES = """
     strategy.max_gap replan.tolerance queue.size robot_base_frame transform.max_age
     max_planning_time route.start_tolerance route.path_spacing diagnostics.error_hold
     recording.enabled recording.directory recording.compression recording.service_events
-    trip.order path.publish autostart seed
+    trip.order
+    path.publish autostart seed
 """.split()
 
 

@@ -68,7 +68,8 @@ def plan_trip(
     ``max_detour`` times the shortest way in any order. For up to ``MOST_STOPS`` stops no other
     order has a value that is better by more than the risk slack (``Plan.order_found`` is 'best');
     with more, or where the time limit passes, the order may be a worse one ('heuristic'): with
-    more stops it is a short one. ``Plan.order`` tells which stop comes when.
+    more stops it is a short one. ``Plan.order`` tells which stop comes when. A ``warm`` start is
+    for the given order.
 
     Raises
     ------

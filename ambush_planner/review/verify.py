@@ -222,9 +222,9 @@ class Verifier:
             trip.goal_xy,
             case.metadata.trip.tolerance,
             _options(case),
-            stops_xy=trip.stops_xy,
-            order=case.parameters.trip_order,
-            warm=start,
+            trip.stops_xy,
+            case.parameters.trip_order,
+            start,
         ), case.metadata.trip.stops, self._worker.solve)
 
     def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:

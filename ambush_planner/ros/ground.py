@@ -126,6 +126,7 @@ class Ground:
         nodes = network.places[[network.source, network.target]].tolist()
         for node, place in zip(nodes, ends, strict=True):
             if tuple(network.points[node].tolist()) != place:
+                node %= network.place_count
                 corner, part = self._around(newest, node, place)
                 corridors = with_end_at(
                     corridors, node, place, part, corner, self._clearance, plan.tube,

@@ -220,8 +220,8 @@ def _asks(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     return (
         held.trip.start_xy == trip.start_xy
         and _goal(held.trip) == _goal(trip)
-        and _options(held.parameters) == _options(parameters)
         and _by_way_of(held.trip, held.parameters) == _by_way_of(trip, parameters)
+        and _options(held.parameters) == _options(parameters)
     )
 
 
@@ -256,6 +256,9 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     All of them: whether a route can be used must not depend on which one is drawn.
     """
     network, p = held.plan.network, held.plan.strategy.edge_probability
+    visits = [network.source, *network.stops.tolist(), network.target]
+    if len({node % network.place_count for node in visits}) < len(visits):
+        return False  # a place that is visited again cannot be moved for one visit only
     start, goal = held.ends(trip)
     left = (p > 0.0) & ~held.ground.lost(trip.map)
     first, last = left & (network.tails == network.source), left & (network.heads == network.target)
@@ -295,7 +298,7 @@ def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> 
         trip.goal_xy,
         trip.goal_tolerance,
         parameters.planning,
-        stops_xy=trip.stops_xy,
-        order=parameters.trip_order,
-        warm=warm,
+        trip.stops_xy,
+        parameters.trip_order,
+        warm,
     )
