@@ -123,8 +123,7 @@ class Ground:
         """
         plan, network, options = self._plan, self._plan.network, self._plan.options.network
         corridors = self._corridors(newest)
-        nodes = network.places[[network.source, network.target]].tolist()
-        for node, place in zip(nodes, ends, strict=True):
+        for node, place in zip((network.source, network.target), ends, strict=True):
             if tuple(network.points[node].tolist()) != place:
                 node %= network.place_count
                 corner, part = self._around(newest, node, place)

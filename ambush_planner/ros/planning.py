@@ -181,13 +181,7 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     standing = held.ground.standing(trip.map)
     if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
         return False
-    return apart == 0.0 or (not _is_round_trip(held) and _connected(held, trip))
-
-
-def _is_round_trip(held: HeldPlan) -> bool:
-    """Whether start and goal are one place of the network, which cannot be moved to two."""
-    network = held.plan.network
-    return bool(network.places[network.source] == network.places[network.target])
+    return apart == 0.0 or _connected(held, trip)
 
 
 def route_entropy_source(seed: int, departure: int) -> list[int]:
