@@ -38,7 +38,7 @@ TYPES = {
 }
 
 
-def run(*arguments: str, timeout: float = 110.0) -> subprocess.CompletedProcess:
+def run(*arguments: str, timeout: float = 280.0) -> subprocess.CompletedProcess:
     return subprocess.run(
         [sys.executable, "-m", "ambush_planner.tools.demo", *arguments],
         env={**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"},

@@ -15,7 +15,8 @@ MESSAGES = [name for name, command in COMMANDS.items() if command.verb == 'topic
 REQUESTS = [name for name, command in COMMANDS.items() if command.verb == 'service call']
 # What other packages give to each node: parameters, clock, transforms, changes of maps.
 FOREIGN = (
-    'map_msgs/', 'rcl_interfaces/', 'rosgraph_msgs/', 'tf2_msgs/', 'type_description_interfaces/',
+    'lifecycle_msgs/', 'map_msgs/', 'rcl_interfaces/', 'rosgraph_msgs/', 'tf2_msgs/',
+    'type_description_interfaces/',
 )
 
 

@@ -100,7 +100,7 @@ class DemoClient:
         self._start.publish(PoseStamped(header=header, pose=pose_to_ros(*start)))
         self._goal.publish(PoseStamped(header=header, pose=pose_to_ros(*goal)))
         self._wait(
-            lambda: self.status.get('state', 'waiting') != 'waiting',
+            lambda: self.status.get('state') in ('solving', 'ready'),
             MESSAGE_TIMEOUT,
             'the node did not take map, start and goal',
         )
