@@ -102,7 +102,7 @@ def send(caller: Caller, sent: Attack) -> None:
 def check_good_inputs(caller: Caller) -> None:
     """With its defaults and good inputs the node finds a route, whatever came before."""
     values = {name: each.default for name, each in PARAMETERS.items()
-              if not each.read_only and not name.startswith("recording")}
+              if not each.fixed and not name.startswith("recording")}
     if refused := caller.set_parameters({**values, "max_planning_time": PLANNING_TIME}):
         raise WrongRoute(f"the defaults were refused: {refused}")
     start, goal = good_pose(*START), good_pose(*GOAL)

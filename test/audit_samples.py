@@ -62,7 +62,7 @@ def strategy_arrays(strategy):
     network = strategy.network
     return {
         'points': network.points, 'alpha': network.alpha, 'edges': network.edges,
-        'source': network.source, 'target': network.target,
+        'source': network.source, 'target': network.target, 'legs': network.legs,
         'edge_probability': strategy.edge_probability,
         'ambush_probability': strategy.ambush_probability,
         'reach': strategy.game.ambush_radius,

@@ -129,7 +129,7 @@ def small_strategy():
     stream = io.BytesIO()
     np.savez_compressed(
         stream, points=np.array([[0.0, 0.0], [3.0, 4.0]]), alpha=np.zeros(2),
-        edges=np.array([[0, 1]]), source=0, target=1, edge_probability=np.ones(1),
+        edges=np.array([[0, 1]]), source=0, target=1, legs=1, edge_probability=np.ones(1),
         ambush_probability=np.array([1.0, 0.0]), reach=0.0, start=np.empty(0),
         **dict.fromkeys(NUMBERS, 0.0),
     )

@@ -100,7 +100,7 @@ def test_verify(folder):
 
 
 @pytest.mark.parametrize(('spacing', 'skipped'), [
-    (0.003, 'build_network'), (0.01, 'build_network'), (0.9, 'solve'), (1e-9, 'build_network'),
+    (0.003, 'trip_network'), (0.01, 'trip_network'), (0.9, 'solve'), (1e-9, 'trip_network'),
 ])
 def test_a_network_of_another_size_is_neither_built_nor_solved(
     whole, tmp_path, capsys, monkeypatch, spacing, skipped

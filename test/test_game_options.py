@@ -7,7 +7,7 @@ from ros_harness import pose, risk_grid, stage
 
 from ambush_planner import GameOptions, StrategyOptions, TimeLimit, solve
 from ambush_planner.core import planner
-from ambush_planner.core.planner import plan_from_request
+from ambush_planner.core.trip import plan_from_request
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.review.case import Case
 from ambush_planner.ros.conversions import path_from_ros

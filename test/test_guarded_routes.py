@@ -19,7 +19,7 @@ from ambush_planner.review.verify import Verifier
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
 # Each node has them, and neither tells of routes.
 EVERYBODYS = {'/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static', '/clock'}
-INPUTS = ('alpha_map', 'start_pose', 'goal_pose', 'initialpose')
+INPUTS = ('alpha_map', 'start_pose', 'goal_pose', 'initialpose', 'via_poses')
 START, GOAL = (1.5, 5.5), (8.5, 5.5)
 
 
