@@ -131,7 +131,6 @@ def decode(data: bytes) -> Content:
     if fault:
         raise BadFile(fault)
     try:
-        _check_summary(data)
         reader = SeekingReader(BytesIO(data), record_size_limit=len(data))
         indexed = list(reader.iter_messages(log_time_order=False))
         summary = reader.get_summary()
@@ -176,6 +175,8 @@ def whole_part(data: bytes) -> tuple[Content, str]:
                 return content, f'it has more than {MOST_MESSAGES} messages'
             if not ended:
                 _add(content, found)
+        if ended and stream.tell() == len(data):
+            _check_summary(data)
     except BROKEN as error:
         where = f'after {place} of {len(data)} bytes'
         return content, f'it is broken or cut off {where} ({_why(error)})'
