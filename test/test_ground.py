@@ -90,7 +90,7 @@ def test_a_strategy_is_blocked_if_a_segment_of_its_meets_a_new_obstacle(clearanc
     values = changed(on.values, where, 100)
     network, p = made.network, made.strategy.edge_probability
     risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
-    ends = risk_map.to_map_axes(network.points[network.edges[p > 0.0]])
+    ends = risk_map.to_map_axes(network.points[network.edges[p > 1e-12]])
     field = ObstacleField(risk_map)
     blocked = ground.standing(grid(values)).share < 1.0
     assert blocked or field.clear_segments(ends[:, 0], ends[:, 1], clearance).all()

@@ -34,6 +34,8 @@ FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_WORK = 150, 800, 1e11
 CLOSE = 2e-3
 # The function's value has rounding of this size, relative to its terms.
 ROUNDING = 1e-9
+# Weights of edges from which on sums along a route have no digit left behind the point.
+RUNAWAY = 1e16
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # Correction pairs of L-BFGS.
@@ -105,9 +107,10 @@ class _Search:
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
-        if not np.isfinite(v).all():  # a line search that ran away
+        weights = self.columns @ v
+        if not np.abs(weights).max() < RUNAWAY:  # a line search that ran away
             raise _Done
-        log_z, p, self.share = self.network.law(self.columns @ v)
+        log_z, p, self.share = self.network.law(weights)
         used, total, found = self.rows @ p, float(v.sum()), self.found
         found.p, found.multipliers = p, v.copy()
         found.excess = float(used.max()) - 1.0
