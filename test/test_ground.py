@@ -84,7 +84,7 @@ cells = st.lists(st.tuples(*[st.integers(0, SIZE - 1)] * 2), min_size=1, max_siz
 
 @settings(max_examples=100, deadline=None)
 @given(st.sampled_from(sorted(PLANS)), cells)
-def test_a_strategy_is_blocked_if_a_segment_of_its_meets_a_new_obstacle(clearance, where):
+def test_a_strategy_is_blocked_if_one_of_its_segments_meets_a_new_obstacle(clearance, where):
     """Against the exact test on the whole map: never missed, and false only within a cell."""
     made, on, ground = PLANS[clearance]
     values = changed(on.values, where, 100)

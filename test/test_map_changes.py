@@ -1,4 +1,4 @@
-"""The cells in which a map has changed: there and back, and bytes that are none."""
+"""The cells in which a map has changed: written and read back, and malformed files."""
 
 import re
 from io import BytesIO

@@ -94,26 +94,26 @@ class Dispatcher:
         return self._plans.solving
 
     def stop_solving(self) -> None:
-        """End all solves: whoever waits for one, or for a departure, is told."""
+        """End all solves; requests that wait for a solve or a departure are refused."""
         if self._told_to_end is None:
             self._told_to_end = time.monotonic()
         self._recordings.hurry()
         self._plans.close()
 
     def pause(self) -> None:
-        """Refuse requests; whoever waits is told, and no route is drawn once this has returned."""
+        """Refuse requests, the waiting ones too; no route is drawn once this has returned."""
         self._paused = True
         self._departures.submit(lambda: None).result()  # what has begun is done
         self._plans.cancel()
 
     def resume(self) -> None:
-        """Take requests, as it does not from the beginning."""
+        """Take requests; a new dispatcher refuses them until this is called."""
         self._paused = False
         if self._in_force.held is not None:
             self.ground_changed()
 
     def close(self) -> None:
-        """Answer all who wait, write the last recordings, and end."""
+        """Answer waiting requests, write the last recordings, and end."""
         self.stop_solving()
         self._departures.shutdown()
         told = self._told_to_end or 0.0

@@ -25,7 +25,7 @@ _SELDOM = 1e-4
 _HEIGHT, _HIGHEST = 0.005, 50.0
 _LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1,
            'stops': 1}
-# Seldom to always: the convoy in blues, who waits for it in oranges, as in all pictures; seldom is
+# From rare to certain: the convoy in blues, the ambusher in oranges, as in all pictures; rare is
 # more transparent. No disc is opaque: it would hide the path below it.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
 _AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 0.9]])

@@ -57,6 +57,6 @@ class Outbox:
         return RecordedMessage(name, type_name(kind), data, qos, stamp)
 
     def close(self) -> None:
-        """Take all back: who comes later gets nothing of it."""
+        """Destroy the publishers, so that late subscribers get nothing that was latched."""
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)

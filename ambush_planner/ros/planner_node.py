@@ -172,14 +172,14 @@ class PlannerNode(LifecycleNode):
         self._dispatcher, self._inputs, self._listening = None, None, None
 
     def stop_solving(self, executor: Executor | None = None) -> None:
-        """End all solves, now and to come; who waits for one is answered, goals by ``executor``."""
+        """End all solves for good; answer waiting requests, and action goals by ``executor``."""
         if self._dispatcher is not None:
             self._dispatcher.stop_solving()
         if executor is not None:
             self._goals.answer_last(executor)
 
     def destroy_node(self) -> None:
-        """Answer all who wait, write the last recordings, and end all that belongs to the node."""
+        """Answer waiting requests, write the last recordings, and end all parts of the node."""
         self._closing.close()
 
     def _leave_graph(self) -> None:
