@@ -199,3 +199,13 @@ def test_bad_options_are_refused():
             sample_departures(strategy, n, rng, **options)
     with pytest.raises(InvalidOption, match='days'):
         day_effect(strategy, 2, rng, days=3)
+
+
+def test_trips_with_stops_are_refused():
+    """Two convoys there can share a place in different legs."""
+    points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
+    network = Network(
+        np.concatenate((points, points)), np.zeros(6), np.array([(0, 4), (4, 5)]), 0, 5, legs=2
+    )
+    with pytest.raises(InvalidOption, match='by way of stops'):
+        sample_departures(solve(network), 2, np.random.default_rng(0))

@@ -87,7 +87,7 @@ def sample_departures(
     NotDistinct
         No such day was drawn; says how many convoys can be apart at all.
     InvalidOption
-        ``n``, ``distinct`` or ``tries`` is out of range.
+        ``n``, ``distinct`` or ``tries`` is out of range, or the strategy goes by way of stops.
     """
     return draw_days(strategy, n, 1, rng, distinct, tries)[0][0]
 
@@ -177,13 +177,16 @@ class Middle:
     Raises
     ------
     InvalidOption
-        ``distinct`` is not in 0..1.
+        ``distinct`` is not in 0..1, or the strategy is a trip's with stops, on which two convoys
+        can share a place in different legs.
     """
 
     def __init__(self, strategy: Strategy, distinct: float) -> None:
         check_at_least('distinct', distinct, 0.0)
         if distinct > 1.0:
             raise InvalidOption(f'distinct must be a share of the way, 0 to 1, got {distinct}')
+        if strategy.network.legs > 1:
+            raise InvalidOption('convoys of one day cannot go by way of stops; plan without them')
         self._strategy, self.distinct = strategy, distinct
         self.nodes: BoolArray = np.zeros(len(strategy.network.points), dtype=bool)
         if distinct > 0.0:
