@@ -205,7 +205,7 @@ def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
         assert process.poll() is None
     assert nodes_of(tmp_path)
     process.send_signal(number)
-    _, errors = process.communicate(timeout=30.0)
+    _, errors = process.communicate(timeout=120.0)
     assert (process.returncode, errors.splitlines()[-1]) == (130, "ambush_demo: interrupted")
     assert not nodes_of(tmp_path)
 
