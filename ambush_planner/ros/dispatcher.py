@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 from uuid import uuid4
 
-import numpy as np
 from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError, InvalidOption
-from ..core.planner import Plan, Route, departure_path
+from ..core.planner import Plan
 from ..recording import RecordedMessage, RecordingFailed
 from ..worker.errors import SolveCancelled, for_the_log
 from .departure_record import Departure, ServiceCall
 from .errors import GroundChanges, NotActive
-from .futures import settle
+from .futures import Turns
 from .in_force import PlanInForce
 from .inputs import Asked, Inputs, RobotOptions, Trip
 from .outbox import Outbox
 from .parameters import NodeParameters, RecordingOptions
-from .paths import DeparturePath, path_between
+from .paths import DeparturePath, draw_path
 from .planning import HeldPlan, Plans, route_entropy_source, usable
 from .recordings import Recordings
 from .reporter import Reporter
@@ -40,8 +38,6 @@ _LAST_RECORDINGS = 1.0  # s
 _MOST_SOLVES = 4
 
 INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
-
-_Outcome = TypeVar('_Outcome')
 
 
 @dataclass(eq=False)
@@ -81,7 +77,9 @@ class Dispatcher:
         self._in_force = PlanInForce(
             self._plans, inputs, outbox, reporter, clock, self._in_turn
         )
-        self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
+        self._departures = Turns(
+            'departures', lambda error: reporter.failed('request', error), _shutting_down
+        )
         self._count = 0
         self._told_to_end: float | None = None
         self._paused = True
@@ -103,7 +101,7 @@ class Dispatcher:
     def pause(self) -> None:
         """Refuse requests, the waiting ones too; no route is drawn once this has returned."""
         self._paused = True
-        self._departures.submit(lambda: None).result()  # what has begun is done
+        self._departures.finish()
         self._plans.cancel()
 
     def resume(self) -> None:
@@ -115,7 +113,7 @@ class Dispatcher:
     def close(self) -> None:
         """Answer waiting requests, write the last recordings, and end."""
         self.stop_solving()
-        self._departures.shutdown()
+        self._departures.close()
         told = self._told_to_end or 0.0
         if left := self._recordings.close(told + _LAST_RECORDINGS - time.monotonic()):
             self._logger.error(f'recording: {left} departures could not be written before the end')
@@ -225,21 +223,11 @@ class Dispatcher:
     def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
         """Have work done in the thread of departures; an error is the outcome."""
 
-        def attempt() -> None:
+        def told() -> None:
             self._reporter.refresh()
-            try:
-                work()
-            except Exception as error:
-                if outcome is None:
-                    self._reporter.failed('request', error)
-                elif not outcome.cancelled():
-                    outcome.set_exception(error)
+            work()
 
-        try:
-            self._departures.submit(attempt)
-        except RuntimeError:  # the thread has ended
-            if outcome is not None:
-                settle(outcome, self._refuse_unless_active)
+        self._departures.do(told, outcome)
 
     def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
@@ -254,7 +242,9 @@ class Dispatcher:
         source = route_entropy_source(parameters.seed, number)
         # Within a departure no time is before an earlier one, though the clock may be set.
         leaving = max(request.begin_ns, self._now())
-        drawn = self._draw(held, trip, source, parameters, leaving)
+        drawn = draw_path(
+            held, trip, source, parameters.path_spacing, Time(nanoseconds=leaving).to_msg()
+        )
         if drawn is None:
             self._wait(request, self._plans.solve(trip, parameters))
             return
@@ -289,19 +279,6 @@ class Dispatcher:
         if self._count:
             self._outbox.publish('path', Path())
 
-    def _draw(
-        self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
-        stamp_ns: int,
-    ) -> tuple[Route, DeparturePath] | None:
-        """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
-        route = held.ground.draw(np.random.default_rng(source), trip.map)
-        if route is None:
-            return None
-        spacing, ends = parameters.path_spacing or held.plan.spacing, held.ends(trip)
-        rows = departure_path(held.ground.fitted(trip.map, ends), route, spacing, ends)
-        poses = trip.start_pose.pose, trip.goal_pose.pose
-        return route, path_between(rows, *poses, self._header(trip, stamp_ns))
-
     def _refuse_contradictions(self) -> None:
         if self._contradiction is not None:
             raise InvalidOption(
@@ -310,7 +287,7 @@ class Dispatcher:
 
     def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:
-            raise SolveCancelled('the planner is shutting down')
+            raise _shutting_down()
         if self._paused:
             raise NotActive(INACTIVE)
 
@@ -328,9 +305,6 @@ class Dispatcher:
         """The time of the node's clock [ns]."""
         return self._clock.now().nanoseconds
 
-    def _header(self, trip: Trip, stamp_ns: int) -> Header:
-        return Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
-
     def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
         """Take note of how the recording of a departure went."""
         if error is not None:
@@ -338,3 +312,6 @@ class Dispatcher:
         if options == self._parameters.recording:  # or others hold by now
             self._reporter.recorded(error)
 
+
+def _shutting_down() -> SolveCancelled:
+    return SolveCancelled('the planner is shutting down')

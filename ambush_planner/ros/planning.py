@@ -137,14 +137,13 @@ class Plans:
         solve = self._solves.submit(
             _key(trip, parameters),
             _request(trip, parameters, self._warm_start(trip, parameters)),
-            partial(_held, trip, parameters),
+            partial(self._solve_ended, trip, parameters),
             parameters.queue_size,
             background,
         )
-        self._pending = [each for each in self._pending if not each.solve.done()]
         if all(each.solve is not solve for each in self._pending):
             self._pending.append(_Pending(trip, parameters, solve))
-            solve.add_done_callback(self._keep_solved)
+            solve.add_done_callback(self._no_longer_pending)
         return solve
 
     def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
@@ -155,12 +154,17 @@ class Plans:
                 return WarmStart(held.plan.network.points, law)
         return None
 
-    def _keep_solved(self, solve: Future[HeldPlan]) -> None:
+    def _solve_ended(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
+        """Keep the plan before anybody is told: whoever asks from now on finds it."""
+        held = HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
+        with self._lock:
+            self._keep(held)
+        self._solved(plan)
+        return held
+
+    def _no_longer_pending(self, solve: Future[HeldPlan]) -> None:
         with self._lock:
             self._pending = [each for each in self._pending if each.solve is not solve]
-            if solve.exception() is None:
-                self._keep(solve.result())
-                self._solved(solve.result().plan)
 
     def _keep(self, held: HeldPlan) -> None:
         others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]
@@ -276,10 +280,6 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
     return *where, *_by_way_of(trip, parameters), *_options(parameters), *limit
-
-
-def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    return HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
 
 
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
