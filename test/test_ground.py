@@ -27,7 +27,7 @@ from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
 from ambush_planner.ros.ground import Ground, Standing
 from ambush_planner.ros.in_force import PlanInForce
-from ambush_planner.ros.inputs import MapInForce
+from ambush_planner.ros.map_in_force import MapInForce
 from ambush_planner.worker.process import WorkerProcess
 
 SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)

@@ -24,11 +24,11 @@ from .departure_record import Departure, ServiceCall
 from .errors import GroundChanges, NotActive
 from .futures import Turns
 from .in_force import PlanInForce
-from .inputs import Asked, Inputs, RobotOptions, Trip
+from .inputs import Asked, Inputs, Trip
+from .node_parameters import NodeParameters, RecordingOptions
 from .outbox import Outbox
-from .parameters import NodeParameters, RecordingOptions
-from .paths import DeparturePath, draw_path
-from .planning import HeldPlan, Plans, route_entropy_source, usable
+from .paths import DeparturePath, draw_path, route_entropy_source
+from .planning import HeldPlan, Plans, usable
 from .recordings import Recordings
 from .reporter import Reporter
 
@@ -68,17 +68,16 @@ class Dispatcher:
         reporter: Reporter,
         clock: Clock,
         logger: RcutilsLogger,
-        start_topic: str,
     ) -> None:
         self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
-        self._start_topic = start_topic
         self._reporter, self._clock, self._logger = reporter, clock, logger
-        self._plans = Plans(self._tell_solved)
-        self._in_force = PlanInForce(
-            self._plans, inputs, outbox, reporter, clock, self._in_turn
-        )
+        self._plans = Plans(logger)
         self._departures = Turns(
-            'departures', lambda error: reporter.failed('request', error), _shutting_down
+            'departures', reporter.refresh, lambda error: reporter.failed('request', error),
+            _shutting_down,
+        )
+        self._in_force = PlanInForce(
+            self._plans, inputs, outbox, reporter, clock, self._departures.do
         )
         self._count = 0
         self._told_to_end: float | None = None
@@ -120,9 +119,9 @@ class Dispatcher:
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
-        if self._parameters.publish_path and not parameters.publish_path:
-            self._in_turn(self._withdraw_path)
-        self._parameters, self._contradiction = parameters, None
+        before, self._parameters, self._contradiction = self._parameters, parameters, None
+        if before.publish_path and not parameters.publish_path:
+            self._departures.do(self._withdraw_path)  # what leaves after it is not published
 
     def refuse(self, error: InvalidOption) -> None:
         """Refuse requests for this reason until there are parameters that can be used."""
@@ -130,7 +129,7 @@ class Dispatcher:
 
     def ground_changed(self) -> None:
         """See how plans stand on the map that has just come, and solve anew where it is wanted."""
-        self._in_turn(self._review)
+        self._departures.do(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
         """Depart as asked, unless the future that is returned is cancelled before.
@@ -138,13 +137,9 @@ class Dispatcher:
         Where paths are not published, a request must have them answered.
         """
         self._refuse_contradictions()
-        if call.kind is Trigger and not self._parameters.publish_path:
-            raise InvalidOption(
-                'path.publish is false, so that new_route, whose answer has no room for a path, '
-                'would leave nobody with it: call get_plan'
-            )
+        self._refuse_unheard(call)
         request = _Request(call, asked, self._parameters, self._now())
-        self._in_turn(lambda: self._try(request), request.departure)
+        self._departures.do(lambda: self._try(request), request.departure)
         return request.departure
 
     def record(self, departure: Departure, response: Any) -> None:
@@ -165,7 +160,7 @@ class Dispatcher:
         def begin() -> None:
             self._refuse_unless_active()
             parameters = self._parameters
-            trip = self._inputs.locate(asked, self._robot(parameters))
+            trip = self._inputs.locate(asked, parameters.robot)
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
 
         def show(held: HeldPlan) -> None:
@@ -174,7 +169,7 @@ class Dispatcher:
             self._reporter.succeeded()
             outcome.set_result(held.plan)
 
-        self._in_turn(begin, outcome)
+        self._departures.do(begin, outcome)
         return outcome
 
     def cancel(self) -> int:
@@ -187,7 +182,7 @@ class Dispatcher:
             return
         self._refuse_unless_active()
         parameters = request.parameters
-        trip = self._inputs.locate(request.asked, self._robot(parameters))
+        trip = self._inputs.locate(request.asked, parameters.robot)
         good = solved is not None and usable(solved, trip, parameters)
         held = solved if good else self._plans.find(trip, parameters)
         if held is None:
@@ -213,26 +208,18 @@ class Dispatcher:
         self._reporter.refresh()
 
         def solved(done: Future[HeldPlan]) -> None:
-            self._in_turn(lambda: go_on(done.result()), outcome)
+            self._departures.do(lambda: go_on(done.result()), outcome)
 
         solve.add_done_callback(solved)
         outcome.add_done_callback(
             lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
         )
 
-    def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
-        """Have work done in the thread of departures; an error is the outcome."""
-
-        def told() -> None:
-            self._reporter.refresh()
-            work()
-
-        self._departures.do(told, outcome)
-
     def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()
+        self._refuse_unheard(request.call)
         if held is not self._in_force.held:
             self._in_force.show(held)
             if held.trip.map is not trip.map:
@@ -263,16 +250,10 @@ class Dispatcher:
         ))
 
     def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:
-        """Publish the path, if it may be; return what the recording keeps of it."""
-        if request.parameters.publish_path:
+        """Publish the path, if it may be by now; return what the recording keeps of it."""
+        if request.parameters.publish_path and self._parameters.publish_path:
             return self._outbox.publish('path', path.to_bytes())
         return self._outbox.as_recorded('path', path.to_bytes(), f'{request.call.name}/path')
-
-    def _tell_solved(self, plan: Plan) -> None:
-        self._logger.info(
-            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-            f'{len(plan.network.points)} nodes'
-        )
 
     def _withdraw_path(self) -> None:
         """Put an empty path where late joiners would get the last one."""
@@ -285,6 +266,14 @@ class Dispatcher:
                 f'parameters contradict each other: {self._contradiction}'
             ) from self._contradiction
 
+    def _refuse_unheard(self, call: ServiceCall) -> None:
+        """Refuse a departure whose path nobody would get."""
+        if call.kind is Trigger and not self._parameters.publish_path:
+            raise InvalidOption(
+                'path.publish is false, so that new_route, whose answer has no room for a path, '
+                'would leave nobody with it: call get_plan'
+            )
+
     def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:
             raise _shutting_down()
@@ -295,11 +284,6 @@ class Dispatcher:
         """See how the plan in force stands; solve it anew if it is stale, unless paused."""
         again = None if self._paused else self._review
         self._in_force.review(self._parameters.replan_tolerance, again)
-
-    def _robot(self, parameters: NodeParameters) -> RobotOptions:
-        return RobotOptions(
-            parameters.robot_base_frame, parameters.transform_max_age, self._start_topic
-        )
 
     def _now(self) -> int:
         """The time of the node's clock [ns]."""

@@ -25,6 +25,8 @@ class Turns:
 
     Parameters
     ----------
+    first
+        Called before each piece.
     failed
         Called with an error of work that nobody waits for.
     ended
@@ -32,9 +34,10 @@ class Turns:
     """
 
     def __init__(
-        self, name: str, failed: Callable[[Exception], None], ended: Callable[[], Exception]
+        self, name: str, first: Callable[[], None], failed: Callable[[Exception], None],
+        ended: Callable[[], Exception],
     ) -> None:
-        self._failed, self._ended = failed, ended
+        self._first, self._failed, self._ended = first, failed, ended
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
 
     def do(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
@@ -42,6 +45,7 @@ class Turns:
 
         def attempt() -> None:
             try:
+                self._first()
                 work()
             except Exception as error:
                 self._fail(outcome, error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import secrets
 from copy import deepcopy
 from dataclasses import dataclass
 
@@ -42,13 +43,23 @@ class DeparturePath:
         return path_bytes(ends, _numbers(self.rows[1:-1]))
 
 
+def route_entropy_source(seed: int, departure: int) -> list[int]:
+    """Return what the generator of one departure is made from.
+
+    With seed -1 these are 256 bits from the operating system. With a fixed seed they follow from
+    the departure's number, so that the same sequence of departures gives the same routes and each
+    can be drawn again on its own. Nothing else goes in: no time, no input.
+    """
+    return [secrets.randbits(256)] if seed < 0 else [seed, departure]
+
+
 def draw_path(
     held: HeldPlan, trip: Trip, source: list[int], spacing: float, stamp: Time
 ) -> tuple[Route, DeparturePath] | None:
     """Draw a route that is clear on the newest map, with its path; None where hardly any is.
 
-    ``source`` is what the generator is made from. The path has a pose at least every ``spacing``
-    [m]; 0: as the plan has it.
+    ``source`` is that of its randomness. The path has a pose at least every ``spacing`` [m];
+    0: as the plan has it.
     """
     route = held.ground.draw(np.random.default_rng(source), trip.map)
     if route is None:

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-import secrets
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import RLock
 
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
 from ..core.planner import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .futures import done
 from .ground import Ground
-from .inputs import MapInForce, Trip
-from .parameters import NodeParameters
+from .inputs import Trip
+from .map_in_force import MapInForce
+from .node_parameters import NodeParameters
 
 # There and back again, with a detour or two.
 _KEPT = 4
@@ -53,11 +54,11 @@ class _Pending:
 class Plans:
     """Plans by what they follow from: kept, or worked out in the worker process.
 
-    ``solved`` is called with each that has been worked out. Safe to be used from several threads.
+    Safe to be used from several threads.
     """
 
-    def __init__(self, solved: Callable[[Plan], None]) -> None:
-        self._solved = solved
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
         self._kept: list[HeldPlan] = []  # the one used last is the last
         self._pending: list[_Pending] = []
         self._lock = RLock()
@@ -159,7 +160,10 @@ class Plans:
         held = HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
         with self._lock:
             self._keep(held)
-        self._solved(plan)
+        self._logger.info(
+            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
+            f'{len(plan.network.points)} nodes'
+        )
         return held
 
     def _no_longer_pending(self, solve: Future[HeldPlan]) -> None:
@@ -186,16 +190,6 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
         return False
     return apart == 0.0 or _connected(held, trip)
-
-
-def route_entropy_source(seed: int, departure: int) -> list[int]:
-    """Return what the generator of one departure is made from.
-
-    With seed -1 these are 256 bits from the operating system. With a fixed seed they follow from
-    the departure's number, so that the same sequence of departures gives the same routes and each
-    can be drawn again on its own. Nothing else goes in: no time, no input.
-    """
-    return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
 def _apart(one: Trip, other: Trip) -> float:

@@ -24,7 +24,7 @@ from .departure_record import (
     recorded_messages,
     recorded_metadata,
 )
-from .parameters import RecordingOptions
+from .node_parameters import RecordingOptions
 
 # Writing [s] that may wait for the disk: little enough that all of it is done when the node is
 # told to end. The next departure waits until there is no more.
