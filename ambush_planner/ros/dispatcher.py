@@ -18,7 +18,7 @@ from std_srvs.srv import Trigger
 from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError, InvalidOption
 from ..core.planner import Plan
-from ..recording import RecordedMessage, RecordingFailed
+from ..recording import RecordedMessage
 from ..worker.errors import SolveCancelled, for_the_log
 from .departure_record import Departure, ServiceCall
 from .errors import GroundChanges, NotActive
@@ -82,6 +82,7 @@ class Dispatcher:
         self._count = 0
         self._told_to_end: float | None = None
         self._paused = True
+        self._review_due = False
         self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
@@ -129,7 +130,9 @@ class Dispatcher:
 
     def ground_changed(self) -> None:
         """See how plans stand on the map that has just come, and solve anew where it is wanted."""
-        self._departures.do(self._review)
+        if not self._review_due:  # of many updates at once the last one counts
+            self._review_due = True
+            self._departures.do(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
         """Depart as asked, unless the future that is returned is cancelled before.
@@ -144,13 +147,8 @@ class Dispatcher:
 
     def record(self, departure: Departure, response: Any) -> None:
         """Have a departure recorded, once it is answered."""
-        if not departure.parameters.recording.enabled:
-            return
         end = max(departure.end_ns, self._now())
-        try:
-            self._recordings.record(replace(departure, response=response, end_ns=end))
-        except RecordingFailed as error:
-            self._recorded(departure.parameters.recording, error)
+        self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
@@ -282,6 +280,7 @@ class Dispatcher:
 
     def _review(self) -> None:
         """See how the plan in force stands; solve it anew if it is stale, unless paused."""
+        self._review_due = False
         again = None if self._paused else self._review
         self._in_force.review(self._parameters.replan_tolerance, again)
 
