@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from time import process_time
+from timeit import repeat
 
 import numpy as np
 from drives import AWAY, Drive, least_near_edge, least_turning, measure, turning_of
 from grid_planner import shortest_line
 from grounds import GROUNDS, Ground
+from maps import SIDE, block
 from matplotlib.figure import Figure
 from report import RESULTS, conditions, table, write_block
+from scipy.spatial import Delaunay
 
 from ambush_planner import (
     Network,
@@ -30,7 +34,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.core.arrays import FloatArray
-from ambush_planner.core.construction import chosen_spacing
+from ambush_planner.core.construction import METHODS, chosen_spacing
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.driven_path import different_paths, driven_path, tight_turns
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
@@ -94,9 +98,9 @@ def run(ground: Ground, departures: int) -> Trial:
     step = max(risk_map.resolution, spacing)
     rng = np.random.default_rng(0)
     routes = [strategy.sample_route(rng) for _ in range(departures)]
-    started = time.process_time()
+    started = process_time()
     paths = [driven_path(corridors, route, step) for route in routes]
-    seconds = time.process_time() - started
+    seconds = process_time() - started
     straight, grid = energy_efficient_route(strategy.game), shortest_line(ground)
     shortest, safest = (
         _fixed(name, driven_path(corridors, route, step), risk_map)
@@ -208,6 +212,20 @@ def _ratio(turning: float, of: float) -> str:
     return f"{turning / of:.1f}" if of > 1e-6 else "none"
 
 
+def networks_table() -> str:
+    """Processor seconds for large networks, and for Qhull alone on all their nodes at once."""
+    risk_map, spacing = block(200), SIDE / 200
+    ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
+    rows = []
+    for method in METHODS:
+        options = NetworkOptions(method=method, spacing=spacing)
+        network = build_network(risk_map, *ends, options)
+        works = partial(build_network, risk_map, *ends, options), partial(Delaunay, network.points)
+        seconds = [min(repeat(work, number=1, repeat=7, timer=process_time)) for work in works]
+        rows.append([f"`{method}`", str(len(network.points)), *(f"{s:.2f}" for s in seconds)])
+    return table(["network", "nodes", "processor seconds", "Qhull alone"], rows)
+
+
 def picture(trial: Trial, path: Path) -> None:
     """Left: eight paths and the best ambush sites. Right: the shortest and the safest path."""
     figure = Figure(figsize=(15.0, 8.0), dpi=100, layout="compressed")
@@ -270,7 +288,7 @@ def main() -> None:
     before_and_after(trials, options.pictures / "before_and_after.png")
     text = "\n\n".join([
         f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
-        *missing, routes_table(trials),
+        *missing, routes_table(trials), "### Large networks", networks_table(),
     ])
     print(text)
     write_block(options.results, "routes", text)
