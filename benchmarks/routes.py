@@ -212,9 +212,9 @@ def _ratio(turning: float, of: float) -> str:
     return f"{turning / of:.1f}" if of > 1e-6 else "none"
 
 
-def networks_table() -> str:
+def networks_table(across: int) -> str:
     """Processor seconds for large networks, and for Qhull alone on all their nodes at once."""
-    risk_map, spacing = block(200), SIDE / 200
+    risk_map, spacing = block(across), SIDE / across
     ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
     rows = []
     for method in METHODS:
@@ -270,6 +270,7 @@ def main() -> None:
     )
     parser.add_argument("--maps", nargs="+", default=list(GROUNDS), choices=list(GROUNDS))
     parser.add_argument("--departures", type=int, default=1000, help="paths of a map")
+    parser.add_argument("--across", type=int, default=200, help="nodes across in large networks")
     parser.add_argument("--pictures", type=Path, default=Path("out/routes"), help="folder")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `routes` is replaced"
@@ -288,7 +289,7 @@ def main() -> None:
     before_and_after(trials, options.pictures / "before_and_after.png")
     text = "\n\n".join([
         f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
-        *missing, routes_table(trials), "### Large networks", networks_table(),
+        *missing, routes_table(trials), "### Large networks", networks_table(options.across),
     ])
     print(text)
     write_block(options.results, "routes", text)
