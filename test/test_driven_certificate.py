@@ -92,7 +92,7 @@ def test_with_a_reach_no_place_is_hit_more_often_than_the_value_says(ground, tub
 def test_without_a_reach_no_node_is_passed_more_often_than_the_value_says(ground):
     a_plan, near = planned(ground, 0.0, None), PASSES * SPACING
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
-    mean, error = losses(a_plan, [dense(path[:, :2], near / 2) for path in paths], near)
+    mean, error = losses(a_plan, [dense(path[:, :2], near) for path in paths], near)
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     # The routes as they are drawn come as close to the value as sampling allows.
     rng = np.random.default_rng(1)
