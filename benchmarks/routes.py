@@ -122,9 +122,8 @@ def run(ground: Ground, departures: int) -> Trial:
 
 def _papers_routes(network: Network, rng: np.random.Generator) -> list[FloatArray]:
     """Routes (K, 2) of the paper's strategy with the first version's budget; none if it fails."""
-    options = StrategyOptions(solver="interior_point", max_detour=1.5)
     try:
-        strategy = solve(network, options=options)
+        strategy = solve(network, options=StrategyOptions("interior_point", max_detour=1.5))
     except SolverFailed:
         return []
     return [network.points[route] for route in strategy.sample_routes(SHOWN, rng)]
@@ -219,10 +218,11 @@ def networks_table(across: int) -> str:
     rows = []
     for method in METHODS:
         options = NetworkOptions(method=method, spacing=spacing)
-        network = build_network(risk_map, *ends, options)
-        works = partial(build_network, risk_map, *ends, options), partial(Delaunay, network.points)
-        seconds = [min(repeat(work, number=1, repeat=7, timer=process_time)) for work in works]
-        rows.append([f"`{method}`", str(len(network.points)), *(f"{s:.2f}" for s in seconds)])
+        build = partial(build_network, risk_map, *ends, options)
+        points = build().points
+        seconds = [min(repeat(work, number=1, repeat=7, timer=process_time))
+                   for work in (build, partial(Delaunay, points))]
+        rows.append([f"`{method}`", str(len(points)), *(f"{s:.2f}" for s in seconds)])
     return table(["network", "nodes", "processor seconds", "Qhull alone"], rows)
 
 
@@ -286,7 +286,8 @@ def main() -> None:
         trials[name] = run(ground, options.departures)
         picture(trials[name], options.pictures / f"{name}.png")
         print(name, figures_of(trials[name]), file=sys.stderr)
-    before_and_after(trials, options.pictures / "before_and_after.png")
+    if any(trial.papers for trial in trials.values()):
+        before_and_after(trials, options.pictures / "before_and_after.png")
     text = "\n\n".join([
         f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
         *missing, routes_table(trials), "### Large networks", networks_table(options.across),
