@@ -4,6 +4,7 @@ import os
 import signal
 import threading
 from contextlib import contextmanager
+from unittest import mock
 
 import numpy as np
 import pytest
