@@ -25,7 +25,7 @@ from .game import Game
 from .gibbs import AcyclicNetwork
 from .least_risk import at_most_one, least_risk, near_budgets
 from .most_entropy import SMALL_START, GibbsStrategy, most_entropy
-from .routes import always, shortest_route
+from .routes import always_shortest
 
 # The least slack: values this near to the bound, relative, count as optimal.
 LEAST_SLACK = 9e-6
@@ -122,10 +122,8 @@ class _Search:
     def value_alone(self) -> float:
         """The least value: of a cut whose flow fits the budgets, else of the program."""
         safe = self.game.past_all_sites()
-        if safe is not None:
-            route = shortest_route(safe.network, np.flatnonzero(safe.playable))
-            if self._fits(always(safe.network, route)):
-                return 0.0
+        if safe is not None and self._fits(always_shortest(safe)):
+            return 0.0
         exact = self._cut()
         if exact is not None and self._fits(exact.p):
             least = self.game.ambushers * exact.value
@@ -147,8 +145,7 @@ class _Search:
         rank = rank_by(self.potential)
         part = forward_part(safe, rank)
         if part is None:
-            p = always(safe.network, shortest_route(safe.network, np.flatnonzero(safe.playable)))
-            rank = rank_around(safe, p, self.potential)
+            rank = rank_around(safe, always_shortest(safe), self.potential)
             part = forward_part(safe, rank)
         assert part is not None  # it holds a shortest route
         found = self._law(part, rank, np.zeros(len(self.game.sites)))
@@ -285,8 +282,7 @@ class _Search:
 
         The multipliers, scaled to an ambusher's strategy, give a bound at every step.
         """
-        shortest = shortest_route(part.network, np.flatnonzero(part.playable))
-        p = always(part.network, shortest)
+        p = always_shortest(part)
         if not self._fits(p):
             raise TimeLimit("time is up before a strategy within the budgets was found")
         best = Outcome(p, indifferent_ambusher(self.game), (0.0,) * len(self.budgets), 0)
