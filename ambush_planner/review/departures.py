@@ -15,7 +15,7 @@ from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, read_departure
 from ..recording.metadata import Metadata
-from ..ros.parameters import NodeParameters
+from ..ros.node_parameters import NodeParameters
 from .case import Case
 
 # Of the operating system's 256 bits: fewer than these come once in 2^64 draws.
