@@ -15,7 +15,6 @@ from route_entropy import most_route_entropy, route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, Network
-from ambush_planner.core import gibbs
 from ambush_planner.core.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.core.game import make_game
 from ambush_planner.core.gibbs import AcyclicNetwork
@@ -200,22 +199,6 @@ def test_weights_far_apart_leave_the_best_route():
     best = networkx.dijkstra_path_length(graph, network.source, network.target)
     assert p @ weights == pytest.approx(best, rel=1e-6)
     assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
-
-
-def test_the_slow_way_is_the_fast_way(monkeypatch):
-    network = terrain_network(5, cells=10)
-    answers = []
-    for fast in (True, False):
-        if fast and not gibbs.FAST_TRIANGULAR:
-            continue
-        monkeypatch.setattr(gibbs, "FAST_TRIANGULAR", fast)
-        _, acyclic = forward(network)
-        weights = np.random.default_rng(2).random(len(acyclic.edge))
-        acyclic.law(weights)
-        answers.append(acyclic.law(weights))
-    for (z, p, share), (z2, p2, share2) in pairwise(answers):
-        assert z == pytest.approx(z2, rel=1e-12)
-        assert p == pytest.approx(p2, abs=1e-12) and share == pytest.approx(share2, abs=1e-12)
 
 
 def test_a_soft_search_has_a_minimum_where_the_limits_cannot_be_kept():

@@ -8,19 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import BoolArray, IndexArray, frozen_array
-from .certificate import lower_bound
-from .errors import TimeLimit
 from .game import Game
 from .judged import budgets_in
-from .max_entropy import max_entropy_strategy
+from .max_entropy import least_value
 from .strategy import Strategy
 
 # Sites this many median edges from the source, a stop or the target are said to hug it.
 NEAR = 2.0
 # Share of the ambusher's mass that makes a site count.
 COUNTS = 1e-6
-# Slack of the secured value's strategy, of which only the bound is used.
-ROUGH = 0.05
+# The secured value is no further off than this, relative.
+ROUGH = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,8 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     near = np.any([_within(game, node, distance) for node in ends], axis=0)
     secured = strategy.value
     if near[sites].any():
-        least = _least_value(game.without_sites(near), strategy, deadline)
+        game = game.without_sites(near)
+        least = least_value(game, budgets_in(game, strategy), ROUGH, deadline)
         secured = min(least, strategy.value)
     return Bottleneck(
         frozen_array(sites, np.int64),
@@ -64,16 +63,6 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
         strategy.value,
         secured,
     )
-
-
-def _least_value(game: Game, strategy: Strategy, deadline: float) -> float:
-    """Least value of a game within the budgets of a strategy, by its certificate's bound."""
-    budgets = budgets_in(game, strategy)
-    try:
-        outcome = max_entropy_strategy(game, budgets, ROUGH, deadline, strategy.law)
-    except TimeLimit:
-        return 0.0
-    return lower_bound(game, outcome.q, budgets, outcome.prices)
 
 
 def _within(game: Game, node: int, distance: float) -> BoolArray:

@@ -19,7 +19,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, sums
 from .errors import SolverFailed
 from .game import Game
 from .paths import distances_from
-from .routes import always, shortest_route
+from .routes import always_shortest
 
 # scipy's maximum flow counts in int32. Capacities are scaled so that the flow that is still
 # missing stays below this; several rounds on the residual network give the digits of a double.
@@ -53,8 +53,8 @@ def solve_by_cut(game: Game) -> GameValue:
         raise SolverFailed("a cut solves games of one ambusher without a reach")
     safe = game.past_all_sites()
     if safe is not None:
-        p = always(game.network, shortest_route(game.network, np.flatnonzero(safe.playable)))
-        return GameValue(0.0, p, indifferent_ambusher(game), np.empty(0, dtype=np.int64))
+        q, nobody = indifferent_ambusher(game), np.empty(0, dtype=np.int64)
+        return GameValue(0.0, always_shortest(safe), q, nobody)
     return _solve_by_rounds(game, _SplitNetwork(game))
 
 

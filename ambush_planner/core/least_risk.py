@@ -19,12 +19,12 @@ from scipy.sparse import csr_matrix, hstack, vstack
 
 from . import highs
 from .acyclic import conserved
-from .arrays import BoolArray, FloatArray
+from .arrays import BoolArray, FloatArray, IndexArray
 from .certificate import Budget, lower_bound, upper_bound
 from .errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .game import Game
 from .paths import distances_between
-from .routes import always, shortest_route
+from .routes import always_shortest
 
 # The most that the edges of the program may grow by in one round.
 GROWTH, LEAST_GROWTH = 0.3, 1000
@@ -74,7 +74,7 @@ def least_risk(
         The deadline passed before the first solution.
     """
     chosen = part.playable
-    unit = _unit_of(part)
+    unit = first_unit(part)
     best: LeastRisk | None = None
     first, solver = True, "interior_point"
     for _ in range(MAX_ROUNDS):
@@ -182,10 +182,9 @@ def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
     return missing
 
 
-def _unit_of(game: Game) -> float:
+def first_unit(game: Game) -> float:
     """A loss not below the value, to begin with: what the shortest route risks."""
-    route = shortest_route(game.network, np.flatnonzero(game.playable))
-    return upper_bound(game, always(game.network, route)) or 1.0
+    return upper_bound(game, always_shortest(game)) or 1.0
 
 
 def _solve(
@@ -234,13 +233,14 @@ class _FlowProgram:
             blocks.append(csr_matrix(total))
             limits.append(np.ones(1))
         self._over, self._several = len(over), several
-        conservation = _conservation(game)
+        rows_of_a, node = conservation(game)
+        inner = rows_of_a[node != game.network.source]
         self.program = highs.Program(
             np.concatenate((-out, np.zeros(extra))),
             csr_matrix(vstack(blocks)),
             np.concatenate(limits),
-            csr_matrix(hstack((conservation, csr_matrix((conservation.shape[0], extra))))),
-            np.zeros(conservation.shape[0]),
+            csr_matrix(hstack((inner, csr_matrix((inner.shape[0], extra))))),
+            np.zeros(inner.shape[0]),
         )
 
     def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
@@ -287,8 +287,11 @@ def _shared_loss(sites: int) -> csr_matrix:
     return csr_matrix((entries, (row, column)), shape=(sites, 1 + sites))
 
 
-def _conservation(game: Game) -> csr_matrix:
-    """Rows of ``A`` for the nodes between source and target, over the playable edges."""
+def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
+    """Rows of ``A`` over the playable edges, and their nodes: all in use but the target.
+
+    The target's row follows from the others.
+    """
     network = game.network
     tail, head = network.edges[game.playable].T
     column = np.arange(len(tail))
@@ -297,8 +300,8 @@ def _conservation(game: Game) -> csr_matrix:
         (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
         shape=(game.node_count, len(tail)),
     )
-    inner = np.unique(tail[tail != network.source])
-    return full[inner]
+    node = np.unique(tail)
+    return full[node], node
 
 
 def at_most_one(q: FloatArray, ambushers: int) -> FloatArray:

@@ -11,12 +11,13 @@ from scipy.sparse.linalg import spsolve
 
 from . import highs
 from .arrays import FloatArray, IndexArray
-from .certificate import Budget, upper_bound
+from .certificate import Budget
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import BudgetInfeasible, InvalidOption
 from .game import Game
+from .least_risk import conservation, first_unit
 from .max_entropy import Outcome
-from .routes import always, shortest_route
+from .routes import always_shortest
 
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
@@ -63,33 +64,17 @@ def linear_program(
     if np.isfinite(budget):
         inequalities = vstack((inequalities, csr_matrix(np.append(lengths, 0.0))))
         limits = np.append(limits, budget)
-    conservation, rhs = _conservation(game, edge)
-    nothing = csr_matrix((conservation.shape[0], 1))
+    rows_of_a, node = conservation(game)
+    nothing = csr_matrix((len(node), 1))
     return LinearProgram(
         edge,
         cost,
         inequalities.tocsr(),
         limits,
-        hstack((conservation, nothing)).tocsr(),
-        rhs,
+        hstack((rows_of_a, nothing)).tocsr(),
+        np.where(node == network.source, 1.0, 0.0),
         unit,
     )
-
-
-def _conservation(game: Game, edge: IndexArray) -> tuple[csr_matrix, FloatArray]:
-    """``A p = b`` without the target's row, which follows from the others."""
-    network = game.network
-    tail, head = network.edges[edge].T
-    column = np.arange(len(edge))
-    entries = np.concatenate((np.ones(len(edge)), -np.ones(len(edge))))
-    full = csr_matrix(
-        (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
-        shape=(game.node_count, len(edge)),
-    )
-    node = np.unique(tail)
-    rhs = np.zeros(len(node))
-    rhs[node == network.source] = 1.0
-    return full[node], rhs
 
 
 def linear_program_strategy(
@@ -134,10 +119,9 @@ def _past_all_sites(game: Game, budget: float) -> Game | None:
     Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
     """
     safe = game.past_all_sites()
-    if safe is None:
+    if safe is None or always_shortest(safe) @ game.network.lengths > budget * (1 + 1e-9):
         return None
-    route = always(game.network, shortest_route(game.network, np.flatnonzero(safe.playable)))
-    return safe if float(route @ game.network.lengths) <= budget * (1 + 1e-9) else None
+    return safe
 
 
 def _unit(game: Game) -> float:
@@ -154,7 +138,7 @@ def _within_budget(
     game: Game, solver: str, length: Budget, length_weight: float, deadline: float
 ) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
-    unit = _shortest_route_loss(game) or 1.0
+    unit = first_unit(game)
     for _ in range(MAX_UNITS):
         program = linear_program(game, length_weight, length.limit, unit)
         result = _run(program, solver, deadline)
@@ -163,12 +147,6 @@ def _within_budget(
             break
         unit *= max(value, NEAR_UNIT**2)
     return program, result
-
-
-def _shortest_route_loss(game: Game) -> float:
-    """What the best ambush costs against always driving the shortest route."""
-    route = shortest_route(game.network, np.flatnonzero(game.playable))
-    return upper_bound(game, always(game.network, route))
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
@@ -18,13 +19,13 @@ from scipy.sparse import csr_matrix, diags, vstack
 from .acyclic import forward_part, order_potential, rank_around, rank_by
 from .arrays import FloatArray, IndexArray, sums
 from .certificate import ROUNDING, Budget, lower_bound, upper_bound
-from .cut import indifferent_ambusher, solve_by_cut
+from .cut import GameValue, indifferent_ambusher, solve_by_cut
 from .errors import SolverFailed, TimeLimit
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .least_risk import at_most_one, least_risk, near_budgets
 from .most_entropy import SMALL_START, GibbsStrategy, most_entropy
-from .routes import always, shortest_route
+from .routes import always_shortest
 
 # The least slack: values this near to the bound, relative, count as optimal.
 LEAST_SLACK = 9e-6
@@ -86,6 +87,21 @@ def max_entropy_strategy(
     return search.past_all_sites() or search.by_cut() or search.by_program()
 
 
+def least_value(
+    game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
+) -> float:
+    """The least value within the budgets alone, from below and no further off than ``closed``.
+
+    At the deadline it is the value without budgets, and 0 where no cut tells that.
+
+    Raises
+    ------
+    BudgetInfeasible
+        No strategy fits all budgets.
+    """
+    return _Search(game, budgets, closed, deadline, None).value_alone()
+
+
 class _Search:
     """The stages for one game."""
 
@@ -95,9 +111,31 @@ class _Search:
     ) -> None:
         self.game, self.budgets, self.slack = game, budgets, slack
         self.deadline, self.warm = deadline, warm
-        self.potential = order_potential(game)
         self.evaluations = 0
         self.least = 0.0
+
+    @cached_property
+    def potential(self) -> FloatArray:
+        """What decides the order of nodes that nothing else decides, (N,)."""
+        return order_potential(self.game)
+
+    def value_alone(self) -> float:
+        """The least value: of a cut whose flow fits the budgets, else of the program."""
+        safe = self.game.past_all_sites()
+        if safe is not None and self._fits(always_shortest(safe)):
+            return 0.0
+        exact = self._cut()
+        if exact is not None and self._fits(exact.p):
+            least = self.game.ambushers * exact.value
+            if upper_bound(self.game, exact.p) <= least * (1.0 + self.slack):
+                return least
+        try:
+            risk = least_risk(
+                self.game, self._first_part(), self.budgets, self.slack, self.deadline
+            )
+        except (TimeLimit, SolverFailed):
+            return self.least
+        return risk.bound
 
     def past_all_sites(self) -> Outcome | None:
         """Value 0: routes past every ambush, where they fit the budgets."""
@@ -107,8 +145,7 @@ class _Search:
         rank = rank_by(self.potential)
         part = forward_part(safe, rank)
         if part is None:
-            p = always(safe.network, shortest_route(safe.network, np.flatnonzero(safe.playable)))
-            rank = rank_around(safe, p, self.potential)
+            rank = rank_around(safe, always_shortest(safe), self.potential)
             part = forward_part(safe, rank)
         assert part is not None  # it holds a shortest route
         found = self._law(part, rank, np.zeros(len(self.game.sites)))
@@ -122,17 +159,10 @@ class _Search:
         With several legs the cut is that of the costliest leg, a lower bound; it is attained where
         the other legs need not pass that leg's sites.
         """
+        exact = self._cut()
+        if exact is None:
+            return None
         k = self.game.ambushers
-        if self.game.ambush_radius > 0.0:
-            return None
-        whole = replace(self.game, ambushers=1)
-        exact = solve_by_cut(whole)
-        if exact.value == 0.0:
-            return None
-        self.least = exact.value
-        q = sums(self.game.network.places, exact.q, self.game.node_count)
-        if k * q.max() > 1.0:
-            return None
         lean = self._lean(exact.value)
         flow = exact if lean is self.game else solve_by_cut(replace(lean, ambushers=1))
         if flow.value > exact.value * (1.0 + self.slack / 4.0):
@@ -141,8 +171,23 @@ class _Search:
         part = forward_part(lean, rank)
         assert part is not None  # it holds the flow
         level = np.full(len(self.game.sites), exact.value)
-        found = replace(self._law(part, rank, level), q=k * q)
+        found = replace(self._law(part, rank, level), q=k * exact.q)
         return self._within(found, flow.p, k * exact.value)
+
+    def _cut(self) -> GameValue | None:
+        """The plain game with one ambusher; None where it is another one, or its value is 0.
+
+        With k of them it is the same game k times over, if none of k q is over 1. q is that of
+        the places.
+        """
+        if self.game.ambush_radius > 0.0:
+            return None
+        exact = solve_by_cut(replace(self.game, ambushers=1))
+        self.least = exact.value
+        q = sums(self.game.network.places, exact.q, self.game.node_count)
+        if exact.value == 0.0 or self.game.ambushers * q.max() > 1.0:
+            return None
+        return replace(exact, q=q)
 
     def by_program(self) -> Outcome:
         """Budgets that raise the value, a reach, several ambushers: a linear program first."""
@@ -237,8 +282,7 @@ class _Search:
 
         The multipliers, scaled to an ambusher's strategy, give a bound at every step.
         """
-        shortest = shortest_route(part.network, np.flatnonzero(part.playable))
-        p = always(part.network, shortest)
+        p = always_shortest(part)
         if not self._fits(p):
             raise TimeLimit("time is up before a strategy within the budgets was found")
         best = Outcome(p, indifferent_ambusher(self.game), (0.0,) * len(self.budgets), 0)

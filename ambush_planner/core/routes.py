@@ -9,6 +9,7 @@ import numpy as np
 
 from .acyclic import is_acyclic
 from .arrays import FloatArray, IndexArray
+from .game import Game
 from .network import Network
 from .paths import shortest_path
 
@@ -107,3 +108,8 @@ def always(network: Network, route: IndexArray) -> FloatArray:
     p = np.zeros(len(network.edges))
     p[route_edges(network, route)] = 1.0
     return p
+
+
+def always_shortest(game: Game) -> FloatArray:
+    """The strategy p (M,) of always driving the shortest playable route."""
+    return always(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))

@@ -6,6 +6,8 @@ solve inside of it; and before scipy 1.13 it was a loop in Python.
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
@@ -30,8 +32,13 @@ class UnitTriangle:
 
     def solve(self, right: FloatArray, transposed: bool = False) -> FloatArray:
         """Solve for ``right`` (n,) or (n, R), with the transposed matrix where so told."""
-        if gstrs is None:
-            return self._by_factors(right, transposed)
+        if gstrs is not None:
+            # It is scipy's own affair how it calls SuperLU.
+            with contextlib.suppress(TypeError, ValueError):
+                return self._by_superlu(right, transposed)
+        return self._by_factors(right, transposed)
+
+    def _by_superlu(self, right: FloatArray, transposed: bool) -> FloatArray:
         # The rows are the columns of a lower triangle.
         n, none, nowhere = len(self._indptr) - 1, np.empty(0), np.empty(0, np.intc)
         solution, failed = gstrs(
