@@ -20,7 +20,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.terrain import OccupancyMap, write_map
-from ambush_planner.tools.frontier_run import COLUMNS, read_risk_map
+from ambush_planner.tools.frontier import COLUMNS, read_risk_map
 
 # The law may leave a thousandth of the entropy unused, and up to a tenth of the slack.
 ENTROPY = 0.02
