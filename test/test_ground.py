@@ -2,6 +2,7 @@
 
 import re
 from io import BytesIO
+from threading import Event
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from rclpy.parameter import Parameter
 from ros_harness import Client, header, pose, risk_grid, stage, wait_until
 from rosbags.typesys import Stores, get_typestore
 from standin_types import grid_update, message_type
+from waiting import TIMEOUT
 
 from ambush_planner.core.construction import NetworkOptions
 from ambush_planner.core.game import GameOptions
@@ -27,7 +29,7 @@ from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
 from ambush_planner.ros.ground import Ground, Standing
 from ambush_planner.ros.in_force import PlanInForce
-from ambush_planner.ros.inputs import MapInForce
+from ambush_planner.ros.map_in_force import MapInForce
 from ambush_planner.worker.process import WorkerProcess
 
 SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)
@@ -237,6 +239,24 @@ def test_updates_change_the_map_and_far_from_the_routes_not_the_strategy(running
     assert client.call('new_route').success
     client.diagnostics(departures='2', stale='no', level=b'\1')
     assert shown(client) == 1
+
+
+def test_many_updates_at_once_are_looked_through_once(running, monkeypatch):
+    looked, review, go_on = [], PlanInForce.review, Event()
+    monkeypatch.setattr(
+        PlanInForce, 'review', lambda *given: (looked.append(1), review(*given))[1])
+    running.planner._dispatcher._departures.do(lambda: go_on.wait(TIMEOUT))  # a departure, say
+    for column in range(20):
+        update(running.client, column, 0, [[100]])
+    try:
+        wait_until(lambda: (running.planner._inputs.map_in_force().values[0] == 100).all(),
+                   'the updates')
+    finally:
+        go_on.set()
+    assert running.client.call('new_route').success
+    assert len(looked) == 1
+    update(running.client, 0, 1, [[100]])
+    wait_until(lambda: len(looked) == 2, 'the next one')
 
 
 def test_an_obstacle_on_a_route_is_solved_anew_before_anybody_departs(running):

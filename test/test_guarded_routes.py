@@ -3,18 +3,22 @@
 import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 import pytest
 from nav_msgs.msg import Path as PathMessage
+from nav_msgs.srv import GetPlan
 from rclpy.action.graph import get_action_server_names_and_types_by_node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
+from waiting import TIMEOUT
 
 from ambush_planner.recording import read_departure, recordings_in
 from ambush_planner.review.verify import Verifier
+from ambush_planner.worker.process import WorkerProcess
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
 # Each node has them, and neither tells of routes.
@@ -203,3 +207,28 @@ def test_what_was_published_is_withdrawn_when_publishing_ends():
         running.planner.set_parameters([Parameter('path.publish', value=True)])
         assert client.call('new_route').success
         wait_until(lambda: client.received['path'][-1].poses, 'a path')
+
+
+def test_a_route_that_is_waited_for_when_publishing_ends_is_not_published(monkeypatch):
+    begun, go_on, solve = Event(), Event(), WorkerProcess.solve
+
+    def held_up(worker, request):
+        begun.set()
+        assert go_on.wait(TIMEOUT)
+        return solve(worker, request)
+
+    monkeypatch.setattr(WorkerProcess, 'solve', held_up)
+    with stage() as running:
+        client = running.give()
+        call = GetPlan.Request(start=pose(*START), goal=pose(*GOAL))
+        waiting = client.send('new_route'), client.send('get_plan', call)
+        assert begun.wait(TIMEOUT)
+        queue = running.planner._dispatcher._plans._solves
+        wait_until(lambda: queue._running.submitted == 2, 'both requests')
+        running.planner.set_parameters([Parameter('path.publish', value=False)])
+        go_on.set()
+        wait_until(lambda: all(each.done() for each in waiting), 'the answers')
+        assert 'path.publish is false' in waiting[0].result().message
+        assert waiting[1].result().plan.poses
+        client.diagnostics(departures='1')
+    assert not client.received['path']

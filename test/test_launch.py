@@ -35,13 +35,15 @@ from ambush_planner.ros.parameters import PARAMETERS
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
 NAV2 = ROOT / 'config' / 'nav2.yaml'
+RVIZ = ROOT / 'config' / 'ambush_planner.rviz'
 TREE = ElementTree.parse(FILE).getroot()
 DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
 OWN_NAMES = {name: f'ambush/{name}' for name in ('goal_pose', 'start_pose', 'initialpose')}
 COMMANDS = re.findall(r'(?ms)^```sh\n(.*?)^```', DOCUMENT)
 # Why they are not run; docs/nav2.md says so, too.
 NOT_RUN = ('rviz2', 'ros2 run nav2_map_server', 'ros2 run nav2_util',
-           'ros2 run nav2_lifecycle_manager', 'ros2 lifecycle')
+           'ros2 run nav2_lifecycle_manager')
+BY_HAND = ('ros2 lifecycle set /ambush_planner ',)  # test_lifecycle calls the same service
 
 
 def arguments(**given):
@@ -206,10 +208,15 @@ def test_each_command_of_the_document_is_run_or_is_said_not_to_be():
             given = dict(word.split(':=') for word in words[4:])
             assert Path(arguments(**given)['params_file']) == NAV2
         else:
-            assert any(known(each) for each in NOT_RUN), words
+            assert any(known(each) for each in (*NOT_RUN, *BY_HAND)), words
     told = DOCUMENT.split('## What has been run')[1]
     for each in NOT_RUN:
         assert f'`{each.removeprefix("ros2 run ")}`' in told
+
+
+@pytest.mark.parametrize('text', [DOCUMENT, RVIZ.read_text()], ids=['document', 'rviz'])
+def test_an_rviz_that_is_started_by_hand_is_told_the_same_names(text):
+    assert dict(re.findall(r'-r /(\w+):=/(\S+)', text)) == OWN_NAMES
 
 
 def test_the_documents_table_has_the_arguments():

@@ -227,11 +227,13 @@ def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path)
     """Three lives of the node, with requests under way through all of them."""
     with stage(tmp_path, WAITING) as running:
         client, manager, stop = running.client, Manager(running.client), threading.Event()
-        asked, answered = [], []
+        asked = []
 
         def ask():
             while not stop.is_set():
-                asked.append(client.send('new_route'))
+                # Not more than a busy machine records: the last answer is waited for below.
+                if sum(not each.done() for each in asked) < 10:
+                    asked.append(client.send('new_route'))
                 client.publish('goal_pose', GOAL)
                 client.publish('start_pose', START)
                 time.sleep(0.05)

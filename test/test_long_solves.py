@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from contextlib import contextmanager
 
 import numpy as np
@@ -122,12 +123,12 @@ def solves(monkeypatch):
 
 def test_one_solve_for_all_who_ask_for_the_same(submitted, solves):
     with solving() as (running, future):
-        before = len(submitted), len(solves)
         futures = [future, *(running.client.send('new_route') for _ in range(5))]
-        wait_until(lambda: len(submitted) == before[0] + 5, 'the requests')
+        # With the quick one before. The diagnostics tell of a solve before a worker has it.
+        wait_until(lambda: len(submitted) == 1 + 6 and len(solves) == 1 + 1, 'the requests')
         assert running.client.call('cancel').message == 'the solve was cancelled'
         assert {answer(each).message for each in futures} == {'the solve was cancelled'}
-        assert len(solves) == before[1]
+        assert len(solves) == 1 + 1
 
 
 def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
@@ -141,6 +142,31 @@ def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
         assert len(solves) == 1
         assert client.get_plan(pose(5.0, 52.6), GOAL).poses, 'more than half the spacing'
         assert len(solves) == 2
+
+
+def test_who_asks_while_the_end_of_a_solve_is_told_shares_it(monkeypatch, solves):
+    told, go_on, submit = threading.Event(), threading.Event(), SolveQueue.submit
+
+    def hold_up(solve):
+        told.set()
+        assert go_on.wait(TIMEOUT)
+
+    def submit_held_up(*arguments):
+        solve = submit(*arguments)
+        solve.add_done_callback(hold_up)  # before all others
+        return solve
+
+    monkeypatch.setattr(SolveQueue, 'submit', submit_held_up)
+    with stage(parameters=QUICK) as running:
+        client = running.give(field(), (5.0, 50.0), (95.0, 50.0))
+        first = client.send('new_route')
+        try:
+            assert told.wait(TIMEOUT)
+            assert client.get_plan(pose(5.3, 50.0), GOAL).poses
+        finally:
+            go_on.set()
+        assert answer(first).success
+        assert len(solves) == 1
 
 
 def test_who_allows_another_time_waits_for_another_solve(submitted):

@@ -16,7 +16,8 @@ from ambush_planner.core.planner import DriveOptions, PlanningOptions
 from ambush_planner.core.risk_map import OccupancyOptions
 from ambush_planner.core.strategy import StrategyOptions
 from ambush_planner.recording import Recorder
-from ambush_planner.ros.parameters import COMPRESSIONS, PARAMETERS, parameters_from
+from ambush_planner.ros.node_parameters import parameters_from
+from ambush_planner.ros.parameters import COMPRESSIONS, PARAMETERS
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}

@@ -23,7 +23,8 @@ from ..recording import RecordedDeparture, RecordedMessage, UnreadableRecording,
 from ..recording.npz import BadAttachment
 from ..recording.strategy_file import strategy_from_file
 from ..ros.conversions import risk_map_from_ros
-from ..ros.parameters import PARAMETERS, NodeParameters, parameters_from
+from ..ros.node_parameters import NodeParameters, parameters_from
+from ..ros.parameters import PARAMETERS
 
 _INPUTS = (OccupancyGrid, PoseStamped, PoseWithCovarianceStamped, PoseArray)
 # No other type is looked for: a file could name any module.

@@ -20,7 +20,7 @@ from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, read_departure
 from ..recording.metadata import LEAST_BITS, Metadata
 from ..ros.conditioned import Conditioned
-from ..ros.parameters import NodeParameters
+from ..ros.node_parameters import NodeParameters
 from .case import Case
 from .verify_plan import ground_then
 

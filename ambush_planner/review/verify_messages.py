@@ -247,7 +247,7 @@ def _request(case: Case, asked: Any) -> Any:
     """What was asked for; ``asked`` may leave the start to where the robot is."""
     if isinstance(asked, Trigger.Request):
         return asked
-    from_robot = case.parameters.robot_base_frame and not asked.start.header.frame_id
+    from_robot = case.parameters.robot.frame and not asked.start.header.frame_id
     start = asked.start if from_robot else case.message('start')
     return GetPlan.Request(
         start=start if isinstance(start, PoseStamped) else PoseStamped(),

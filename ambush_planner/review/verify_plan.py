@@ -28,7 +28,7 @@ from ..recording.npz import BadAttachment
 from ..recording.strategy_file import VALUE_TOLERANCE
 from ..ros.conversions import occupancy_from_ros
 from ..ros.ground import Ground
-from ..ros.inputs import MapInForce
+from ..ros.map_in_force import MapInForce
 from .case import Case
 
 # Of probabilities and of what follows from them, relative: another release of numpy or scipy,

@@ -24,8 +24,9 @@ from ..recording.metadata import VIA, metadata_texts
 from ..recording.strategy_file import STRATEGY_FILE
 from .cdr import plan_event_bytes
 from .conversions import fields_of
-from .inputs import Received, Trip
-from .parameters import NodeParameters
+from .inputs import Trip
+from .map_in_force import Received
+from .node_parameters import NodeParameters
 from .paths import DeparturePath
 from .planning import HeldPlan
 from .qos import LATEST

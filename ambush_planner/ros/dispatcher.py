@@ -4,33 +4,31 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from typing import Any
 from uuid import uuid4
 
-import numpy as np
 from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..core.driven_path import tight_turns
 from ..core.errors import AmbushPlannerError, InvalidOption
-from ..core.planner import Plan, Route, departure_path
-from ..recording import RecordedMessage, RecordingFailed
+from ..core.planner import Plan
+from ..recording import RecordedMessage
 from ..worker.errors import SolveCancelled, for_the_log
 from .departure_record import Departure, ServiceCall
 from .errors import GroundChanges, NotActive
-from .futures import settle
+from .futures import Turns
 from .in_force import PlanInForce
-from .inputs import Asked, Inputs, RobotOptions, Trip
+from .inputs import Asked, Inputs, Trip
+from .node_parameters import NodeParameters, RecordingOptions
 from .outbox import Outbox
-from .parameters import NodeParameters, RecordingOptions
-from .paths import DeparturePath, path_between
-from .planning import HeldPlan, Plans, route_entropy_source, usable
+from .paths import DeparturePath, draw_path, route_entropy_source
+from .planning import HeldPlan, Plans, usable
 from .recordings import Recordings
 from .reporter import Reporter
 
@@ -40,8 +38,6 @@ _LAST_RECORDINGS = 1.0  # s
 _MOST_SOLVES = 4
 
 INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
-
-_Outcome = TypeVar('_Outcome')
 
 
 @dataclass(eq=False)
@@ -72,19 +68,21 @@ class Dispatcher:
         reporter: Reporter,
         clock: Clock,
         logger: RcutilsLogger,
-        start_topic: str,
     ) -> None:
         self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
-        self._start_topic = start_topic
         self._reporter, self._clock, self._logger = reporter, clock, logger
-        self._plans = Plans(self._tell_solved)
-        self._in_force = PlanInForce(
-            self._plans, inputs, outbox, reporter, clock, self._in_turn
+        self._plans = Plans(logger)
+        self._departures = Turns(
+            'departures', reporter.refresh, lambda error: reporter.failed('request', error),
+            _shutting_down,
         )
-        self._departures = ThreadPoolExecutor(1, thread_name_prefix='departures')
+        self._in_force = PlanInForce(
+            self._plans, inputs, outbox, reporter, clock, self._departures.do
+        )
         self._count = 0
         self._told_to_end: float | None = None
         self._paused = True
+        self._review_due = False
         self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
@@ -103,7 +101,7 @@ class Dispatcher:
     def pause(self) -> None:
         """Refuse requests, the waiting ones too; no route is drawn once this has returned."""
         self._paused = True
-        self._departures.submit(lambda: None).result()  # what has begun is done
+        self._departures.finish()
         self._plans.cancel()
 
     def resume(self) -> None:
@@ -115,16 +113,16 @@ class Dispatcher:
     def close(self) -> None:
         """Answer waiting requests, write the last recordings, and end."""
         self.stop_solving()
-        self._departures.shutdown()
+        self._departures.close()
         told = self._told_to_end or 0.0
         if left := self._recordings.close(told + _LAST_RECORDINGS - time.monotonic()):
             self._logger.error(f'recording: {left} departures could not be written before the end')
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
-        if self._parameters.publish_path and not parameters.publish_path:
-            self._in_turn(self._withdraw_path)
-        self._parameters, self._contradiction = parameters, None
+        before, self._parameters, self._contradiction = self._parameters, parameters, None
+        if before.publish_path and not parameters.publish_path:
+            self._departures.do(self._withdraw_path)  # what leaves after it is not published
 
     def refuse(self, error: InvalidOption) -> None:
         """Refuse requests for this reason until there are parameters that can be used."""
@@ -132,7 +130,9 @@ class Dispatcher:
 
     def ground_changed(self) -> None:
         """See how plans stand on the map that has just come, and solve anew where it is wanted."""
-        self._in_turn(self._review)
+        if not self._review_due:  # of many updates at once the last one counts
+            self._review_due = True
+            self._departures.do(self._review)
 
     def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
         """Depart as asked, unless the future that is returned is cancelled before.
@@ -140,24 +140,15 @@ class Dispatcher:
         Where paths are not published, a request must have them answered.
         """
         self._refuse_contradictions()
-        if call.kind is Trigger and not self._parameters.publish_path:
-            raise InvalidOption(
-                'path.publish is false, so that new_route, whose answer has no room for a path, '
-                'would leave nobody with it: call get_plan'
-            )
+        self._refuse_unheard(call)
         request = _Request(call, asked, self._parameters, self._now())
-        self._in_turn(lambda: self._try(request), request.departure)
+        self._departures.do(lambda: self._try(request), request.departure)
         return request.departure
 
     def record(self, departure: Departure, response: Any) -> None:
         """Have a departure recorded, once it is answered."""
-        if not departure.parameters.recording.enabled:
-            return
         end = max(departure.end_ns, self._now())
-        try:
-            self._recordings.record(replace(departure, response=response, end_ns=end))
-        except RecordingFailed as error:
-            self._recorded(departure.parameters.recording, error)
+        self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
@@ -167,7 +158,7 @@ class Dispatcher:
         def begin() -> None:
             self._refuse_unless_active()
             parameters = self._parameters
-            trip = self._inputs.locate(asked, self._robot(parameters))
+            trip = self._inputs.locate(asked, parameters.robot)
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
 
         def show(held: HeldPlan) -> None:
@@ -176,7 +167,7 @@ class Dispatcher:
             self._reporter.succeeded()
             outcome.set_result(held.plan)
 
-        self._in_turn(begin, outcome)
+        self._departures.do(begin, outcome)
         return outcome
 
     def cancel(self) -> int:
@@ -189,7 +180,7 @@ class Dispatcher:
             return
         self._refuse_unless_active()
         parameters = request.parameters
-        trip = self._inputs.locate(request.asked, self._robot(parameters))
+        trip = self._inputs.locate(request.asked, parameters.robot)
         good = solved is not None and usable(solved, trip, parameters)
         held = solved if good else self._plans.find(trip, parameters)
         if held is None:
@@ -215,36 +206,18 @@ class Dispatcher:
         self._reporter.refresh()
 
         def solved(done: Future[HeldPlan]) -> None:
-            self._in_turn(lambda: go_on(done.result()), outcome)
+            self._departures.do(lambda: go_on(done.result()), outcome)
 
         solve.add_done_callback(solved)
         outcome.add_done_callback(
             lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
         )
 
-    def _in_turn(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
-        """Have work done in the thread of departures; an error is the outcome."""
-
-        def attempt() -> None:
-            self._reporter.refresh()
-            try:
-                work()
-            except Exception as error:
-                if outcome is None:
-                    self._reporter.failed('request', error)
-                elif not outcome.cancelled():
-                    outcome.set_exception(error)
-
-        try:
-            self._departures.submit(attempt)
-        except RuntimeError:  # the thread has ended
-            if outcome is not None:
-                settle(outcome, self._refuse_unless_active)
-
     def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()
+        self._refuse_unheard(request.call)
         if held is not self._in_force.held:
             self._in_force.show(held)
             if held.trip.map is not trip.map:
@@ -254,7 +227,9 @@ class Dispatcher:
         source = route_entropy_source(parameters.seed, number)
         # Within a departure no time is before an earlier one, though the clock may be set.
         leaving = max(request.begin_ns, self._now())
-        drawn = self._draw(held, trip, source, parameters, leaving)
+        drawn = draw_path(
+            held, trip, source, parameters.path_spacing, Time(nanoseconds=leaving).to_msg()
+        )
         if drawn is None:
             self._wait(request, self._plans.solve(trip, parameters))
             return
@@ -273,34 +248,15 @@ class Dispatcher:
         ))
 
     def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:
-        """Publish the path, if it may be; return what the recording keeps of it."""
-        if request.parameters.publish_path:
+        """Publish the path, if it may be by now; return what the recording keeps of it."""
+        if request.parameters.publish_path and self._parameters.publish_path:
             return self._outbox.publish('path', path.to_bytes())
         return self._outbox.as_recorded('path', path.to_bytes(), f'{request.call.name}/path')
-
-    def _tell_solved(self, plan: Plan) -> None:
-        self._logger.info(
-            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-            f'{len(plan.network.points)} nodes'
-        )
 
     def _withdraw_path(self) -> None:
         """Put an empty path where late joiners would get the last one."""
         if self._count:
             self._outbox.publish('path', Path())
-
-    def _draw(
-        self, held: HeldPlan, trip: Trip, source: list[int], parameters: NodeParameters,
-        stamp_ns: int,
-    ) -> tuple[Route, DeparturePath] | None:
-        """Draw a route that is clear on the newest map, with its path; None: hardly any is."""
-        route = held.ground.draw(np.random.default_rng(source), trip.map)
-        if route is None:
-            return None
-        spacing, ends = parameters.path_spacing or held.plan.spacing, held.ends(trip)
-        rows = departure_path(held.ground.fitted(trip.map, ends), route, spacing, ends)
-        poses = trip.start_pose.pose, trip.goal_pose.pose
-        return route, path_between(rows, *poses, self._header(trip, stamp_ns))
 
     def _refuse_contradictions(self) -> None:
         if self._contradiction is not None:
@@ -308,28 +264,29 @@ class Dispatcher:
                 f'parameters contradict each other: {self._contradiction}'
             ) from self._contradiction
 
+    def _refuse_unheard(self, call: ServiceCall) -> None:
+        """Refuse a departure whose path nobody would get."""
+        if call.kind is Trigger and not self._parameters.publish_path:
+            raise InvalidOption(
+                'path.publish is false, so that new_route, whose answer has no room for a path, '
+                'would leave nobody with it: call get_plan'
+            )
+
     def _refuse_unless_active(self) -> None:
         if self._told_to_end is not None:
-            raise SolveCancelled('the planner is shutting down')
+            raise _shutting_down()
         if self._paused:
             raise NotActive(INACTIVE)
 
     def _review(self) -> None:
         """See how the plan in force stands; solve it anew if it is stale, unless paused."""
+        self._review_due = False
         again = None if self._paused else self._review
         self._in_force.review(self._parameters.replan_tolerance, again)
-
-    def _robot(self, parameters: NodeParameters) -> RobotOptions:
-        return RobotOptions(
-            parameters.robot_base_frame, parameters.transform_max_age, self._start_topic
-        )
 
     def _now(self) -> int:
         """The time of the node's clock [ns]."""
         return self._clock.now().nanoseconds
-
-    def _header(self, trip: Trip, stamp_ns: int) -> Header:
-        return Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=stamp_ns).to_msg())
 
     def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
         """Take note of how the recording of a departure went."""
@@ -338,3 +295,6 @@ class Dispatcher:
         if options == self._parameters.recording:  # or others hold by now
             self._reporter.recorded(error)
 
+
+def _shutting_down() -> SolveCancelled:
+    return SolveCancelled('the planner is shutting down')

@@ -18,7 +18,7 @@ from ..core.planner import Ends, Plan, Route, depart
 from ..core.refitted import among_new_obstacles, with_end_at
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from .conditioned import Conditioned
-from .inputs import MapInForce
+from .map_in_force import MapInForce
 
 _Cells = npt.NDArray[np.int64]
 # With more new obstacle cells than this it is another map, which nobody looks through.
@@ -193,7 +193,7 @@ class Ground:
 
     def _compare(self, newest: MapInForce) -> _Look:
         network, strategy = self._plan.network, self._plan.strategy
-        cells, alpha = self._new_obstacles(newest), self._losses(newest)
+        cells, alpha = self._new_obstacles(newest), self._losses(newest, self._cells)
         centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
         lost = np.zeros(len(network.edges), dtype=bool)
         if len(cells) > _MOST_CELLS:
@@ -222,11 +222,8 @@ class Ground:
         rows, columns = np.divmod(changed[is_now & ~was], newest.values.shape[1])
         return np.stack((columns, rows), axis=1)
 
-    def _losses(self, newest: MapInForce) -> FloatArray:
-        """Alpha (N,) of the nodes on the newest map."""
-        return self._losses_in(newest, self._cells)
-
-    def _losses_in(self, grid: MapInForce, cells: _Cells) -> FloatArray:
+    def _losses(self, grid: MapInForce, cells: _Cells) -> FloatArray:
+        """Alpha (N,) of the nodes on a map, where they lie in these ``cells``."""
         values = grid.values[cells[:, 1], cells[:, 0]][None, :]
         alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
         network = self._plan.network
@@ -244,7 +241,7 @@ class Ground:
         uv, alpha = self._uv / on.resolution, self._plan.network.alpha
         found: _Cells = np.clip(np.floor(uv + _TOUCH), 0, last).astype(np.int64)
         for shift in ((-1, -1), (-1, 1), (1, -1)):
-            other = np.flatnonzero(self._losses_in(on, found) != alpha)
+            other = np.flatnonzero(self._losses(on, found) != alpha)
             moved = np.floor(uv[other] + _TOUCH * np.array(shift))
             found[other] = np.clip(moved, 0, last).astype(np.int64)
         return found

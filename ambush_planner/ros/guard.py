@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from functools import partial
+from typing import Any, TypeVar
 
 from rclpy.context import Context
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
 
 from ..core.errors import AmbushPlannerError
 from ..worker.errors import for_the_log, forget_frames, unexpected
@@ -38,3 +40,24 @@ class Guard:
             self._logger.error(f'{what}: {for_the_log(known)}')
             self._failed(concern, known)
         return None, known
+
+
+def guard_services(node: Node) -> None:
+    """Guard the services that ``node`` has: those of rclpy itself.
+
+    They raise, for instance, at a parameter value of a type that there is not, and at a transition
+    that the node's state does not have.
+    """
+    for service in list(node.services):
+        service.callback = partial(_answer_anyway, node, service.srv_name, service.callback)
+
+
+def _answer_anyway(
+    node: Node, name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any
+) -> Any:
+    try:
+        return callback(request, response)
+    except Exception as error:
+        # Not the error's own words: they hold what was sent.
+        node.get_logger().error(f'{name}: refused, {type(error).__name__}')
+        return response

@@ -2,73 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from copy import copy
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
-import numpy.typing as npt
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
 from ..core.errors import InvalidRiskMap
-from ..core.risk_map import check_occupancy
 from ..recording import type_name
-from .cdr import GridUpdate, grid_bytes, grid_cells
-from .conversions import occupancy_from_ros, pose_to_ros, position_from_ros
+from .cdr import GridUpdate
+from .conversions import pose_to_ros, position_from_ros
 from .errors import InvalidPose, NoGoal, NoMap, NoStart
+from .map_in_force import MapInForce, Received, changed_map, map_from
+from .node_parameters import RobotOptions
 from .qos import LATEST
 from .transforms import FrameTransforms
 
 # Each adds a leg, with a copy of the network.
 MOST_STOPS = 50
-
-
-@dataclass(frozen=True, eq=False)
-class Received:
-    """A message as it came in.
-
-    ``topic`` is the full name, ``type`` the name of the type of ``data``, the message serialised;
-    ``message`` is what the planner needs of it.
-    """
-
-    topic: str
-    type: str
-    message: Any
-    data: bytes
-    qos: QoSProfile
-
-
-@dataclass(frozen=True, eq=False)
-class MapInForce:
-    """A map that was accepted: its cells (H, W), resolution [m] and origin (x, y, yaw).
-
-    ``received.message`` has the header and the info, but no cells: they lie once in the memory, in
-    ``received.data``.
-    """
-
-    received: Received
-    values: npt.NDArray[np.int8]
-    resolution: float
-    origin: tuple[float, float, float]
-
-    @property
-    def frame(self) -> str:
-        """The frame of positions on the map."""
-        name: str = self.received.message.header.frame_id
-        return name
-
-    def same_ground(self, other: MapInForce) -> bool:
-        """Whether a cell of one map is the same piece of ground on the other."""
-        return (
-            self.values.shape == other.values.shape
-            and (self.frame, self.resolution, self.origin)
-            == (other.frame, other.resolution, other.origin)
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +34,6 @@ class Asked:
     goal: Received
     goal_tolerance: float = 0.0
     via: Received | None = None
-
-
-@dataclass(frozen=True)
-class RobotOptions:
-    """Where the robot is: the name of its frame ('': unknown), and how old a transform may be [s].
-
-    ``start_topic`` is the name under which the robot's pose is recorded.
-    """
-
-    frame: str = ''
-    max_age: float = math.inf
-    start_topic: str = ''
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,11 +57,12 @@ class Inputs:
 
     A map is checked when it arrives, and a bad one leaves the last good one in force. A pose is
     checked when somebody departs, since only then its map is known; a bad one replaces the last
-    one, so that nobody departs for a goal that has been given up.
+    one, so that nobody departs for a goal that has been given up. Where the start is the robot's
+    pose, it is recorded as if it had come on ``start_topic``.
     """
 
-    def __init__(self, transforms: FrameTransforms) -> None:
-        self._transforms = transforms
+    def __init__(self, transforms: FrameTransforms, start_topic: str) -> None:
+        self._transforms, self._start_topic = transforms, start_topic
         self._map: MapInForce | None = None
         self._refused: InvalidRiskMap | None = None
         self._start: Received | None = None
@@ -138,7 +78,7 @@ class Inputs:
             The map is malformed; the one before stays in force.
         """
         try:
-            new = _map_from(received)
+            new = map_from(received)
         except InvalidRiskMap as error:
             self._refused = error
             raise
@@ -154,7 +94,7 @@ class Inputs:
         InvalidRiskMap
             The update does not fit the map; the map stays as it was.
         """
-        return self._put_in_force(_changed(self.map_in_force(), update))
+        return self._put_in_force(changed_map(self.map_in_force(), update))
 
     def set_start(self, received: Received) -> None:
         """Depart from here from now on."""
@@ -238,7 +178,7 @@ class Inputs:
         here = PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
         pose = self._transforms.to_frame(here, 'start', frame, robot.max_age)
         data = serialize_message(pose)
-        return Received(robot.start_topic, type_name(pose), pose, data, LATEST), pose
+        return Received(self._start_topic, type_name(pose), pose, data, LATEST), pose
 
     def _stops_of(
         self, via: Received | None, frame: str, max_age: float
@@ -260,55 +200,7 @@ class Inputs:
 
     def _put_in_force(self, new: MapInForce) -> MapInForce:
         present = self._map
-        if present is None or not _same_map(present, new):
+        if present is None or not present.same_map(new):
             present = self._map = new
         self._refused = None
         return present
-
-
-def _map_from(received: Received) -> MapInForce:
-    message: OccupancyGrid = received.message
-    values, resolution, origin = occupancy_from_ros(message)
-    shared = grid_cells(message, received.data)
-    if shared is not None:
-        received = replace(received, message=_without_cells(message))
-        values = shared
-    return MapInForce(received, values, resolution, origin)
-
-
-def _changed(present: MapInForce, update: GridUpdate) -> MapInForce:
-    """Return the map with the cells of the update; raises InvalidRiskMap where it does not fit."""
-    if update.frame != present.frame:
-        raise InvalidRiskMap(
-            f'map update: it is given in the frame {update.frame[:80]!r}, the map in '
-            f'{present.frame!r}'
-        )
-    (rows, columns), (height, width) = update.values.shape, present.values.shape
-    if update.x < 0 or update.y < 0 or update.x + columns > width or update.y + rows > height:
-        raise InvalidRiskMap(
-            f'map update: {columns} x {rows} cells from ({update.x}, {update.y}) on do not lie '
-            f'within the map of {width} x {height}'
-        )
-    try:
-        check_occupancy(update.values, present.resolution, present.origin)
-    except InvalidRiskMap as error:
-        raise InvalidRiskMap(f'map update: {error}') from error
-    values = present.values.copy()
-    values[update.y:update.y + rows, update.x:update.x + columns] = update.values
-    head = _without_cells(present.received.message)
-    head.header = Header(frame_id=update.frame, stamp=update.stamp)
-    data = grid_bytes(head, values)
-    shared = grid_cells(head, data)
-    received = replace(present.received, message=head, data=data)
-    return MapInForce(
-        received, values if shared is None else shared, present.resolution, present.origin
-    )
-
-
-def _without_cells(message: OccupancyGrid) -> OccupancyGrid:
-    return OccupancyGrid(header=message.header, info=copy(message.info))
-
-
-def _same_map(one: MapInForce, other: MapInForce) -> bool:
-    """Tell whether two maps differ in their time stamps at most."""
-    return one.same_ground(other) and np.array_equal(one.values, other.values)

@@ -13,7 +13,8 @@ from rclpy.parameter import Parameter
 
 from ..core.errors import InvalidOption
 from ..core.strategy import SOLVERS
-from .parameters import PARAMETERS, NodeParameters, parameters_from
+from .node_parameters import NodeParameters, parameters_from
+from .parameters import PARAMETERS
 
 
 def declare_parameters(

@@ -1,19 +1,24 @@
-"""The path of a departure as an array between two poses, turned into bytes or a message."""
+"""The path of a departure: drawn, an array between two poses, turned into bytes or a message."""
 
 from __future__ import annotations
 
 import math
+import secrets
 from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Pose
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
 from ..core.arrays import FloatArray, frozen_array
+from ..core.planner import Route, departure_path
 from .cdr import path_bytes
 from .conversions import path_to_ros
+from .inputs import Trip
+from .planning import HeldPlan
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +41,35 @@ class DeparturePath:
         """Return the same message serialised."""
         ends = path_to_ros(self.rows[[0, -1]], self.start, self.goal, self.header)
         return path_bytes(ends, _numbers(self.rows[1:-1]))
+
+
+def route_entropy_source(seed: int, departure: int) -> list[int]:
+    """Return what the generator of one departure is made from.
+
+    With seed -1 these are 256 bits from the operating system. With a fixed seed they follow from
+    the departure's number, so that the same sequence of departures gives the same routes and each
+    can be drawn again on its own. Nothing else goes in: no time, no input.
+    """
+    return [secrets.randbits(256)] if seed < 0 else [seed, departure]
+
+
+def draw_path(
+    held: HeldPlan, trip: Trip, source: list[int], spacing: float, stamp: Time
+) -> tuple[Route, DeparturePath] | None:
+    """Draw a route that is clear on the newest map, with its path; None where hardly any is.
+
+    ``source`` is that of its randomness. The path has a pose at least every ``spacing`` [m];
+    0: as the plan has it.
+    """
+    route = held.ground.draw(np.random.default_rng(source), trip.map)
+    if route is None:
+        return None
+    ends = held.ends(trip)
+    rows = departure_path(
+        held.ground.fitted(trip.map, ends), route, spacing or held.plan.spacing, ends
+    )
+    header = Header(frame_id=trip.map.frame, stamp=stamp)
+    return route, path_between(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
 
 
 def path_between(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> DeparturePath:

@@ -6,9 +6,7 @@ import ctypes
 import gc
 import signal
 import sys
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from functools import partial
 from threading import Event
 from typing import Any, TypeVar
 
@@ -24,11 +22,11 @@ from .compute_path import ComputePath
 from .departure_record import planner_version
 from .dispatcher import Dispatcher
 from .errors import NotActive
-from .guard import Guard
-from .inputs import Inputs, RobotOptions
+from .guard import Guard, guard_services
+from .inputs import Inputs
+from .node_parameters import NodeParameters
 from .outbox import PLANS, STATUS, Outbox
 from .parameter_changes import declare_parameters
-from .parameters import NodeParameters
 from .reporter import Reporter
 from .requests import Requests
 from .subscriptions import Subscriptions
@@ -75,7 +73,7 @@ class PlannerNode(LifecycleNode):
 
     def _build(self) -> None:
         """Make what is there in every state."""
-        self._guard_own_services()
+        guard_services(self)
         self._dispatcher: Dispatcher | None = None
         self._inputs: Inputs | None = None
         self._listening: Subscriptions | None = None
@@ -104,7 +102,7 @@ class PlannerNode(LifecycleNode):
     def _serve(self) -> None:
         requests = Requests(
             self, self._guard, lambda: _there(self._dispatcher), lambda: _there(self._inputs),
-            self._robot,
+            lambda: self._settings.robot,
         )
         self._goals = ComputePath(self, self._guard, requests)
         self._closing.callback(self._goals.close)
@@ -154,10 +152,10 @@ class PlannerNode(LifecycleNode):
             made.callback(outbox.close)
             self._transforms = FrameTransforms(self)
             made.callback(self._transforms.close)
-            self._inputs = Inputs(self._transforms)
+            self._inputs = Inputs(self._transforms, self.resolve_topic_name('start_pose'))
             self._dispatcher = Dispatcher(
                 self._settings, self._inputs, outbox, self._reporter, self.get_clock(),
-                self.get_logger(), self.resolve_topic_name('start_pose'),
+                self.get_logger(),
             )
             made.callback(self._dispatcher.close)
             if self._contradiction is not None:
@@ -207,32 +205,12 @@ class PlannerNode(LifecycleNode):
 
     def _tell_missing(self) -> None:
         if self._inputs is not None:
-            self._reporter.inputs(self._inputs.missing(self._robot()))
+            self._reporter.inputs(self._inputs.missing(self._settings.robot))
 
     def _map_accepted(self) -> None:
         self._reporter.map_accepted()
         self._tell_missing()
         _there(self._dispatcher).ground_changed()
-
-    def _robot(self) -> RobotOptions:
-        return RobotOptions(self._settings.robot_base_frame)
-
-    def _guard_own_services(self) -> None:
-        """Keep exceptions in rclpy's own services: one that leaves a callback ends the executor.
-
-        They raise, for instance, at a parameter value of a type that there is not, and at a
-        transition that the node's state does not have.
-        """
-        for service in list(self.services):
-            service.callback = partial(self._answer_anyway, service.srv_name, service.callback)
-
-    def _answer_anyway(self, name: str, callback: Callable, request: Any, response: Any) -> Any:
-        try:
-            return callback(request, response)
-        except Exception as error:
-            # Not the error's own words: they hold what was sent.
-            self.get_logger().error(f'{name}: refused, {type(error).__name__}')
-            return response
 
     def _on_timer(self) -> None:
         self._guard.attempt('diagnostics', 'request', self._report)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
-import secrets
-from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
 from threading import RLock
 
+from rclpy.impl.rcutils_logger import RcutilsLogger
+
 from ..core.planner import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .futures import done
 from .ground import Ground
-from .inputs import MapInForce, Trip
-from .parameters import NodeParameters
+from .inputs import Trip
+from .map_in_force import MapInForce
+from .node_parameters import NodeParameters
 
 # There and back again, with a detour or two.
 _KEPT = 4
@@ -53,11 +54,11 @@ class _Pending:
 class Plans:
     """Plans by what they follow from: kept, or worked out in the worker process.
 
-    ``solved`` is called with each that has been worked out. Safe to be used from several threads.
+    Safe to be used from several threads.
     """
 
-    def __init__(self, solved: Callable[[Plan], None]) -> None:
-        self._solved = solved
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self._logger = logger
         self._kept: list[HeldPlan] = []  # the one used last is the last
         self._pending: list[_Pending] = []
         self._lock = RLock()
@@ -137,14 +138,13 @@ class Plans:
         solve = self._solves.submit(
             _key(trip, parameters),
             _request(trip, parameters, self._warm_start(trip, parameters)),
-            partial(_held, trip, parameters),
+            partial(self._solve_ended, trip, parameters),
             parameters.queue_size,
             background,
         )
-        self._pending = [each for each in self._pending if not each.solve.done()]
         if all(each.solve is not solve for each in self._pending):
             self._pending.append(_Pending(trip, parameters, solve))
-            solve.add_done_callback(self._keep_solved)
+            solve.add_done_callback(self._no_longer_pending)
         return solve
 
     def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
@@ -155,12 +155,20 @@ class Plans:
                 return WarmStart(held.plan.network.points, law)
         return None
 
-    def _keep_solved(self, solve: Future[HeldPlan]) -> None:
+    def _solve_ended(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
+        """Keep the plan before anybody is told: whoever asks from now on finds it."""
+        held = HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
+        with self._lock:
+            self._keep(held)
+        self._logger.info(
+            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
+            f'{len(plan.network.points)} nodes'
+        )
+        return held
+
+    def _no_longer_pending(self, solve: Future[HeldPlan]) -> None:
         with self._lock:
             self._pending = [each for each in self._pending if each.solve is not solve]
-            if solve.exception() is None:
-                self._keep(solve.result())
-                self._solved(solve.result().plan)
 
     def _keep(self, held: HeldPlan) -> None:
         others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]
@@ -182,16 +190,6 @@ def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
         return False
     return apart == 0.0 or _connected(held, trip)
-
-
-def route_entropy_source(seed: int, departure: int) -> list[int]:
-    """Return what the generator of one departure is made from.
-
-    With seed -1 these are 256 bits from the operating system. With a fixed seed they follow from
-    the departure's number, so that the same sequence of departures gives the same routes and each
-    can be drawn again on its own. Nothing else goes in: no time, no input.
-    """
-    return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
 def _apart(one: Trip, other: Trip) -> float:
@@ -276,10 +274,6 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
     return *where, *_by_way_of(trip, parameters), *_options(parameters), *limit
-
-
-def _held(trip: Trip, parameters: NodeParameters, plan: Plan) -> HeldPlan:
-    return HeldPlan(plan, trip, parameters, Ground(plan, trip.map, parameters.occupancy))
 
 
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:

@@ -24,7 +24,7 @@ from .departure_record import (
     recorded_messages,
     recorded_metadata,
 )
-from .parameters import RecordingOptions
+from .node_parameters import RecordingOptions
 
 # Writing [s] that may wait for the disk: little enough that all of it is done when the node is
 # told to end. The next departure waits until there is no more.
@@ -43,8 +43,8 @@ class Recordings:
     options
         Those that the node starts with: what a crash has left in their folder is put right.
     done
-        Called from the thread after each departure: with its recording's options, and with what
-        went wrong or None.
+        Called for each departure once it is written or given up: with its recording's options, and
+        with what went wrong or None.
     repaired
         Called with what an earlier crash had left behind, a line each.
     """
@@ -78,24 +78,23 @@ class Recordings:
                 self._condition.wait(_LOOK_UP)
 
     def record(self, departure: Departure) -> None:
-        """Queue a departure; never waits.
-
-        Raises
-        ------
-        RecordingFailed
-            The disk does not answer, and too many departures wait for it already.
-        """
+        """Queue a departure, if it is to be recorded; never waits."""
+        options = departure.parameters.recording
+        if not options.enabled:
+            return
         with self._condition:
-            if self._stuck() and len(self._unwritten) > _MOST_KEPT:
-                raise RecordingFailed(
-                    Path(departure.parameters.recording.directory),
-                    f'{_MOST_KEPT} departures wait for the disk, which does not answer; departure '
-                    f'{departure.number} is not recorded',
-                )
-            if not self._unwritten:
-                self._begin = time.monotonic()
-            self._unwritten.append(departure)
-            self._condition.notify_all()
+            given_up = self._stuck() and len(self._unwritten) > _MOST_KEPT
+            if not given_up:
+                if not self._unwritten:
+                    self._begin = time.monotonic()
+                self._unwritten.append(departure)
+                self._condition.notify_all()
+        if given_up:
+            self._done(options, RecordingFailed(
+                Path(options.directory),
+                f'{_MOST_KEPT} departures wait for the disk, which does not answer; departure '
+                f'{departure.number} is not recorded',
+            ))
 
     def hurry(self) -> None:
         """Let nobody wait any more, now and from now on: the node ends."""

@@ -20,7 +20,9 @@ from .departure_record import Departure, ServiceCall
 from .dispatcher import Dispatcher
 from .futures import done
 from .guard import Guard
-from .inputs import Asked, Inputs, Received, RobotOptions
+from .inputs import Asked, Inputs
+from .map_in_force import Received
+from .node_parameters import RobotOptions
 from .qos import LATEST
 from .services import DeferredService
 

@@ -17,7 +17,8 @@ from ..recording import type_name
 from .cdr import read_grid_update
 from .errors import UnreadableMessage
 from .guard import Guard
-from .inputs import Inputs, MapInForce, Received
+from .inputs import Inputs
+from .map_in_force import MapInForce, Received
 from .qos import LATCHED, LATEST, UPDATES
 
 try:

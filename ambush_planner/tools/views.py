@@ -46,6 +46,16 @@ _HEADER = """\
 #
 # "2D Pose Estimate" sets the start, "2D Goal Pose" the goal. Fixed Frame is the map's frame.
 # Made by ambush_views, which makes one for any map.
+#
+# Beside Nav2 start and goal need names of their own, as the launch file gives them: Nav2's
+# bt_navigator takes what comes on goal_pose as its own goal, and the robot drives its own plan, the
+# same every day; AMCL takes what comes on initialpose for where the robot is. For an RViz started
+# by hand add
+#
+#   --ros-args -r /goal_pose:=/ambush/goal_pose -r /start_pose:=/ambush/start_pose \
+#       -r /initialpose:=/ambush/initialpose
+#
+# or write the names into the file: ambush_views --inputs ambush.
 """
 # Pixels of RViz' own window that are left for the map, beside its panels.
 _RVIZ_WINDOW, _RVIZ_VIEW = (1300, 850), (900, 700)

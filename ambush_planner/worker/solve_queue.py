@@ -99,7 +99,9 @@ class SolveQueue(Generic[_Outcome]):
                 solve.submitted += 1
                 return solve.outcome
             superseded = self._drop_background() if background else []
-            if sum(not each.background for each in self._waiting.values()) >= size:
+            waiting = sum(not each.background for each in self._waiting.values())
+            # Where none runs yet, the first of those that wait is about to.
+            if waiting - (self._running is None) >= size:
                 raise QueueFull(self._what_is_busy(size))
             solve = _Solve(key, request, finish, background)
             self._waiting[key] = solve
