@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from commands import run_here
 
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network, solve
 from ambush_planner.core.errors import InvalidOption
@@ -34,10 +32,7 @@ def given(folder, *arguments):
 
 
 def run(folder, *arguments):
-    out, err = StringIO(), StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = table.main(given(folder, *arguments))
-    return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
+    return run_here(table, *given(folder, *arguments))
 
 
 def rows_of(path):
