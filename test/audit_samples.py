@@ -80,8 +80,10 @@ def npz(arrays):
 
 
 def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_ns=None,
-              start=START):
+              start=START, changes=b''):
     """Messages, metadata and attachments of one departure; ``texts`` replace metadata entries.
+
+    ``changes`` are the bytes of a map_changes.npz.
 
     Hashes are those of what is recorded, changed entries too.
     """
@@ -102,7 +104,7 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
     entries = metadata_texts(
         inputs={role: topic for role, (topic, _) in roles.items()},
         contents={**{role: message.data for role, message in messages.items()},
-                  'strategy': strategy, 'map_changes': b''},
+                  'strategy': strategy, 'map_changes': changes},
         json_entries={
             'versions': {'python': '3.12.3', 'numpy': '1.26.4'}, 'parameters': parameters(),
             'route_entropy_source': [source(number)],
@@ -117,8 +119,9 @@ def departure(a_plan, route, number=1, hill=60, strategy=None, texts=(), stamp_n
         },
     )
     metadata = corrected({**entries, **dict(texts)}) if texts else entries
+    files = {'strategy.npz': strategy, 'map_changes.npz': changes}
     return [*messages.values()], metadata, [
-        Attachment('strategy.npz', 'application/zip', strategy)
+        Attachment(name, 'application/zip', data) for name, data in files.items() if data
     ]
 
 

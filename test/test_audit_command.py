@@ -5,9 +5,7 @@ import json
 import re
 import shutil
 import stat
-from contextlib import redirect_stderr, redirect_stdout
 from functools import partial
-from io import StringIO
 
 import numpy as np
 import pytest
@@ -15,6 +13,7 @@ import pytest
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import START, departure, drawn, parameters, record, sample_plan, source
+from commands import run_here
 from damage import flips, truncations
 from matplotlib.image import imread
 
@@ -46,10 +45,9 @@ def stuck(tmp_path_factory, a_plan):
 
 def told_by(tool, folder, out):
     """What a tool says that holds of recordings while it writes its results."""
-    said = StringIO()
-    with redirect_stdout(said), redirect_stderr(said):
-        assert tool.main([str(folder), '-o', str(out)]) == 0
-    return said.getvalue()
+    done = run_here(tool, folder, '-o', out)
+    assert done.code == 0
+    return done.out + done.err
 
 
 @pytest.fixture(scope='module')

@@ -1,6 +1,5 @@
 """Recorded departures as records: round trip, grouping, and refusals that say what is wrong."""
 
-
 import json
 from dataclasses import replace
 
@@ -25,9 +24,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_samples import encoded_departure
 
+from ambush_planner.audit.departures import Driven, audit
 from ambush_planner.core.game import GameOptions
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.recording import UnreadableRecording, read_departure, recordings_in
+from ambush_planner.recording.map_changes import map_changes_file
 from ambush_planner.recording.metadata import Link, chain_text
 from ambush_planner.review.case import Case
 from ambush_planner.review.departures import read_departures
@@ -124,6 +125,49 @@ def test_the_same_strategy_in_another_game_is_another_one(tmp_path, a_plan):
     record(tmp_path, [departure(a_plan, routes[0]), departure(a_plan, routes[1], 2, texts=texts)])
     found, errors = read(tmp_path)
     assert len({id(each.strategy) for each in found}) == len(found)
+
+
+BLOCKED = np.s_[8:20, 36:44]  # rows and columns that become an obstacle, beside the hill
+
+
+def clear(a_plan, route):
+    """Whether a route stays as far from the new cells as their corners are from their centres."""
+    row, column = np.mgrid[BLOCKED].reshape(2, -1)
+    centres = (np.column_stack((column, row)) + 0.5) * 5.0
+    points = a_plan.network.points[route]
+    for a, along in zip(points, np.diff(points, axis=0), strict=False):
+        t = np.clip((centres - a) @ along / (along @ along), 0.0, 1.0)
+        if np.hypot(*(a + t[:, None] * along - centres).T).min() <= 5.0 * np.sqrt(0.5):
+            return False
+    return True
+
+
+def test_on_a_map_that_has_changed_departures_have_the_law_of_the_routes_that_are_left(
+    tmp_path, a_plan
+):
+    """Compared with routes drawn until they are clear, which is what the node does."""
+    left = [route for route in drawn(a_plan, 4000, 3) if clear(a_plan, route)]
+    assert 1000 < len(left) < 3600
+    after = occupancy()
+    after[BLOCKED] = 100
+    changes = map_changes_file(occupancy(), after)
+    record(tmp_path, [
+        departure(a_plan, route, k + 1, changes=changes) for k, route in enumerate(left[:3])
+    ] + [departure(a_plan, drawn(a_plan, 1)[0], 4)])
+    found, errors = read(tmp_path)
+    assert not errors and len({id(each.strategy) for each in found}) == 1
+    law = found[0].law
+    assert found[1].law is law and found[3].law is found[3].strategy
+    pairs = {pair: k for k, pair in enumerate(map(tuple, law.network.edges.tolist()))}
+    driven = np.zeros(len(pairs))
+    for route in left:
+        for pair in zip(route[:-1].tolist(), route[1:].tolist(), strict=True):
+            driven[pairs[pair]] += 1.0 / len(left)
+    p = law.edge_probability
+    apart = np.abs(driven - p)
+    assert np.all(apart < 5.0 * np.sqrt(np.maximum(p * (1.0 - p), 1.0 / len(left)) / len(left)))
+    assert audit([Driven(law, route) for route in left[:300]]).findings == ()
+    assert audit([Driven(a_plan.strategy, route) for route in left[:300]]).findings
 
 
 def test_a_copied_file_counts_once(tmp_path, a_plan):

@@ -26,7 +26,7 @@ from ambush_planner.tools.demo_client import DemoClient
 from ambush_planner.tools.demo_ground import GOAL, START
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
 
-DEPARTURES = 8
+DEPARTURES = 5
 # The node promises to record what a route was drawn from and what was told about it.
 TYPES = {
     "/alpha_map": "nav_msgs/msg/OccupancyGrid",
@@ -192,8 +192,7 @@ def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
             client.wait_for_node()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
+def test_an_interrupted_demo_takes_its_node_along(tmp_path):
     process = subprocess.Popen(
         # More departures than it will get to.
         [sys.executable, "-m", "ambush_planner.tools.demo", "-o", str(tmp_path), "-n", "100000"],
@@ -204,7 +203,7 @@ def test_an_interrupted_demo_takes_its_node_along(tmp_path, number):
     while "publishing" not in process.stderr.readline():
         assert process.poll() is None
     assert nodes_of(tmp_path)
-    process.send_signal(number)
+    process.send_signal(signal.SIGTERM)  # as Ctrl-C, which it is turned into
     _, errors = process.communicate(timeout=120.0)
     assert (process.returncode, errors.splitlines()[-1]) == (130, "ambush_demo: interrupted")
     assert not nodes_of(tmp_path)

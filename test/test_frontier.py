@@ -1,12 +1,12 @@
-"""What a longer way, or more risk, buys: laws of the rows, and the command as a user starts it."""
+"""What a longer way, or more risk, buys: laws of the rows, and the command."""
 
 import csv
-import subprocess
-import sys
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from commands import run_here
 from games import examples, random_map, terrain_network, terrain_networks
 from hypothesis import given
 
@@ -20,7 +20,8 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.terrain import OccupancyMap, write_map
-from ambush_planner.tools.frontier_run import COLUMNS, read_risk_map
+from ambush_planner.tools import frontier as command
+from ambush_planner.tools.frontier import COLUMNS, read_risk_map
 
 # The law may leave a thousandth of the entropy unused, and up to a tenth of the slack.
 ENTROPY = 0.02
@@ -93,11 +94,7 @@ def test_bad_budgets_are_refused_before_the_first_solve(network):
     assert not told
 
 
-def run(*arguments):
-    command = [sys.executable, '-m', 'ambush_planner.tools.frontier', *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
-
-
+run = partial(run_here, command)
 ENDS = ('--start', 15, 15, '--goal', 185, 185)
 
 
@@ -114,7 +111,7 @@ def test_the_command_writes_table_and_picture(map_file, tmp_path):
         map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.1, 1.4, '--slacks', 0.2,
         '--set', 'network.spacing=15', 'game.ambush_radius=20',
     )
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     with (tmp_path / 'f.csv').open(newline='') as file:
         rows = list(csv.DictReader(file))
     assert tuple(rows[0]) == COLUMNS
@@ -122,7 +119,7 @@ def test_the_command_writes_table_and_picture(map_file, tmp_path):
         ('max_detour', '1.1', '0.01'), ('max_detour', '1.4', '0.01'), ('risk_slack', '1.2', '0.2'),
     ]
     assert (tmp_path / 'f.png').read_bytes().startswith(b'\x89PNG')
-    assert done.stdout.count('\n') == 6 and 'f.png' in done.stdout
+    assert done.out.count('\n') == 6 and 'f.png' in done.out
 
 
 def test_the_fields_of_a_risk_map_in_an_npz_file(map_file, tmp_path):
@@ -137,8 +134,8 @@ def test_the_fields_of_a_risk_map_in_an_npz_file(map_file, tmp_path):
     (tmp_path / 'no.npz').write_bytes(b'no')
     for name, reason in (('half.npz', "no 'obstacles'"), ('no.npz', 'no.npz'), ('not', 'not')):
         done = run(tmp_path / name, *ENDS, '-o', tmp_path / 'f.csv')
-        assert done.returncode == 3 and reason in done.stderr, done.stderr
-        assert 'Traceback' not in done.stderr
+        assert done.code == 3 and reason in done.err, done.err
+        assert 'Traceback' not in done.err
 
 
 def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
@@ -146,7 +143,7 @@ def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
         map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.0, '--slacks', 0.1,
         '--set', 'network.spacing=15', 'game.alpha_threshold=7.5', 'strategy.max_detour=4',
     )
-    assert done.returncode == 1 and 'raise max_detour' in done.stdout, done.stderr
+    assert done.code == 1 and 'raise max_detour' in done.out, done.err
 
 
 @pytest.mark.parametrize(('arguments', 'reason'), [
@@ -156,11 +153,11 @@ def test_a_row_without_a_strategy_is_exit_code_1(map_file, tmp_path):
 ])
 def test_bad_input_is_told_in_a_line(map_file, tmp_path, arguments, reason):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
-    assert done.returncode == 3 and reason in done.stderr
-    assert done.stderr.startswith('ambush_frontier: ') and done.stderr.count('\n') == 1
+    assert done.code == 3 and reason in done.err
+    assert done.err.startswith('ambush_frontier: ') and done.err.count('\n') == 1
     assert not (tmp_path / 'f.csv').exists()
 
 
 def test_the_picture_may_not_take_the_tables_place(map_file, tmp_path):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.png')
-    assert done.returncode == 3 and 'choose TABLE.csv' in done.stderr
+    assert done.code == 3 and 'choose TABLE.csv' in done.err

@@ -5,12 +5,12 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager
 from dataclasses import replace
-from io import StringIO
 from itertools import accumulate
 
 import pytest
+from commands import run_here
 from forging import GET_PLAN, NEW_ROUTE, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
@@ -100,14 +100,10 @@ def replaying(domain, *arguments):
 
 def replayed(domain, *arguments):
     """The exit code of the command, run in this process, and what it said."""
-    said = StringIO()
-    with pytest.MonkeyPatch.context() as patch, redirect_stderr(said):
+    with pytest.MonkeyPatch.context() as patch:
         patch.setenv('ROS_DOMAIN_ID', str(domain))
-        try:
-            code = replay.main([*map(str, arguments)])
-        except SystemExit as stop:
-            code = stop.code
-    return code, said.getvalue()
+        done = run_here(replay, *arguments)
+    return done.code, done.err
 
 
 def is_same(data, recorded):

@@ -7,12 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
-from io import StringIO
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from commands import run_here
 
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network, solve
 from ambush_planner.core.errors import InvalidOption
@@ -34,10 +32,7 @@ def given(folder, *arguments):
 
 
 def run(folder, *arguments):
-    out, err = StringIO(), StringIO()
-    with redirect_stdout(out), redirect_stderr(err):
-        code = table.main(given(folder, *arguments))
-    return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
+    return run_here(table, *given(folder, *arguments))
 
 
 def rows_of(path):
@@ -108,8 +103,8 @@ def test_only_what_is_missing_or_failed_is_solved_again(made):
 
 
 def interrupted(folder, how):
-    """What is kept of a table of 30 pairs that is ended by a signal."""
-    places = ''.join(f'c{k},185,{15 + k % 17 * 10}.{k}\n' for k in range(15))
+    """What is kept of a table of 200 pairs that is ended by a signal."""
+    places = ''.join(f'c{k},185,{15 + k % 17 * 10}.{k}\n' for k in range(100))
     (folder / 'customers.csv').write_text('name,x,y\n' + places)
     process = subprocess.Popen(
         [sys.executable, '-m', 'ambush_planner.tools.table',
@@ -126,7 +121,7 @@ def interrupted(folder, how):
     assert process.returncode == (130 if how == signal.SIGINT else -how)
     assert not (folder / 'table.csv').exists()
     kept = part.read_text().count('\n') - 1
-    assert 4 <= kept < 30
+    assert 4 <= kept < 200
     return part
 
 

@@ -70,10 +70,14 @@ def frontier(
     # A law for looser budgets is the better one to start from.
     order = sorted(range(len(tasks)), key=lambda k: _looseness(tasks[k][1]), reverse=True)
     rows: dict[int, FrontierRow] = {}
+    solved: dict[StrategyOptions, FrontierRow] = {}
     law: Law | None = None
     for k in order:
-        rows[k], found = _row(network, game, *tasks[k], law)
-        law = found or law
+        swept, budgets = tasks[k]
+        if budgets not in solved:  # both sweeps pass the budgets as set
+            solved[budgets], found = _row(network, game, swept, budgets, law)
+            law = found or law
+        rows[k] = replace(solved[budgets], swept=swept)
         if on_row is not None:
             on_row(rows[k])
     return tuple(rows[k] for k in range(len(tasks)))

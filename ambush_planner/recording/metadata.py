@@ -19,6 +19,8 @@ FORMAT = '5'
 ROLES = ('map', 'start', 'goal', 'path')
 # Only in recordings of trips with stops.
 VIA = 'via'
+# Of a random source, which has 256 from the operating system: fewer come once in 2^64 draws.
+LEAST_BITS = 192
 _HASHED = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 _FILES = ('strategy', 'map_changes')
 _NAMES = ('departure_id', 'service', 'frame', 'planner_version')

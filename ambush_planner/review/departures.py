@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..core.acyclic import is_acyclic
 from ..core.arrays import IndexArray, frozen_array
+from ..core.certificate import upper_bound
+from ..core.planner import Plan
 from ..core.risk_map import RiskMap
+from ..core.routes import RouteSampler
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, read_departure
-from ..recording.metadata import Metadata
+from ..recording.metadata import LEAST_BITS, Metadata
+from ..ros.conditioned import Conditioned
 from ..ros.node_parameters import NodeParameters
 from .case import Case
-
-# Of the operating system's 256 bits: fewer than these come once in 2^64 draws.
-LEAST_BITS = 192
+from .verify_plan import ground_then
 
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """One departure with what it was drawn from; every checksum and stated hash held."""
+    """One departure with what it was drawn from; every checksum and stated hash held.
+
+    ``strategy`` is the recorded one. ``law`` is what the route was drawn from: the same, or, where
+    the map had changed, the strategy on condition that its routes are clear on the newest map.
+    """
 
     path: Path
     sha256: str
@@ -32,6 +39,7 @@ class Departure:
     metadata: Metadata
     parameters: NodeParameters
     strategy: Strategy
+    law: Strategy
     risk_map: RiskMap
     route: IndexArray
 
@@ -97,12 +105,40 @@ def _departure(case: Case, shared: dict[Hashable, Any]) -> Departure:
     risk_map = once(case.risk_map, 'map', metadata.sha256['map'], parameters.occupancy)
     # Published anew, a map may be serialised to other bytes.
     risk_map = once(lambda: risk_map, 'content', _content(risk_map))
+    law = once(
+        lambda: _law(case, strategy), 'law', id(strategy), id(risk_map),
+        metadata.sha256['map_changes'], parameters.occupancy, parameters.planning,
+    ) if case.recorded.map_changes else strategy
     route = frozen_array(metadata.route, np.int64)
     if route.max() >= len(strategy.network.points):
         raise case.unreadable('the recorded route leaves the recorded network')
     return Departure(
         case.path, case.recorded.sha256, case.recorded.stamp_ns, metadata, parameters, strategy,
-        risk_map, route,
+        law, risk_map, route,
+    )
+
+
+def _law(case: Case, strategy: Strategy) -> Strategy:
+    """The strategy on condition that its routes are clear on the map as it had changed.
+
+    One with cycles has no such law, and comes back as it is.
+    """
+    # Bottleneck and corridors do not decide which edges are lost.
+    options = case.parameters.planning
+    plan = Plan(strategy.network, strategy, None, None, options, 0.0, None, 0.0)
+    ground, newest = ground_then(case, plan)
+    lost = ground.lost(newest)
+    if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
+        strategy.network, strategy.edge_probability
+    ):
+        return strategy
+    share, p = Conditioned(strategy).avoiding(lost)
+    if share <= 0.0:
+        raise case.unreadable('map_changes: no route of the recorded strategy is left')
+    return replace(
+        strategy, edge_probability=frozen_array(p, np.float64),
+        visit_probability=frozen_array(strategy.game.visits(p), np.float64),
+        value=upper_bound(strategy.game, p), _sampler=RouteSampler(strategy.network, p),
     )
 
 

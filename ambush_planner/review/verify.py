@@ -52,9 +52,9 @@ from .verify_trip import PosedTrip, ends_faults, metadata_faults, posed_trip
 _KEPT = 4
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Verdict:
-    """What was found about one recorded departure.
+    """What was found about one recorded departure, or is being found out.
 
     Attributes
     ----------
@@ -62,8 +62,6 @@ class Verdict:
         The file.
     sha256
         Of the file; empty if it could not be read.
-    number
-        Which departure of its session it is; 0 if that could not be read.
     nodes, value
         Of its strategy; 0 and nan if that could not be read.
     problems
@@ -76,13 +74,17 @@ class Verdict:
 
     path: Path
     sha256: str = ''
-    number: int = 0
     nodes: int = 0
     value: float = math.nan
-    problems: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    problems: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     metadata: Metadata | None = field(default=None, repr=False)
     file: BagFile | None = field(default=None, repr=False)
+
+    @property
+    def number(self) -> int:
+        """Which departure of its session it is; 0 if that could not be read."""
+        return self.metadata.number if self.metadata else 0
 
     @property
     def holds(self) -> bool:
@@ -123,7 +125,7 @@ class Verifier:
 
     def verify(self, path: Path) -> Verdict:
         """Verify one file; never raises for what is in it."""
-        check = _Check(path)
+        check = Verdict(path)
         try:
             self._check(check)
         except UnreadableRecording as error:
@@ -135,9 +137,9 @@ class Verifier:
             # A forger can put numbers of any type and size where they stop a computation. The
             # error's own words are left out: they may hold what belongs into no log.
             check.problems.append(f'it cannot be computed again ({type(error).__name__})')
-        return check.verdict()
+        return check
 
-    def _check(self, check: _Check) -> None:
+    def _check(self, check: Verdict) -> None:
         data = read_bytes(check.path)
         recorded = departure_from(check.path, data)
         check.metadata, check.sha256 = recorded.metadata, recorded.sha256
@@ -162,7 +164,7 @@ class Verifier:
         self._check_plan(check, case, strategy, trip)
 
     def _check_plan(
-        self, check: _Check, case: Case, strategy: Strategy, trip: PosedTrip
+        self, check: Verdict, case: Case, strategy: Strategy, trip: PosedTrip
     ) -> None:
         """Plan again, and compare; the rest cannot be checked where that fails.
 
@@ -242,25 +244,6 @@ class Verifier:
         if hashes == metadata.sha256:
             return []
         return [f'departure_id: it is also that of {first.name}, which holds something else']
-
-
-class _Check:
-    """What is being found out about one file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.sha256 = path, ''
-        self.metadata: Metadata | None = None
-        self.file: BagFile | None = None
-        self.nodes, self.value = 0, math.nan
-        self.problems: list[str] = []
-        self.notes: list[str] = []
-
-    def verdict(self) -> Verdict:
-        number = self.metadata.number if self.metadata else 0
-        return Verdict(
-            self.path, self.sha256, number, self.nodes, self.value, tuple(self.problems),
-            tuple(self.notes), self.metadata, self.file,
-        )
 
 
 class _Cache:

@@ -23,13 +23,13 @@ from ..core.planner import (
 from ..core.strategy import CERTIFICATE_TOLERANCE, Strategy
 from ..core.trip import trip_network
 from ..recording.map_changes import changed_map
+from ..recording.metadata import LEAST_BITS
 from ..recording.npz import BadAttachment
 from ..recording.strategy_file import VALUE_TOLERANCE
 from ..ros.conversions import occupancy_from_ros
 from ..ros.ground import Ground
 from ..ros.map_in_force import MapInForce
 from .case import Case
-from .departures import LEAST_BITS
 
 # Of probabilities and of what follows from them, relative: another release of numpy or scipy,
 # another processor or number of threads rounds otherwise on the way to the optimum.

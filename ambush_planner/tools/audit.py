@@ -20,11 +20,12 @@ from .figures import as_png
 
 TEXT, PICTURE, PASSAGES = 'audit.txt', 'audit.png', 'audit_passages.csv'
 EPILOG = """\
-Each departure is tested under its own strategy, and all of them together: whether stretches are
-driven as often as published, whether routes are as likely as they should be, whether the order
-shows a rhythm, and whether routes repeat. A start that moves a little does not keep departures
-apart. Also whether each was drawn from random numbers of its own, of full length; a fixed seed is
-a finding. It also says what an observer would have learnt.
+Each departure is tested under its own strategy (where the map had changed since, under that
+strategy with only the routes that were still clear), and all of them together: whether
+stretches are driven as often as published, whether routes are as likely as they should be,
+whether the order shows a rhythm, and whether routes repeat. A start that moves a little does not
+keep departures apart. Also whether each was drawn from random numbers of its own, of full length;
+a fixed seed is a finding. It also says what an observer would have learnt.
 
 The result is printed. With -o, DIR gets audit.txt (the same), audit.png (published and
 recorded frequencies on the map) and audit_passages.csv (stretch by stretch). These show secret
@@ -96,16 +97,16 @@ def _outcome(
     departures: list[Departure], unreadable: list[UnreadableRecording], rate: float,
     console: cli.Console,
 ) -> Outcome:
-    walkers = {id(each.strategy): _walkers(each.strategy) for each in departures}
-    audited = [each for each in departures if walkers[id(each.strategy)]]
+    walkers = {id(each.law): _walkers(each.law) for each in departures}
+    audited = [each for each in departures if walkers[id(each.law)]]
     console.say(f'auditing {cli.count(len(audited), "departure")}')
     result = None
     if len(audited) >= FEWEST_DEPARTURES:
-        driven = [Driven(each.strategy, each.route) for each in audited]
+        driven = [Driven(each.law, each.route) for each in audited]
         result = audit(driven, rate, console.bar('audited'))
     # What cannot have been drawn at all can be said of any number of departures.
     impossible = result.impossible if result else sum(
-        walkers[id(each.strategy)].recorded([each.route])[1] for each in audited
+        walkers[id(each.law)].recorded([each.route])[1] for each in audited
     )
     sources = source_findings((each.path.name, each.metadata) for each in departures)
     sources += [

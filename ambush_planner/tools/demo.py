@@ -26,7 +26,7 @@ from .demo_client import DemoClient, NoAnswer
 from .demo_figures import FixedRoute, routes_figure
 from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
 from .figures import as_png
-from .frontier_run import write_frontier
+from .frontier import write_frontier
 from .node_process import NodeFailed, NodeProcess, free_domain
 from .report import write_report
 

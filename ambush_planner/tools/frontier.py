@@ -3,13 +3,27 @@
 from __future__ import annotations
 
 import argparse
+import csv
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict, fields
+from io import BytesIO, StringIO
 from pathlib import Path
+from zipfile import BadZipFile
 
+import numpy as np
+
+from ..core.construction import build_network
+from ..core.errors import InvalidOption, InvalidRiskMap
+from ..core.frontier import DETOURS, SLACKS, FrontierRow, frontier
+from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
+from ..terrain.map_file import read_map
 from . import cli
-from .frontier_run import run_frontier
+from .frontier_figure import frontier_figure, over
+from .table_file import private
+from .table_options import options_from
 
+COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = """\
 MAP is a YAML file that map_server reads (ambush_terrain makes such maps), or an npz file with alpha
 and obstacles (H, W), row 0 the lowest, resolution [m] and, if it is not 0, origin (x, y, yaw).
@@ -25,7 +39,7 @@ A row without a strategy is a finding.
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write table and picture and return the exit code."""
-    return cli.run(parser(), run_frontier, arguments)
+    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -53,6 +67,108 @@ def parser() -> argparse.ArgumentParser:
         help='options, such as network.spacing=50 game.ambush_radius=100',
     )
     return made
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
+    """Write the table and its picture; a row without a strategy is a finding."""
+    options = options_from(arguments.set)
+    picture = arguments.output.with_suffix('.png')
+    if picture == arguments.output:
+        raise InvalidOption(f'{arguments.output}: the picture has this name; choose TABLE.csv')
+    risk_map = read_risk_map(arguments.map, options.map)
+    network = build_network(
+        risk_map, tuple(arguments.start), tuple(arguments.goal), options.network
+    )
+    rows = frontier(
+        network, options.game, arguments.detours or DETOURS, arguments.slacks or SLACKS,
+        options.strategy, _show_progress,
+    )
+    write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
+    failed = any(row.error for row in rows)
+    console.line(table_text(rows))
+    console.line(
+        f'\n{cli.place(arguments.output)}, {picture.name}: {len(network.points)} nodes'
+    )
+    console.result = {
+        'verdict': 'finding' if failed else 'holds',
+        'table': cli.place(arguments.output),
+        'rows': [asdict(row) for row in rows],
+    }
+    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
+
+
+def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
+    """Read a map of map_server's, or the fields of a ``RiskMap`` from an npz file.
+
+    Raises
+    ------
+    InvalidTerrain, InvalidRiskMap
+        It is not such a map; what is wrong is named.
+    OSError
+        It cannot be opened.
+    """
+    if path.suffix != '.npz':
+        read = read_map(path)
+        return risk_map_from_occupancy(read.values, read.resolution, read.origin, options)
+    try:
+        with np.load(path) as file:
+            content = {name: file[name] for name in file.files}
+        origin = tuple(float(value) for value in content.get('origin', (0.0, 0.0, 0.0)))
+        return RiskMap(
+            content['alpha'], content['obstacles'], float(content['resolution']), origin
+        )
+    except KeyError as error:
+        raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
+    except (BadZipFile, EOFError, TypeError, ValueError) as error:
+        raise InvalidRiskMap(f'{path}: {error}') from error
+
+
+def write_frontier(
+    path: Path, rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
+) -> None:
+    """Write the table (CSV), and beside it the picture (.png), mode 0600."""
+    text = StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
+    writer.writeheader()
+    for row in rows:
+        writer.writerow({
+            name: f'{value:.9g}' if isinstance(value, float) else value
+            for name, value in asdict(row).items()
+        })
+    picture = BytesIO()
+    frontier_figure(rows, max_detour, risk_slack).savefig(picture, format='png')
+    for file, content in (
+        (path, text.getvalue().encode()), (path.with_suffix('.png'), picture.getvalue())
+    ):
+        with open(file, 'wb', opener=private) as stream:
+            stream.write(content)
+
+
+def table_text(rows: Sequence[FrontierRow]) -> str:
+    """The rows to read on a terminal; lengths and exposure over the least there is."""
+    head = ('max_detour', 'risk_slack', 'value', 'gap', 'length', 'exposure', 'route entropy')
+    lines = [head]
+    for row in rows:
+        gap = (row.value - row.lower_bound) / row.value if row.value > 0.0 else 0.0
+        numbers = (
+            f'{row.value:.4g}', f'{gap:.1e}',
+            f'{row.expected_length / row.shortest_length:.3f}',
+            f'{over(row.expected_exposure, row.least_exposure):.3f}', f'{row.route_entropy:.2f}',
+        )
+        budgets = f'{row.max_detour:g}', f'{row.risk_slack:g}'
+        lines.append((*budgets, *((row.error,) if row.error else numbers)))
+    return '\n'.join(
+        ''.join(f'{cell:>14}' for cell in line) if len(line) == len(head)
+        else ''.join(f'{cell:>14}' for cell in line[:2]) + f'  {line[2]}'
+        for line in lines
+    )
+
+
+def _show_progress(row: FrontierRow) -> None:
+    """A line that is written over on a terminal, nothing elsewhere."""
+    if sys.stderr.isatty():
+        print(f'\r{row.swept} {getattr(row, row.swept):g}: value {row.value:.4g}    ',
+              end='\r', file=sys.stderr, flush=True)
 
 
 if __name__ == '__main__':

@@ -27,8 +27,8 @@ overwritten. A single recording that is whole needs no copy; a folder is saved w
 broken in it as a copy of its bytes.
 --json: {"verdict", "files": [{"file", "saved", "messages", "metadata", "attachments", "lost"}]}
 """ + cli.EXIT_CODES.replace('1 a finding', '1 something was lost')
-# What the recorder and its crashes leave: x.mcap, x.mcap.tmp, x.mcap.broken-2 ...
-_NAME = re.compile(r'(?P<stem>.+?)\.mcap(\.tmp|\.broken)*(-\d+)?(\.broken)?')
+# What the recorder and its crashes leave.
+_NAME = re.compile(r'(?P<stem>.+?)\.mcap(\.tmp)?')
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -23,7 +23,7 @@ import yaml
 
 from ..core.risk_map import OccupancyOptions, RiskMap
 from . import cli
-from .frontier_run import read_risk_map
+from .frontier import read_risk_map
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
 MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
