@@ -39,7 +39,6 @@ from std_srvs.srv import Trigger
 from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
 
 RESOLUTION = 0.5
-PARAMETERS = {"network.target_nodes": 10_000, "recording.enabled": False}
 SIDE = 3  # cells, of an obstacle that is somewhere else each second
 PERIOD = 0.2  # s, of departures and goals
 MEDIAN, SELDOM = 100.0, 500.0  # ms, targets
@@ -105,13 +104,14 @@ def moving_goal(caller: Caller, goal: PoseStamped) -> Callable[[float], int]:
     return change
 
 
-def measure(seconds: float, cells: int) -> dict[str, Found]:
+def measure(seconds: float, cells: int, nodes: int) -> dict[str, Found]:
     """Both cases, on one node."""
     grid, size = field(cells, RESOLUTION), cells * RESOLUTION
+    parameters = {"network.target_nodes": nodes, "recording.enabled": False}
     start, goal = pose(size / 20, size / 2), pose(size * 19 / 20, size / 2)
     with (
         scratch() as folder,
-        running_node(folder, PARAMETERS) as rig,
+        running_node(folder, parameters) as rig,
         empty_service(rig.domain),
         Caller(rig.domain, rig.process.check) as caller,
     ):
@@ -129,7 +129,7 @@ def measure(seconds: float, cells: int) -> dict[str, Found]:
         return found
 
 
-def result(found: dict[str, Found], cells: int) -> tuple[str, bool]:
+def result(found: dict[str, Found], cells: int, nodes: int) -> tuple[str, bool]:
     """The table, and whether the targets are met."""
     rows, every = [], []
     for name, each in found.items():
@@ -146,7 +146,7 @@ def result(found: dict[str, Found], cells: int) -> tuple[str, bool]:
             "a service that does nothing, of another process",
             "node's processor time for each [ms]", "target", "met", "maps", "solves", "memory [MB]")
     text = (
-        f"A map of {cells} x {cells} cells, published whole each time, 10 000 nodes; a departure "
+        f"A map of {cells} x {cells} cells, published whole each time, {nodes} nodes; a departure "
         f"every {PERIOD:g} s.\n\n{table(head, rows)}"
     )
     return text, all(every)
@@ -158,12 +158,14 @@ def main() -> int:
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="of each case")
     parser.add_argument("--cells", type=int, default=4000, metavar="N", help="of the map's sides")
+    parser.add_argument("--nodes", type=int, default=10_000, metavar="N", help="of the network")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `node_ground` is replaced"
     )
     options = parser.parse_args()
     try:
-        text, met = result(measure(options.seconds, options.cells), options.cells)
+        found = measure(options.seconds, options.cells, options.nodes)
+        text, met = result(found, options.cells, options.nodes)
     except FAILURES as error:
         say(f"node_ground: {error}")
         return 2

@@ -4,6 +4,7 @@ import hashlib
 import io
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -49,6 +50,7 @@ def parameters(**changes):
     return values | changes
 
 
+@cache
 def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
     risk_map = risk_map_from_occupancy(occupancy(hill), 5.0, options=OccupancyOptions())
     options = PlanningOptions(

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from dataclasses import replace
+from functools import cache
 from io import BytesIO
 
 import numpy as np
@@ -17,8 +18,16 @@ TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
 
 
-def record_runs(folder):
-    """Record six departures of two nodes, the second with a fixed seed; return their files."""
+def record_runs(tmp_path_factory):
+    """The files of six departures of two nodes, the second with a fixed seed.
+
+    All modules of a test process read the same ones; none changes them.
+    """
+    return _recorded(tmp_path_factory.getbasetemp() / 'recorded')
+
+
+@cache
+def _recorded(folder):
     with stage(folder) as running:
         client = running.give()
         answer = client.call('new_route')
@@ -37,6 +46,23 @@ def record_runs(folder):
     files = recordings_in(folder)
     assert len(files) == 6
     return files
+
+
+class KeptVerifier:
+    """Stands for the Verifier of a command; its worker and solves serve all calls of a module."""
+
+    def __init__(self, verifier):
+        self._verifier = verifier
+
+    def __call__(self, planning):
+        return self
+
+    def __enter__(self):
+        self._verifier._seen.clear()  # it knows no departures from before
+        return self._verifier
+
+    def __exit__(self, *_):
+        pass
 
 
 class Forger:

@@ -3,8 +3,10 @@
 import fcntl
 import tempfile
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import rclpy
@@ -26,12 +28,40 @@ from waiting import TIMEOUT, wait_until
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import THREADS, PlannerNode
 from ambush_planner.ros.qos import REQUESTS
+from ambush_planner.worker import solve_queue
+from ambush_planner.worker.process import WorkerProcess
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
 SMALL = {'network.spacing': 1.0}
+
+
+class HandedOn(WorkerProcess):
+    """A worker process that a node leaves, idle and well, to the next one in this process.
+
+    To start one takes as long as most tests: it imports numpy and scipy.
+    """
+
+    idle: list[WorkerProcess] = []
+    # A worker dies with the thread that started it, so with none that belongs to a node.
+    _starter = ThreadPoolExecutor(1)
+
+    @classmethod
+    def take(cls):
+        """A worker of another node, or else a new one."""
+        while cls.idle:
+            if (worker := cls.idle.pop()).alive:
+                return worker
+        return cls._starter.submit(cls).result()
+
+    def close(self):
+        """Only a worker that has nothing to do is alive here: ``kill`` ends a solve."""
+        if self.alive:
+            self.idle.append(self)
+        else:
+            super().close()
 
 
 @contextmanager
@@ -215,6 +245,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
         values['recording.directory'] = str(directory)
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
+        stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )

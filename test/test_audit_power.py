@@ -15,7 +15,7 @@ from ambush_planner.core.routes import RouteSampler
 
 # Chance that a correct audit fails one of these tests; all seeds are fixed.
 FALSE_ALARM = 1e-6
-RUNS = 100
+RUNS = 60
 RATE = 0.05
 
 
@@ -112,7 +112,7 @@ def test_a_small_bias_is_found_with_many_departures(terrain):
     up = (network.points[network.heads] - network.points[network.tails])[:, 1] > 0.1
     choice = ManyRoutes(network, p).choice
     weight = np.where(p > 0.0, choice * np.where(up, 1.5, 1.0), 0.0)
-    routes = drawn(sampler_of(terrain, weight), 300, 4)
+    routes = drawn(sampler_of(terrain, weight), 150, 4)
     assert "frequency" in run(terrain, routes).findings
 
 

@@ -16,7 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_harness import (
-    Client,
+    TIMEOUT,
     Stage,
     free_domain,
     header,
@@ -29,10 +29,12 @@ from ros_harness import (
     wait_until,
 )
 from standin_types import grid_update, message_type
+from std_srvs.srv import Trigger
 from test_conversions import turned
 from test_long_solves import NORTH, QUICK, solving, use
 
 from ambush_planner.ros import subscriptions
+from ambush_planner.ros.qos import REQUESTS
 
 UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
 REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
@@ -180,14 +182,17 @@ def new_goal_during_a_solve(_):
 
 def a_thousand_calls(_):
     with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
-        clients = [busy.give()]
-        for k in range(3):
+        busy.give()
+        clients = []
+        for k in range(4):
             node = Node(f'other_{k}', context=stack.enter_context(ros_context(domain)))
-            clients.append(Client(node))
+            clients.append(
+                node.create_client(Trigger, 'ambush_planner/new_route', qos_profile=REQUESTS))
             executor = SingleThreadedExecutor(context=node.context)
             stack.enter_context(spinning(node, executor))
-        futures = [client.send('new_route') for _ in range(250) for client in clients]
-        wait_until(lambda: all(future.done() for future in futures), '1000 answers', 60.0)
+        assert all(client.wait_for_service(TIMEOUT) for client in clients)
+        futures = [client.call_async(Trigger.Request()) for _ in range(250) for client in clients]
+        wait_until(lambda: all(future.done() for future in futures), '1000 answers')
         assert all(future.result().success for future in futures)
         busy.client.diagnostics(departures='1000')
     return ''

@@ -24,7 +24,9 @@ from ambush_planner import (
 )
 from ambush_planner.core import batch
 
-SPAWN = multiprocessing.get_context('spawn')
+# Each process is forked from one that has the package: none imports it anew.
+FRESH = multiprocessing.get_context('forkserver')
+FRESH.set_forkserver_preload(['ambush_planner'])
 SIDE = 200.0
 
 
@@ -51,7 +53,7 @@ def expected(each):
 
 @pytest.fixture(scope='module')
 def processes():
-    with ProcessPoolExecutor(2, SPAWN) as pool:
+    with ProcessPoolExecutor(2, FRESH) as pool:
         yield pool
 
 
@@ -100,7 +102,6 @@ def test_progress_tells_each_result_once(executor):
         (problem(field(), k) for k in range(7)), executor, answer=numbers, on_result=told.append
     )
     assert sorted(told, key=lambda each: each.index) == results and len(told) == 7
-
 
 
 def test_what_is_cancelled_is_not_begun():
@@ -154,7 +155,7 @@ class Post:
 
 def test_a_map_travels_about_once_a_worker():
     risk_map = field(7)
-    with ProcessPoolExecutor(2, SPAWN) as pool:
+    with ProcessPoolExecutor(2, FRESH) as pool:
         post = Post(pool)
         results = solve_many(
             [problem(risk_map, k) for k in range(40)], post, answer=numbers, in_flight=4
@@ -184,7 +185,7 @@ def test_a_map_is_packed_once(monkeypatch):
 
 def test_a_worker_that_lacks_the_map_gets_it():
     risk_map = field(8)
-    with ProcessPoolExecutor(1, SPAWN) as pool:
+    with ProcessPoolExecutor(1, FRESH) as pool:
         post = Post(pool)
 
         def lose(result):
@@ -200,7 +201,7 @@ def test_a_worker_that_lacks_the_map_gets_it():
 
 
 def test_a_process_keeps_few_maps():
-    with ProcessPoolExecutor(1, SPAWN) as pool:
+    with ProcessPoolExecutor(1, FRESH) as pool:
         results = solve_many(
             [problem(field(seed), 1) for seed in range(8)], pool, answer=numbers, in_flight=1
         )
@@ -219,7 +220,7 @@ def end_here(strategy):
 
 
 def test_a_pool_that_breaks_leaves_what_was_solved():
-    with ProcessPoolExecutor(1, SPAWN) as pool:
+    with ProcessPoolExecutor(1, FRESH) as pool:
         results = solve_many(
             [problem(field(), k) for k in range(6)], pool, answer=end_here, in_flight=1
         )

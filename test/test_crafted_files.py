@@ -73,7 +73,7 @@ def run(main, arguments):
 @pytest.fixture(scope='module')
 def whole(tmp_path_factory):
     """What a node recorded."""
-    return record_runs(tmp_path_factory.mktemp('whole'))[NEW_ROUTE]
+    return record_runs(tmp_path_factory)[NEW_ROUTE]
 
 
 @pytest.fixture(scope='module')

@@ -1,12 +1,13 @@
-"""Recordings of a real node go out again over DDS, from the command as a user starts it."""
+"""Recordings of a real node go out again over DDS."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
 from dataclasses import replace
+from io import StringIO
 from itertools import accumulate
 
 import pytest
@@ -21,6 +22,7 @@ from waiting import TIMEOUT, wait_until
 
 from ambush_planner.recording import read_departure
 from ambush_planner.review.case import TYPES, Case
+from ambush_planner.tools import replay
 from ambush_planner.tools.replay_player import qos_from_yaml
 
 # A message from the network may have up to three bytes of padding at its end.
@@ -29,7 +31,7 @@ PADDING = 3
 
 @pytest.fixture(scope='module')
 def files(tmp_path_factory):
-    return record_runs(tmp_path_factory.mktemp('runs'))
+    return record_runs(tmp_path_factory)
 
 
 @pytest.fixture(scope='module')
@@ -97,11 +99,15 @@ def replaying(domain, *arguments):
 
 
 def replayed(domain, *arguments):
-    """The exit code of the command and what it said, once it has ended by itself."""
-    with replaying(domain, *arguments) as process:
-        out, err = process.communicate(timeout=60)
-    assert 'Traceback' not in err and out == ''
-    return process.returncode, err
+    """The exit code of the command, run in this process, and what it said."""
+    said = StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stderr(said):
+        patch.setenv('ROS_DOMAIN_ID', str(domain))
+        try:
+            code = replay.main([*map(str, arguments)])
+        except SystemExit as stop:
+            code = stop.code
+    return code, said.getvalue()
 
 
 def is_same(data, recorded):
@@ -123,11 +129,12 @@ def assert_received(found, messages):
 
 def test_listeners_get_the_same_bytes_in_order(slow):
     messages = read_departure(slow).messages
-    with listener(messages) as (found, domain):
-        code, said = replayed(domain, slow, '--rate', '4')
+    with listener(messages) as (found, domain), \
+            replaying(domain, slow, '--rate', '4') as process:  # as a user starts it
+        out, said = process.communicate(timeout=60)
         assert_received(found, messages)
-    assert code == 0
-    assert 'nobody listens' not in said
+    assert (process.returncode, out) == (0, '')
+    assert 'nobody listens' not in said and 'Traceback' not in said
     assert 'slow.mcap: 10 messages' in said
 
 
@@ -215,8 +222,9 @@ def test_a_loop_keeps_latched_topics_and_ends_on_sigint(slow):
         assert 'Traceback' not in process.stderr.read()
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize('when', ['discovery', 'pause'])
+@pytest.mark.parametrize(('number', 'when'), [
+    (signal.SIGINT, 'discovery'), (signal.SIGTERM, 'pause'),
+])
 def test_signals_end_it_cleanly_at_any_time(number, when, slow):
     messages = read_departure(slow).messages
     with listener(messages if when == 'pause' else ()) as (found, domain), \
@@ -278,12 +286,10 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
     (['--help'], 0, ''),
 ])
 def test_wrong_usage(arguments, code, words, slow):
-    with free_domain() as domain, replaying(
-        domain, *(text.format(slow) for text in arguments)
-    ) as process:
-        _, said = process.communicate(timeout=60)
-    assert process.returncode == code
-    assert words in said and 'Traceback' not in said
+    with free_domain() as domain:
+        ended, said = replayed(domain, *(text.format(slow) for text in arguments))
+    assert ended == code
+    assert words in said
 
 
 def test_recorded_profiles_are_what_the_node_offers(files):

@@ -35,7 +35,7 @@ rclpy.spin(node)
 
 @pytest.fixture(scope='module')
 def departure(tmp_path_factory):
-    return record_runs(tmp_path_factory.mktemp('runs'))[NEW_ROUTE]
+    return record_runs(tmp_path_factory)[NEW_ROUTE]
 
 
 @pytest.fixture

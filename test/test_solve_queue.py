@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from ambush_planner.core.planner import PlanningOptions, PlanRequest
 from ambush_planner.core.risk_map import OccupancyOptions
 from ambush_planner.core.strategy import StrategyOptions
 from ambush_planner.core.trip import plan_from_request
+from ambush_planner.worker import solve_queue
 from ambush_planner.worker.errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
@@ -70,20 +72,8 @@ def workers():
 
 
 def begun(queue):
-    """Wait until the worker has been busy with a solve for a while."""
-    def worked():
-        try:
-            return sum(cpu_seconds(pid) for pid in workers()) > 1.5
-        except OSError:
-            return False
-
-    wait_until(lambda: queue.busy, 'a solve')
-    wait_until(worked, 'the worker to work')
-
-
-def cpu_seconds(pid):
-    ticks = Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[11:13]
-    return sum(map(int, ticks)) / os.sysconf('SC_CLK_TCK')
+    """Wait until the worker has a solve to work on."""
+    wait_until(lambda: queue._running and queue._worker and queue._worker._ready, 'a solve')
 
 
 def test_the_worker_finds_what_this_process_would(queue):
@@ -152,6 +142,22 @@ def test_a_full_queue_refuses_at_once_and_says_what_is_busy(queue):
     assert later.exception(TIMEOUT)
 
 
+def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
+    ready = threading.Event()
+    monkeypatch.setattr(
+        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and WorkerProcess())
+    queue = SolveQueue()
+    try:
+        solves = [submit(queue, k, request(), size=1) for k in range(2)]
+        with pytest.raises(QueueFull):
+            submit(queue, 'third', request(), size=1)
+        ready.set()
+        assert all(each.result(TIMEOUT) for each in solves)
+    finally:
+        ready.set()
+        queue.close()
+
+
 def test_a_solve_in_the_background_gives_way(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -166,6 +172,18 @@ def test_a_solve_in_the_background_gives_way(queue):
     os.kill(pid, signal.SIGKILL)
     assert asked.result(TIMEOUT) and last.result(TIMEOUT)
     assert outcomes == ['asked', 'last']
+
+
+def test_a_solve_in_the_background_takes_no_room_and_needs_none(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    first = submit(queue, 'first', request(), background=True)
+    submit(queue, 'asked', request(), size=1)
+    last = submit(queue, 'last', request(), size=1, background=True)
+    with pytest.raises(SolveCancelled, match='a later map'):
+        first.result(0.0)
+    assert not last.done()
+    assert queue.cancel() == 3
 
 
 def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):

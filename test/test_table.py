@@ -2,10 +2,14 @@
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +18,7 @@ from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_n
 from ambush_planner.core.errors import InvalidOption
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.terrain import OccupancyMap, read_map, write_map
+from ambush_planner.tools import table
 from ambush_planner.tools.table_file import COLUMNS, BadTable, TableFile, read_places
 from ambush_planner.tools.table_options import options_from
 
@@ -22,18 +27,17 @@ CUSTOMERS = 'name, x, y, remark\nmill,185,95,steep\n"the old, bridge",175,25,\nb
 OPTIONS = ('--set', 'network.spacing=20', 'strategy.max_detour=1.4')
 
 
-def command(folder, *arguments):
-    return [
-        sys.executable, '-m', 'ambush_planner.tools.table', folder / 'depots.csv',
-        folder / 'customers.csv', '--map', folder / 'map.yaml', '-o', folder / 'table.csv',
-        *(arguments or (*OPTIONS, '--jobs', '1')),
-    ]
+def given(folder, *arguments):
+    files = (folder / 'depots.csv', folder / 'customers.csv', '--map', folder / 'map.yaml',
+             '-o', folder / 'table.csv')
+    return [*map(str, files), *(arguments or (*OPTIONS, '--jobs', '1'))]
 
 
 def run(folder, *arguments):
-    return subprocess.run(
-        command(folder, *arguments), capture_output=True, text=True, timeout=110, check=False
-    )
+    out, err = StringIO(), StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        code = table.main(given(folder, *arguments))
+    return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
 
 
 def rows_of(path):
@@ -41,8 +45,26 @@ def rows_of(path):
         return list(csv.DictReader(file))
 
 
+@pytest.fixture(scope='module')
+def first(tmp_path_factory):
+    """A folder with places, map and the table, and what the command said."""
+    folder = prepared(tmp_path_factory.mktemp('first'))
+    return folder, run(folder)
+
+
 @pytest.fixture
 def folder(tmp_path):
+    """Places and a map, no table yet."""
+    return prepared(tmp_path)
+
+
+@pytest.fixture
+def made(first, tmp_path):
+    """A copy of the folder with the table."""
+    return shutil.copytree(first[0], tmp_path / 'made')
+
+
+def prepared(tmp_path):
     values = np.random.default_rng(0).integers(0, 90, (20, 20)).astype(np.int8)
     values[8:12, 8:12] = 100
     write_map(tmp_path / 'map.yaml', OccupancyMap(values, 10.0))
@@ -51,10 +73,10 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_a_row_for_each_pair_with_the_numbers_of_solve(folder):
-    done = run(folder)
-    assert done.returncode == 1  # two pairs end in an obstacle
-    assert '6 pairs, 6 of them solved now, 2 without a strategy' in done.stdout, done.stderr
+def test_a_row_for_each_pair_with_the_numbers_of_solve(first):
+    folder, done = first
+    assert done.code == 1  # two pairs end in an obstacle
+    assert '6 pairs, 6 of them solved now, 2 without a strategy' in done.out, done.err
     rows = rows_of(folder / 'table.csv')
     assert [(row['depot'], row['customer']) for row in rows] == [
         (depot, customer) for depot in ('north', 'south')
@@ -70,28 +92,28 @@ def test_a_row_for_each_pair_with_the_numbers_of_solve(folder):
     assert (folder / 'table.csv').stat().st_mode & 0o777 == 0o600
 
 
-def test_only_what_is_missing_or_failed_is_solved_again(folder):
-    run(folder)
+def test_only_what_is_missing_or_failed_is_solved_again(made):
+    folder = made
     before = rows_of(folder / 'table.csv')
     done = run(folder)
-    assert '6 pairs, 2 of them solved now' in done.stdout
+    assert '6 pairs, 2 of them solved now' in done.out
     assert rows_of(folder / 'table.csv') == before
     (folder / 'customers.csv').write_text(CUSTOMERS.replace('185,95', '185,105'))
     done = run(folder)
-    assert '6 pairs, 4 of them solved now' in done.stdout
+    assert '6 pairs, 4 of them solved now' in done.out
     assert rows_of(folder / 'table.csv')[0]['inputs'] != before[0]['inputs']
     assert rows_of(folder / 'table.csv')[1] == before[1]
     done = run(folder, '--set', 'network.spacing=20', 'strategy.max_detour=1.5')
-    assert '6 pairs, 6 of them solved now' in done.stdout
+    assert '6 pairs, 6 of them solved now' in done.out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGKILL])
-def test_an_interrupted_table_goes_on_where_it_stopped(folder, how):
+def interrupted(folder, how):
+    """What is kept of a table of 30 pairs that is ended by a signal."""
     places = ''.join(f'c{k},185,{15 + k % 17 * 10}.{k}\n' for k in range(15))
     (folder / 'customers.csv').write_text('name,x,y\n' + places)
     process = subprocess.Popen(
-        command(folder, '--set', 'network.spacing=7', '--jobs', '1'),
+        [sys.executable, '-m', 'ambush_planner.tools.table',
+         *given(folder, '--set', 'network.spacing=7', '--jobs', '1')],
         stderr=subprocess.PIPE, text=True,
     )
     part = folder / 'table.csv.part'
@@ -105,39 +127,52 @@ def test_an_interrupted_table_goes_on_where_it_stopped(folder, how):
     assert not (folder / 'table.csv').exists()
     kept = part.read_text().count('\n') - 1
     assert 4 <= kept < 30
-    with part.open('a') as file:
-        file.write('north,c9,0.5,0.')  # what a kill may leave
-    done = run(folder, '--set', 'network.spacing=7', '--jobs', '2')
-    assert done.returncode == 0, done.stderr
-    assert f'30 pairs, {30 - kept} of them solved now, 0 without' in done.stdout
-    assert len(rows_of(folder / 'table.csv')) == 30 and not part.exists()
+    return part
 
 
 @pytest.mark.slow
-def test_a_cluster_makes_the_same_table(folder):
+def test_a_table_is_kept_at_ctrl_c(folder):
+    interrupted(folder, signal.SIGINT)
+
+
+@pytest.mark.slow
+def test_a_killed_table_goes_on_where_it_stopped(folder):
+    part = interrupted(folder, signal.SIGKILL)
+    places = (folder / 'customers.csv').read_text().splitlines()[:6]
+    (folder / 'customers.csv').write_text('\n'.join(places) + '\n')  # five are enough
+    kept = sum(int(row['customer'][1:]) < 5 for row in rows_of(part))
+    with part.open('a') as file:
+        file.write('north,c9,0.5,0.')  # what a kill may leave
+    done = run(folder, '--set', 'network.spacing=7', '--jobs', '2')
+    assert done.code == 0, done.err
+    assert f'10 pairs, {10 - kept} of them solved now, 0 without' in done.out
+    assert len(rows_of(folder / 'table.csv')) == 10 and not part.exists()
+
+
+@pytest.mark.slow
+def test_a_cluster_makes_the_same_table(made):
     distributed = pytest.importorskip('distributed', reason='dask takes the extra "dask"')
-    run(folder)
-    here = (folder / 'table.csv').read_text()
-    (folder / 'table.csv').unlink()
+    here = (made / 'table.csv').read_text()
+    (made / 'table.csv').unlink()
     with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
-        local_directory=str(folder / 'dask'),
+        n_workers=1, threads_per_worker=2, processes=False, protocol='tcp',
+        dashboard_address=None, local_directory=str(made / 'dask'),
     ) as cluster:
-        done = run(folder, *OPTIONS, '--scheduler', cluster.scheduler_address)
-    assert '6 pairs, 6 of them solved now, 2 without' in done.stdout, done.stderr
-    assert (folder / 'table.csv').read_text() == here
+        done = run(made, *OPTIONS, '--scheduler', cluster.scheduler_address)
+    assert '6 pairs, 6 of them solved now, 2 without' in done.out, done.err
+    assert (made / 'table.csv').read_text() == here
 
 
 def test_what_is_wrong_is_said(folder):
     (folder / 'table.csv').write_text('something,else\n1,2\n')
     done = run(folder)
-    assert done.returncode == 3 and 'no column depot' in done.stderr
+    assert done.code == 3 and 'no column depot' in done.err
     assert (folder / 'table.csv').read_text() == 'something,else\n1,2\n'
     done = run(folder, '--set', 'network.spaccing=3')
-    assert done.returncode == 3 and "no option 'network.spaccing'" in done.stderr
+    assert done.code == 3 and "no option 'network.spaccing'" in done.err
     (folder / 'map.yaml').unlink()
     done = run(folder)
-    assert done.returncode == 3 and 'map.yaml' in done.stderr and 'Traceback' not in done.stderr
+    assert done.code == 3 and 'map.yaml' in done.err and 'Traceback' not in done.err
 
 
 @pytest.mark.parametrize(

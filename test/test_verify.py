@@ -12,7 +12,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, KeptVerifier, record_runs
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
 
@@ -33,7 +33,20 @@ SECRET_KEYS = ('route', 'route_entropy_source')
 
 @pytest.fixture(scope='module')
 def files(tmp_path_factory):
-    return record_runs(tmp_path_factory.mktemp('runs'))
+    return record_runs(tmp_path_factory)
+
+
+@pytest.fixture(scope='module')
+def worker():
+    """One worker process for all that is planned here."""
+    with Verifier() as verifier:
+        yield verifier
+
+
+@pytest.fixture(autouse=True)
+def one_worker(worker, monkeypatch):
+    """The command in this process plans in the module's worker."""
+    monkeypatch.setattr(tool, 'Verifier', KeptVerifier(worker))
 
 
 def verified(place, capsys):
@@ -288,16 +301,17 @@ def run(*arguments):
     )
 
 
-def test_as_a_user_starts_it(files, tmp_path):
+def test_as_a_user_starts_it(files):
     process = run(files[0].parent)
     assert process.returncode == 0, process.stderr
     assert process.stdout.splitlines()[-2] == '4 departures: all hold'
     assert 'planned 3 times' in process.stderr
-    assert run('--help').returncode == 0
-    assert run().returncode == 2
-    missing = run(tmp_path / 'none')
-    assert (missing.returncode, missing.stdout) == (3, '')
-    assert missing.stderr.startswith('ambush_verify: ') and 'No such file' in missing.stderr
+
+
+def test_what_is_not_there_is_said(tmp_path, capsys):
+    assert tool.main([str(tmp_path / 'none')]) == 3
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith('ambush_verify: ') and 'No such file' in err
 
 
 def test_one_bad_file_in_a_folder_does_not_hide_the_others(files, tmp_path, capsys):

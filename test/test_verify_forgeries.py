@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from forgeries import FORGERIES
 from forgeries_hidden import NOT_COVERED
-from forging import AGAIN, NEW_ROUTE, TEXTS, Forger, record_runs
+from forging import AGAIN, NEW_ROUTE, TEXTS, Forger, KeptVerifier, record_runs
 
 from ambush_planner.recording import read_departure
 from ambush_planner.recording.mcap_file import decode, encode
@@ -16,7 +16,7 @@ from ambush_planner.tools import verify as tool
 
 @pytest.fixture(scope='module')
 def files(tmp_path_factory):
-    return record_runs(tmp_path_factory.mktemp('runs'))
+    return record_runs(tmp_path_factory)
 
 
 def verified(path, capsys):
@@ -31,6 +31,12 @@ def verifier():
     """One worker process for all that is planned here."""
     with Verifier() as verifier:
         yield verifier
+
+
+@pytest.fixture(autouse=True)
+def one_worker(verifier, monkeypatch):
+    """The command in this process plans in the module's worker."""
+    monkeypatch.setattr(tool, 'Verifier', KeptVerifier(verifier))
 
 
 def test_the_untouched_recordings_hold(files, verifier):

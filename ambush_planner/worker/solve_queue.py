@@ -78,7 +78,7 @@ class SolveQueue(Generic[_Outcome]):
         finish
             Makes the outcome of the plan, in the thread of the queue.
         size
-            How many solves may wait, beside the one that runs.
+            How many solves may wait, beside the one that runs and the one in the background.
         background
             Nobody waits for it: it is put behind those that somebody waits for, and takes the
             place of others in the background that have not begun.
@@ -99,7 +99,9 @@ class SolveQueue(Generic[_Outcome]):
                 solve.submitted += 1
                 return solve.outcome
             superseded = self._drop_background() if background else []
-            if sum(not each.background for each in self._waiting.values()) >= size:
+            waiting = sum(not each.background for each in self._waiting.values())
+            # Where none runs yet, the first of those that wait is about to.
+            if not background and waiting - (self._running is None) >= size:
                 raise QueueFull(self._what_is_busy(size))
             solve = _Solve(key, request, finish, background)
             self._waiting[key] = solve
