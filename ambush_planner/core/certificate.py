@@ -60,6 +60,8 @@ class Budget:
     unit: str
 
     def __post_init__(self) -> None:
+        if not self.binds:
+            return
         best = self._behind[self.game.network.source]
         if best > self.limit * (1.0 + ROUNDING):
             raise BudgetInfeasible(

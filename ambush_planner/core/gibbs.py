@@ -15,15 +15,11 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-import scipy
 from scipy.sparse import csr_matrix
-from scipy.sparse.linalg import splu, spsolve_triangular
 
 from .arrays import FloatArray, IndexArray, sums
 from .game import Game
-
-# Before 1.13 scipy solved triangular systems row by row in Python.
-FAST_TRIANGULAR = tuple(int(part) for part in scipy.__version__.split(".")[:2]) >= (1, 13)
+from .triangular import UnitTriangle
 
 
 class AcyclicNetwork:
@@ -46,13 +42,13 @@ class AcyclicNetwork:
         self.count = len(nodes)
         self._first = np.searchsorted(self.tail, np.arange(self.count + 1))
         self._level = np.zeros(self.count)
-        # Row i of the matrices 1 - W: the diagonal, then the edges out of i.
-        self._indptr = (self._first + np.arange(self.count + 1)).astype(np.int32)
+        # Row i of the matrix 1 - W: the diagonal, then the edges out of i.
+        indptr = self._first + np.arange(self.count + 1)
         self._place = np.arange(len(self.edge)) + self.tail + 1
-        indices = np.empty(len(self.edge) + self.count, dtype=np.int32)
-        indices[self._indptr[:-1]] = np.arange(self.count)
+        indices = np.empty(len(self.edge) + self.count, dtype=np.int64)
+        indices[indptr[:-1]] = np.arange(self.count)
         indices[self._place] = self.head
-        self._indices = indices
+        self._one_less_w = UnitTriangle(indices, indptr)
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -64,13 +60,16 @@ class AcyclicNetwork:
         if scaled is None:
             self._level = self._log_partition(weights)
             scaled = self._exact_choice(weights), np.ones(self.count)
-        factor, partition = scaled
-        out = partition[self.tail]
+        share, partition = scaled
+        share *= partition[self.head]
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(out > 0.0, factor * partition[self.head] / out, 0.0)
+            share /= partition[self.tail]
+        if not partition.min() > 0.0:
+            share[partition[self.tail] <= 0.0] = 0.0
         self._level = self._level + np.log(np.maximum(partition, 1e-290))
-        x = self._forward(share)
-        return float(self._level[0]), x[self.tail] * share, share
+        p = self._forward(share)[self.tail]
+        p *= share
+        return float(self._level[0]), p, share
 
     def deviations(
         self, share: FloatArray, used: IndexArray, costs: FloatArray
@@ -85,17 +84,21 @@ class AcyclicNetwork:
         along = csr_matrix(
             (share[used], (self.tail[used], np.arange(len(used)))), shape=(self.count, len(used))
         )
-        ahead = self._solve_upper(self._matrix(share), along @ costs)
+        ahead = self._behind(share, along @ costs)
         moved: FloatArray = costs + ahead[self.head[used]] - ahead[self.tail[used]]
         return moved
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        level = self._level
+        factor = self._level[self.head]
+        last = np.zeros(self.count)
+        last[-1] = 1.0
         with np.errstate(over="ignore", invalid="ignore"):
-            factor = np.exp(level[self.head] - level[self.tail] - weights)
+            factor -= self._level[self.tail]
+            factor -= weights
+            np.exp(factor, out=factor)
             if not np.isfinite(factor).all():
                 return None
-            partition = self._backward(factor)
+            partition = self._behind(factor, last)
         good = np.isfinite(partition).all() and partition[0] > 1e-280 and partition.max() < 1e280
         return (factor, partition) if good else None
 
@@ -104,38 +107,17 @@ class AcyclicNetwork:
         choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
         return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
-    def _backward(self, factor: FloatArray) -> FloatArray:
-        """y with y_i = sum over edges out of i of factor * y_head, y_target = 1."""
-        last = np.zeros(self.count)
-        last[-1] = 1.0
-        return self._solve_upper(self._matrix(factor), last)
-
-    def _solve_upper(self, matrix: csr_matrix, right: FloatArray) -> FloatArray:
-        if FAST_TRIANGULAR:
-            return np.asarray(
-                spsolve_triangular(
-                    matrix, right, lower=False, unit_diagonal=True, overwrite_A=True
-                )
-            )
-        return np.asarray(_natural_lu(matrix).solve(right))
+    def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
+        """y with y_i = right_i + sum over edges out of i of factor * y_head."""
+        self._one_less_w.data[self._place] = -factor
+        return self._one_less_w.solve(right)
 
     def _forward(self, share: FloatArray) -> FloatArray:
         """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
         first = np.zeros(self.count)
         first[0] = 1.0
-        matrix = self._matrix(share)
-        if FAST_TRIANGULAR:
-            return np.asarray(
-                spsolve_triangular(
-                    matrix.T, first, lower=True, unit_diagonal=True, overwrite_A=True
-                )
-            )
-        return np.asarray(_natural_lu(matrix).solve(first, trans="T"))
-
-    def _matrix(self, factor: FloatArray) -> csr_matrix:
-        data = np.ones(len(self._indices))
-        data[self._place] = -factor
-        return csr_matrix((data, self._indices, self._indptr), shape=(self.count, self.count))
+        self._one_less_w.data[self._place] = -share
+        return self._one_less_w.solve(first, transposed=True)
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
         """log Z_i (n,) whatever their size: sums of logarithms, from the target on."""
@@ -171,7 +153,3 @@ def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]
     lengths = end - begin
     start = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) + np.repeat(begin - start, lengths), start
-
-
-def _natural_lu(matrix: csr_matrix):  # type: ignore[no-untyped-def]
-    return splu(matrix.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
