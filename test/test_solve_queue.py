@@ -198,6 +198,21 @@ def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
     assert not first.done()
 
 
+def test_one_in_the_background_is_so_again_when_who_asked_for_it_leaves(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    kept = submit(queue, 'kept', request(), background=True)
+    queue.withdraw(submit(queue, 'kept', request()))
+    assert not kept.done()
+    asked = submit(queue, 'asked', request())
+    queue.withdraw(asked)
+    with pytest.raises(SolveCancelled, match='nobody waits'):
+        asked.result(0.0)
+    queue.withdraw_background()
+    with pytest.raises(SolveCancelled, match='a later map'):
+        kept.result(0.0)
+
+
 def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):
     """Who asks between the end of a solve and its outcome does not begin another one."""
     solves, solve = [], WorkerProcess.solve
