@@ -1,20 +1,25 @@
 """What is measured on paths (L, 3) = (x, y, yaw): length, turning, hairpins, closeness, and whether
-Nav2 would take them."""
+Nav2 would take them; and the least that can be had of some of it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linprog
+from scipy.sparse import coo_array, vstack
 from scipy.spatial import cKDTree
 
-from ambush_planner import RiskMap
-from ambush_planner.core.arrays import BoolArray, FloatArray
+from ambush_planner import RiskMap, Strategy
+from ambush_planner.core.arrays import BoolArray, FloatArray, IndexArray
+from ambush_planner.core.corridors import Corridors
+from ambush_planner.core.taut_string import portals_along, taut_string
 
 HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far
 NEAR_EDGE = 1.5  # spacings from the map's outer edge
 AWAY = 10.0  # spacings from start and goal
+PLACES = 64  # along an edge, where it is looked whether the map's edge is near
 
 
 @dataclass(frozen=True)
@@ -92,3 +97,41 @@ def accepted(poses: FloatArray, risk_map: RiskMap, step: float) -> bool:
     uv = risk_map.to_map_axes(np.concatenate((points, poses[:, :2])))
     inside = bool(((uv > 0.0) & (uv < risk_map.size)).all())
     return inside and not risk_map.obstacles[risk_map.cells(uv)].any()
+
+
+def turning_of(points: FloatArray) -> float:
+    """Sum of the turns at the corners of a line [rad]."""
+    heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
+    return float(np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi).sum())
+
+
+def least_turning(corridors: Corridors, route: IndexArray) -> float:
+    """Turning of the shortest line in the corridors of a route: no line there turns less [rad]."""
+    portals = portals_along(corridors, corridors.shortened(route))
+    none = np.zeros(len(portals.nodes))
+    at, side = np.array(taut_string(portals, none)).T
+    left, right = (portals.places(none, which)[at] for which in (1, -1))
+    return turning_of(np.where(side[:, None] > 0, left, right))
+
+
+def least_near_edge(strategy: Strategy, risk_map: RiskMap, spacing: float) -> float:
+    """Least length near the map's edge, as drawn, of all strategies with no larger value and no
+    longer routes, over this one's length."""
+    network, value, length = strategy.network, strategy.value, strategy.expected_length
+    tail, head = network.edges.T
+    count, flows = len(network.points), np.arange(len(tail))
+    places = (np.arange(PLACES) + 0.5)[:, None, None] / PLACES
+    points = network.points[tail] + places * (network.points[head] - network.points[tail])
+    near = _near_edge(points.reshape(-1, 2), risk_map, NEAR_EDGE * spacing)
+    near = near.reshape(PLACES, -1).mean(axis=0)
+    hits = coo_array((network.alpha[head], (head, flows)), (count, len(tail)))
+    long = coo_array(network.lengths[None])
+    ends = np.zeros(count)
+    ends[[network.source, network.target]] = -1.0, 1.0
+    change = np.concatenate((np.ones(len(tail)), np.full(len(tail), -1.0)))
+    balance = coo_array((change, (np.append(head, tail), np.tile(flows, 2))), (count, len(tail)))
+    best = linprog(
+        near * network.lengths, vstack((hits, long)).tocsr(),
+        np.append(np.full(count, value), length), balance.tocsr(), ends, method="highs",
+    )
+    return float(best.fun / length)

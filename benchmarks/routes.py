@@ -1,4 +1,4 @@
-"""Would you drive it? Paths of 200 departures on four maps, against what a grid planner finds.
+"""Would you drive it? Paths of many departures on four maps, against what a grid planner finds.
 
 The table goes to the screen and into results.md, a picture of each map into ``--pictures``, and one
 of all maps with routes of the paper's strategy, as they are drawn, above paths of ours.
@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from time import process_time
+from timeit import repeat
 
 import numpy as np
-from drives import AWAY, Drive, measure
+from drives import AWAY, Drive, least_near_edge, least_turning, measure, turning_of
 from grid_planner import shortest_line
 from grounds import GROUNDS, Ground
+from maps import SIDE, block
 from matplotlib.figure import Figure
 from report import RESULTS, conditions, table, write_block
+from scipy.spatial import Delaunay
 
 from ambush_planner import (
     Network,
@@ -30,7 +34,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.core.arrays import FloatArray
-from ambush_planner.core.construction import chosen_spacing
+from ambush_planner.core.construction import METHODS, chosen_spacing
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.driven_path import different_paths, driven_path, tight_turns
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
@@ -76,14 +80,15 @@ class Trial:
     safest: FixedRoute
     shortest_drive: Drive
     drawn_turning: float
+    least_turning: float
+    least_near_edge: float
     grid_length: float
     grid_turning: float
     different: int
-    draws: int
     milliseconds: float
 
 
-def run(ground: Ground, departures: int, draws: int) -> Trial:
+def run(ground: Ground, departures: int) -> Trial:
     """Solve at the defaults, draw and drive."""
     risk_map, options = ground.risk_map, NetworkOptions()
     spacing = chosen_spacing(risk_map, options)
@@ -92,10 +97,10 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     corridors = make_corridors(network, risk_map)
     step = max(risk_map.resolution, spacing)
     rng = np.random.default_rng(0)
-    routes = [strategy.sample_route(rng) for _ in range(max(draws, departures))]
-    started = time.process_time()
+    routes = [strategy.sample_route(rng) for _ in range(departures)]
+    started = process_time()
     paths = [driven_path(corridors, route, step) for route in routes]
-    seconds = time.process_time() - started
+    seconds = process_time() - started
     straight, grid = energy_efficient_route(strategy.game), shortest_line(ground)
     shortest, safest = (
         _fixed(name, driven_path(corridors, route, step), risk_map)
@@ -104,20 +109,21 @@ def run(ground: Ground, departures: int, draws: int) -> Trial:
     )
     return Trial(
         ground, strategy, spacing,
-        _papers_routes(network, rng), paths[:departures],
-        [measure(path, risk_map, spacing, step) for path in paths[:departures]],
+        _papers_routes(network, rng), paths,
+        [measure(path, risk_map, spacing, step) for path in paths],
         shortest, safest, measure(shortest.points, risk_map, spacing, step),
-        _turning(network.points[straight]),
-        float(np.hypot(*np.diff(grid, axis=0).T).sum()), _turning(grid),
-        different_paths(paths, SAME * spacing), len(paths), 1e3 * seconds / len(paths),
+        turning_of(network.points[straight]),
+        float(np.mean([least_turning(corridors, route) for route in routes])),
+        least_near_edge(strategy, risk_map, spacing),
+        float(np.hypot(*np.diff(grid, axis=0).T).sum()), turning_of(grid),
+        different_paths(paths, SAME * spacing), 1e3 * seconds / len(paths),
     )
 
 
 def _papers_routes(network: Network, rng: np.random.Generator) -> list[FloatArray]:
     """Routes (K, 2) of the paper's strategy with the first version's budget; none if it fails."""
-    options = StrategyOptions(solver="interior_point", max_detour=1.5)
     try:
-        strategy = solve(network, options=options)
+        strategy = solve(network, options=StrategyOptions("interior_point", max_detour=1.5))
     except SolverFailed:
         return []
     return [network.points[route] for route in strategy.sample_routes(SHOWN, rng)]
@@ -127,12 +133,6 @@ def _fixed(name: str, poses: FloatArray, risk_map: RiskMap) -> FixedRoute:
     """A path that is known, and where an ambush on it costs most."""
     losses = risk_map.alpha[risk_map.cells(risk_map.to_map_axes(poses[:, :2]))]
     return FixedRoute(name, poses, poses[np.argmax(losses), :2])
-
-
-def _turning(points: FloatArray) -> float:
-    """Sum of the turns at the corners of a line [rad]."""
-    heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
-    return float(np.abs((np.diff(heading) + np.pi) % (2 * np.pi) - np.pi).sum())
 
 
 def figures_of(trial: Trial) -> dict[str, float]:
@@ -175,25 +175,55 @@ def _other_rows(trials: list[Trial]) -> list[list[str]]:
     return [
         row("shortest route on the network, driven : any-angle A*", [
             f"{t.shortest_drive.length / t.grid_length:.2f}" for t in trials]),
-        row("turning [rad]: mean path; shortest route as drawn, driven; any-angle A*", [
-            f"{np.mean([drive.turning for drive in t.drives]):.1f}; {t.drawn_turning:.1f}, "
-            f"{t.shortest_drive.turning:.1f}; {t.grid_turning:.1f}" for t in trials]),
+        row("hairpins: standard error", [
+            f"{np.std([drive.hairpins for drive in t.drives]) / len(t.drives) ** 0.5:.3f}"
+            for t in trials]),
+        row("turning [rad]: mean path, least in its corridors", [
+            f"{np.mean([drive.turning for drive in t.drives]):.1f}, {t.least_turning:.1f}"
+            for t in trials]),
+        row("turning [rad]: shortest route as drawn, driven; any-angle A*", [
+            f"{t.drawn_turning:.1f}, {t.shortest_drive.turning:.1f}; {t.grid_turning:.1f}"
+            for t in trials]),
+        row("turning : the shortest driven route's, any-angle A*'s", [
+            ", ".join(_ratio(float(np.mean([drive.turning for drive in t.drives])), of)
+                      for of in (t.shortest_drive.turning, t.grid_turning)) for t in trials]),
         row(f"turns a path tighter than {TIGHT} spacings, on the spot", [
             ", ".join(f"{np.mean([tight_turns(path, radius * t.spacing) for path in t.paths]):.2f}"
                       for radius in (TIGHT, SPOT)) for t in trials]),
         row(f"near the map's edge, {AWAY:g} spacings and more from start and goal", [
             f"{np.mean([drive.near_edge_away for drive in t.drives]):.1%}" for t in trials]),
+        row("near the map's edge, least of any strategy as good, as drawn", [
+            f"{t.least_near_edge:.1%}" for t in trials]),
         row("the shortest path itself: near itself, near the edge", [
             f"{t.shortest_drive.near_itself:.0%}, {t.shortest_drive.near_edge:.0%}"
             for t in trials]),
         row("route entropy [nats] (upper bound for paths)", [
             f"{t.strategy.route_entropy:.1f}" for t in trials]),
-        row(f"different paths in {trials[0].draws} draws", [str(t.different) for t in trials]),
+        row(f"different paths in {len(trials[0].paths)} draws", [str(t.different) for t in trials]),
         row("nodes, nodes of a route", [
             f"{len(t.strategy.network.points)}, {t.strategy.visit_probability.sum():.0f}"
             for t in trials]),
         row("processor time a path", [f"{t.milliseconds:.2f} ms" for t in trials]),
     ]
+
+
+def _ratio(turning: float, of: float) -> str:
+    return f"{turning / of:.1f}" if of > 1e-6 else "none"
+
+
+def networks_table(across: int) -> str:
+    """Processor seconds for large networks, and for Qhull alone on all their nodes at once."""
+    risk_map, spacing = block(across), SIDE / across
+    ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
+    rows = []
+    for method in METHODS:
+        options = NetworkOptions(method=method, spacing=spacing)
+        build = partial(build_network, risk_map, *ends, options)
+        points = build().points
+        seconds = [min(repeat(work, number=1, repeat=7, timer=process_time))
+                   for work in (build, partial(Delaunay, points))]
+        rows.append([f"`{method}`", str(len(points)), *(f"{s:.2f}" for s in seconds)])
+    return table(["network", "nodes", "processor seconds", "Qhull alone"], rows)
 
 
 def picture(trial: Trial, path: Path) -> None:
@@ -239,8 +269,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument("--maps", nargs="+", default=list(GROUNDS), choices=list(GROUNDS))
-    parser.add_argument("--departures", type=int, default=200, help="paths that are measured")
-    parser.add_argument("--draws", type=int, default=1000, help="of which different ones count")
+    parser.add_argument("--departures", type=int, default=1000, help="paths of a map")
+    parser.add_argument("--across", type=int, default=200, help="nodes across in large networks")
     parser.add_argument("--pictures", type=Path, default=Path("out/routes"), help="folder")
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `routes` is replaced"
@@ -253,13 +283,14 @@ def main() -> None:
         except FileNotFoundError as error:
             missing.append(f"`{name}` is left out: {error.filename} is not there.")
             continue
-        trials[name] = run(ground, options.departures, options.draws)
+        trials[name] = run(ground, options.departures)
         picture(trials[name], options.pictures / f"{name}.png")
         print(name, figures_of(trials[name]), file=sys.stderr)
-    before_and_after(trials, options.pictures / "before_and_after.png")
+    if any(trial.papers for trial in trials.values()):
+        before_and_after(trials, options.pictures / "before_and_after.png")
     text = "\n\n".join([
         f"{options.departures} departures a map, in brackets the first version's. {conditions()}.",
-        *missing, routes_table(trials),
+        *missing, routes_table(trials), "### Large networks", networks_table(options.across),
     ])
     print(text)
     write_block(options.results, "routes", text)

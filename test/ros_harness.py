@@ -3,7 +3,6 @@
 import fcntl
 import tempfile
 import threading
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from unittest import mock
@@ -12,6 +11,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
+from handed_on import HandedOn
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
@@ -29,39 +29,12 @@ from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import THREADS, PlannerNode
 from ambush_planner.ros.qos import REQUESTS
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.process import WorkerProcess
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
 SMALL = {'network.spacing': 1.0}
-
-
-class HandedOn(WorkerProcess):
-    """A worker process that a node leaves, idle and well, to the next one in this process.
-
-    To start one takes as long as most tests: it imports numpy and scipy.
-    """
-
-    idle: list[WorkerProcess] = []
-    # A worker dies with the thread that started it, so with none that belongs to a node.
-    _starter = ThreadPoolExecutor(1)
-
-    @classmethod
-    def take(cls):
-        """A worker of another node, or else a new one."""
-        while cls.idle:
-            if (worker := cls.idle.pop()).alive:
-                return worker
-        return cls._starter.submit(cls).result()
-
-    def close(self):
-        """Only a worker that has nothing to do is alive here: ``kill`` ends a solve."""
-        if self.alive:
-            self.idle.append(self)
-        else:
-            super().close()
 
 
 @contextmanager

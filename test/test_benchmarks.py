@@ -166,12 +166,14 @@ def test_the_exponent_of_the_growth(tables):
 def test_routes_are_measured_and_drawn(tmp_path):
     results, pictures = tmp_path / "results.md", tmp_path / "pictures"
     text = run(
-        "routes.py", "--maps", "maze", "--departures", 4, "--draws", 8,
+        "routes.py", "--maps", "maze", "--departures", 8, "--across", 20,
         "--pictures", pictures, "--results", results,
     )
     found = rows(text)
     assert found["accepted by Nav2's rules"][-1] == "100%"
     assert float(found["mean length : any-angle A*"][-1].strip("*")) >= 1.0
+    turning = found["turning [rad]: mean path, least in its corridors"][-1].split(", ")
+    assert float(turning[0]) >= float(turning[1]) > 0.0
     assert text.split("|", 1)[1] in results.read_text().split("|", 1)[1] + "\n"
     assert sorted(path.name for path in pictures.iterdir()) == ["before_and_after.png", "maze.png"]
 

@@ -42,7 +42,7 @@ def dense(poses, parts=20):
     return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
 
 
-@examples(250)
+@examples(150)
 @given(drives())
 def test_the_path_keeps_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive

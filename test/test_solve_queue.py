@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from handed_on import HandedOn
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.core.construction import NetworkOptions
@@ -58,8 +59,8 @@ def queue():
 
 
 def workers():
-    """Process ids of the worker processes that this process has started."""
-    found = []
+    """Process ids of the worker processes of this process that a queue has."""
+    found, idle = [], {worker._process.pid for worker in HandedOn.idle}
     for folder in Path('/proc').glob('[0-9]*'):
         try:
             parent = int((folder / 'stat').read_text().rsplit(')', 1)[1].split()[1])
@@ -68,7 +69,7 @@ def workers():
             continue
         if parent == os.getpid() and b'ambush_planner.worker' in command:
             found.append(int(folder.name))
-    return found
+    return [pid for pid in found if pid not in idle]
 
 
 def begun(queue):

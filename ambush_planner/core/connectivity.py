@@ -20,6 +20,12 @@ TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
 FLAT = 0.25
 # Lattice nodes beyond the border: no triangle of an inner node reaches further.
 FRAME = 3
+# Qhull takes three times as long a point for 40 000 points as for this many.
+PART = 2500
+# Corners round a square of side 1, well outside.
+AROUND = np.array([(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
+# Nodes and their mirror images lie on common circles: who is on one by rounding is not in it.
+ROUNDING = 1e-9
 
 
 def grid8_pairs(node_of: IndexArray) -> IndexArray:
@@ -42,7 +48,7 @@ def delaunay_pairs(
     Their mirror images (F, 2) beyond the map's edge keep nodes along it from being joined over long
     distances, past all others: two nodes are joined where their Voronoi cells meet on the map.
     """
-    triangles = _triangles(np.concatenate((points, mirrored)))
+    triangles = _triangles_by_parts(np.concatenate((points, mirrored)))
     pairs = _triangle_edges(triangles)
     pairs = _unique_pairs(pairs[(pairs < len(points)).all(axis=1)])
     return pairs, triangles[(triangles < len(points)).all(axis=1)]
@@ -74,7 +80,10 @@ def lattice_delaunay_pairs(
     kept = np.asarray(there.ravel()[triangles].all(axis=1))
     kept[kept] = ~_circle_holds(places, triangles[kept], others, there.shape)
     present = np.concatenate((there.ravel(), np.ones(len(others), dtype=bool)))
-    gaps = _gap_triangles(places, present, triangles[~kept], len(others))
+    rim = np.zeros(len(places), dtype=bool)
+    rim[triangles[~kept]] = True
+    rim[-len(others):] = True
+    gaps = _gap_triangles(places, present, rim)
     joined = number[_triangle_edges(np.concatenate((triangles[kept], gaps)))]
     pairs = _unique_pairs(joined[(joined >= 0).all(axis=1)])
     gaps = number[gaps]
@@ -158,13 +167,42 @@ def _circle_holds(
     return holds
 
 
+def _triangles_by_parts(points: FloatArray) -> IndexArray:
+    """What ``_triangles`` finds, from one square of the ground after the other.
+
+    Four corners round a square's nodes make a whole fan of triangles round each of them. Those
+    whose circles lie in the square are triangles of all nodes, too; the corners of the others are
+    triangulated once more.
+    """
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    if len(points) < 2 * PART or not extent.all():
+        return _triangles(points)
+    side = np.sqrt(extent.prod() * PART / len(points))
+    square = np.floor((points - low) / side).astype(np.int64)
+    key = square[:, 0] * (square[:, 1].max() + 1) + square[:, 1]
+    order = np.argsort(key, kind="stable")
+    kept, rim = [], np.zeros(len(points), dtype=bool)
+    for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        corner = low + side * square[part[0]]
+        places = np.concatenate((points[part], corner + side * AROUND))
+        triangles = _triangles(places)
+        centre, radius = _circles(places[triangles])
+        gap = np.minimum(centre - corner, corner + side - centre).min(axis=1)
+        good = (gap > radius) & (triangles < len(part)).all(axis=1)
+        kept.append(part[triangles[good]])
+        others = triangles[~good]
+        rim[part[others[others < len(part)]]] = True
+    gaps = _gap_triangles(points, np.ones_like(rim), rim, ROUNDING)
+    return np.concatenate((*kept, gaps))
+
+
 def _gap_triangles(
-    places: FloatArray, present: BoolArray, removed: IndexArray, beside: int
+    places: FloatArray, present: BoolArray, rim: BoolArray, rounding: float = 0.0
 ) -> IndexArray:
-    """Delaunay triangles of the nodes that are present, where triangles were removed."""
-    rim = np.zeros(len(places), dtype=bool)
-    rim[removed] = True
-    rim[-beside:] = True
+    """Delaunay triangles of the nodes that are present, with all corners on the rim of gaps.
+
+    ``rounding`` is the share of a circle's radius that others may come into it.
+    """
     chosen = np.flatnonzero(rim & present)
     triangles = _triangles(places[chosen])
     if triangles.shape[1] == 2:
@@ -178,7 +216,7 @@ def _gap_triangles(
     real = np.isfinite(radius)
     tree = cKDTree(places[others], balanced_tree=False, compact_nodes=False)
     nearest = tree.query(np.where(real[:, None], centre, 0.0))[0]
-    return triangles[real & (nearest >= radius)]
+    return triangles[real & (nearest >= (1.0 - rounding) * radius)]
 
 
 def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -21,7 +21,7 @@ from .taut_string import Portals, cross, portals_along, taut_string
 
 # Of a portal's width: the margin at first, how much wider it gets where a turn is too tight, in so
 # many passes, and the most.
-MARGIN, WIDER, PASSES, MOST = 0.1, 3.0, 3, 0.49
+MARGIN, WIDER, PASSES, MOST = 0.03, 3.0, 3, 0.49
 # Turns are wanted at least so wide [length of the shorter edge at the node].
 ROUND = 0.3
 # Poses in a turn are at most so far from one another [rad].
