@@ -250,7 +250,7 @@ ROWS = {
         ({'strategy.solver': 'simplex', 'strategy.max_exposure': 2.0}, 'strategy.max_exposure')),
     'a parameter out of its range or of another type': refused_parameters(
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
-    'a parameter that there is not': unknown_parameter,
+    'an unknown parameter': unknown_parameter,
     'two maps in quick succession': two_maps,
     'a map update that does not fit the map, or comes before one': bad_updates,
     'more solves asked for than may wait': full_queue,

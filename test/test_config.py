@@ -73,7 +73,9 @@ def documented_table():
     for row in table.splitlines()[2:]:
         names, defaults = (cell.strip() for cell in row.split('|')[1:3])
         pairs = zip(names.split(', '), defaults.split(', '), strict=True)
-        found |= {name.strip('`'): default.strip('`') for name, default in pairs}
+        for name, default in pairs:
+            assert name.strip('`') not in found, f'{name} has two rows'
+            found[name.strip('`')] = default.strip('`')
     return found
 
 

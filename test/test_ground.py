@@ -295,6 +295,25 @@ def test_a_value_that_rises_is_reported_and_solved_anew_in_the_background(runnin
     assert after['current_value'] == after['value']
 
 
+def test_a_solve_in_the_background_that_is_cancelled_is_not_told_as_going_on(
+        running, monkeypatch):
+    client, go_on, solve = running.client, Event(), WorkerProcess.solve
+    monkeypatch.setattr(
+        WorkerProcess, 'solve', lambda *given: (go_on.wait(TIMEOUT), solve(*given))[1])
+    update(client, 10, 0, np.full((14, 1), 100))
+    assert 'being solved anew' in client.diagnostics(stale='yes', state='solving')['message']
+    try:
+        assert client.call('cancel').success
+    finally:
+        go_on.set()
+    report = client.diagnostics(stale='yes', state='ready', level=b'\1')
+    wait_until(lambda: 'solving it anew was cancelled' in client.diagnostics()['message'],
+               'the news')
+    assert 'new obstacles' in report['message']
+    assert client.call('new_route').success
+    client.diagnostics(stale='no')
+
+
 def test_ground_that_cannot_be_solved_anew_is_told_as_long_as_it_lasts(running):
     client = running.client
     running.planner.set_parameters([Parameter('diagnostics.error_hold', value=0.0)])

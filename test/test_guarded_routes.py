@@ -224,7 +224,7 @@ def test_a_route_that_is_waited_for_when_publishing_ends_is_not_published(monkey
         waiting = client.send('new_route'), client.send('get_plan', call)
         assert begun.wait(TIMEOUT)
         queue = running.planner._dispatcher._plans._solves
-        wait_until(lambda: queue._running.submitted == 2, 'both requests')
+        wait_until(lambda: queue._running.waiters == 2, 'both requests')
         running.planner.set_parameters([Parameter('path.publish', value=False)])
         go_on.set()
         wait_until(lambda: all(each.done() for each in waiting), 'the answers')

@@ -175,6 +175,18 @@ def test_a_solve_in_the_background_gives_way(queue):
     assert outcomes == ['asked', 'last']
 
 
+def test_a_solve_in_the_background_takes_no_room_and_needs_none(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    first = submit(queue, 'first', request(), background=True)
+    submit(queue, 'asked', request(), size=1)
+    last = submit(queue, 'last', request(), size=1, background=True)
+    with pytest.raises(SolveCancelled, match='a later map'):
+        first.result(0.0)
+    assert not last.done()
+    assert queue.cancel() == 3
+
+
 def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -185,6 +197,21 @@ def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
     with pytest.raises(SolveCancelled):
         last.result(0.0)
     assert not first.done()
+
+
+def test_one_in_the_background_is_so_again_when_who_asked_for_it_leaves(queue):
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    kept = submit(queue, 'kept', request(), background=True)
+    queue.withdraw(submit(queue, 'kept', request()))
+    assert not kept.done()
+    asked = submit(queue, 'asked', request())
+    queue.withdraw(asked)
+    with pytest.raises(SolveCancelled, match='nobody waits'):
+        asked.result(0.0)
+    queue.withdraw_background()
+    with pytest.raises(SolveCancelled, match='a later map'):
+        kept.result(0.0)
 
 
 def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):

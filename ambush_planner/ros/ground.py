@@ -21,7 +21,7 @@ from .conditioned import Conditioned
 from .map_in_force import MapInForce
 
 _Cells = npt.NDArray[np.int64]
-# With more new obstacle cells than this it is another map, which nobody looks through.
+# With more new obstacle cells than this it counts as another map: no route is kept.
 _MOST_CELLS = 100_000
 # Where at least a tenth of the routes is clear, one in 10^13 departures needs more.
 _MOST_DRAWS = 300

@@ -45,8 +45,8 @@ class Guard:
 def guard_services(node: Node) -> None:
     """Guard the services that ``node`` has: those of rclpy itself.
 
-    They raise, for instance, at a parameter value of a type that there is not, and at a transition
-    that the node's state does not have.
+    They raise, for instance, at a parameter value of an unknown type, and at a transition that the
+    node's state does not have.
     """
     for service in list(node.services):
         service.callback = partial(_answer_anyway, node, service.srv_name, service.callback)

@@ -46,6 +46,7 @@ class PlanInForce:
         self._reporter, self._clock, self._in_turn = reporter, clock, in_turn
         self.held: HeldPlan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
+        self._anew: Future[HeldPlan] | None = None  # the solve that the diagnostics tell of
 
     def show(self, held: HeldPlan) -> None:
         """Publish the markers of the plan that is in force from now on."""
@@ -80,6 +81,7 @@ class PlanInForce:
             return
         standing = held.ground.standing(newest)
         if not standing.stale(held.plan.strategy.value, tolerance):
+            self._anew = None
             self._plans.withdraw_background()
             self._reporter.stands(standing, '')
             return
@@ -100,12 +102,15 @@ class PlanInForce:
         def shown(solve: Future[HeldPlan]) -> None:
             try:
                 self.show(solve.result())
+            except SolveCancelled:
+                if solve is self._anew:  # and not superseded
+                    self._reporter.stale(f'{why}, and solving it anew was cancelled')
+                return
             except AmbushPlannerError as error:
-                if not isinstance(error, SolveCancelled):
-                    self._reporter.stale(f'{why}, and cannot be solved anew: {error}')
+                self._reporter.stale(f'{why}, and cannot be solved anew: {error}')
                 return
             then()
 
-        solve = self._plans.solve(trip, held.parameters, background=True)
+        solve = self._anew = self._plans.solve(trip, held.parameters, background=True)
         self._reporter.refresh()
         solve.add_done_callback(lambda done: self._in_turn(lambda: shown(done)))

@@ -105,7 +105,7 @@ class Inputs:
         self._goal = received
 
     def set_via(self, received: Received) -> None:
-        """Drive by way of these poses from now on, in their order; of none where there are none."""
+        """Drive by way of these poses from now on, in their order; an empty array clears them."""
         self._via = received if received.message.poses else None
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:

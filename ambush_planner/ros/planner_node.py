@@ -278,7 +278,7 @@ def main(args: list[str] | None = None) -> int:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
     finally:
-        # Those who wait are answered, and the last recordings written, as the node is destroyed.
+        # Waiting requests are answered, and the last recordings written, as the node is destroyed.
         if node is not None:
             node.stop_solving(executor)
         if executor is not None:

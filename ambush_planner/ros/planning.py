@@ -226,7 +226,7 @@ def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
     return (
         trip.map.same_ground(other.map)
         and _options(used) == _options(parameters)
-        and len(set(limits)) == 1  # whoever allows another time waits for another solve
+        and len(set(limits)) == 1  # another time limit is another solve
         and other.goal_tolerance == trip.goal_tolerance
         and _by_way_of(other, used) == _by_way_of(trip, parameters)
         and _apart(other, trip) <= _tolerance(parameters, spacing)

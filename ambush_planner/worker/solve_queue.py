@@ -27,17 +27,22 @@ _Outcome = TypeVar('_Outcome')
 class _Solve(Generic[_Outcome]):
     """A solve that waits or runs; ``cancelled`` says why, once it is.
 
-    Nobody waits for one in the background.
+    So many ``waiters`` wait for it; where there are none, it is one in the background. ``lasting``
+    says that it is wanted without them, too.
     """
 
     key: Hashable
     request: PlanRequest
     finish: Callable[[Plan], _Outcome]
-    background: bool
+    lasting: bool
+    waiters: int
     outcome: Future[_Outcome] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
-    submitted: int = 1
+
+    @property
+    def background(self) -> bool:
+        return not self.waiters
 
 
 class SolveQueue(Generic[_Outcome]):
@@ -78,7 +83,7 @@ class SolveQueue(Generic[_Outcome]):
         finish
             Makes the outcome of the plan, in the thread of the queue.
         size
-            How many solves may wait, beside the one that runs.
+            How many solves may wait, beside the one that runs and the one in the background.
         background
             Nobody waits for it: it is put behind those that somebody waits for, and takes the
             place of others in the background that have not begun.
@@ -95,28 +100,28 @@ class SolveQueue(Generic[_Outcome]):
                 raise SolveCancelled(_CLOSING)
             solve = self._same(key)
             if solve is not None:
-                solve.background = solve.background and background
-                solve.submitted += 1
+                solve.lasting = solve.lasting or background
+                solve.waiters += not background
                 return solve.outcome
             superseded = self._drop_background() if background else []
             waiting = sum(not each.background for each in self._waiting.values())
             # Where none runs yet, the first of those that wait is about to.
-            if waiting - (self._running is None) >= size:
+            if not background and waiting - (self._running is None) >= size:
                 raise QueueFull(self._what_is_busy(size))
-            solve = _Solve(key, request, finish, background)
+            solve = _Solve(key, request, finish, background, int(not background))
             self._waiting[key] = solve
             self._condition.notify()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
     def withdraw(self, outcome: Future[_Outcome]) -> None:
-        """Take one submission back: a solve that nobody waits for any more is ended."""
+        """Tell that one who asked no longer waits: a solve that nobody wants any more is ended."""
         with self._condition:
             here = [each for each in (self._running, *self._waiting.values())
                     if each is not None and each.outcome is outcome]
             for solve in here:
-                solve.submitted -= 1
-            ended = [solve for solve in here if not solve.submitted]
+                solve.waiters -= 1
+            ended = [solve for solve in here if not solve.waiters and not solve.lasting]
             if self._running in ended:
                 self._end_running(_WITHDRAWN)
             waited = [self._waiting.pop(each.key) for each in ended if each is not self._running]
