@@ -92,7 +92,14 @@ def leave_network(forger, rng):
 
 
 def change_source(forger, rng):
-    forger.set_entry('route_entropy_source', [int(rng.integers(2**62))])
+    """Another source, of another route: by chance it could draw the same."""
+    strategy = Case(forger.recorded).strategy()
+    while True:
+        source = int(rng.integers(2**62))
+        drawn = strategy.sample_route(np.random.default_rng([source]))
+        if drawn.tolist() != forger.entry('route'):
+            break
+    forger.set_entry('route_entropy_source', [source])
 
 
 def longer_source(forger, rng):
