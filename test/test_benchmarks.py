@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import ambush_planner
-from ambush_planner import RiskMap
+from ambush_planner import RiskMap, solve
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / "benchmarks"
 SECTIONS = (
@@ -83,6 +83,17 @@ def test_random_games_of_any_kind(tmp_path):
     text = run("random_games.py", "--count", 2, "--results", tmp_path / "results.md")
     assert rows(text)["**failures**"] == ["**0**"]
     assert "seed" in text and "held against HiGHS" in text
+
+
+def test_a_random_game_that_failed_once(monkeypatch):
+    """Safe routes, no length to spare: the law alone never fits to the last digit."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    import random_games
+
+    case = random_games.draw_case(100436, random_games.available())
+    strategy = solve(case.network, case.game, case.strategy)
+    assert strategy.value == 0.0
+    assert strategy.expected_length == pytest.approx(strategy.shortest_length, rel=1e-9)
 
 
 @pytest.mark.slow

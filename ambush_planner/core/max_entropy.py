@@ -142,16 +142,14 @@ class _Search:
         safe = self.game.past_all_sites()
         if safe is None:
             return None
-        rank = rank_by(self.potential)
+        rank, shortest = rank_by(self.potential), always_shortest(safe)
         part = forward_part(safe, rank)
         if part is None:
-            rank = rank_around(safe, always_shortest(safe), self.potential)
+            rank = rank_around(safe, shortest, self.potential)
             part = forward_part(safe, rank)
         assert part is not None  # it holds a shortest route
         found = self._law(part, rank, np.zeros(len(self.game.sites)))
-        if found.law is None or not self._fits(found.p):
-            return None
-        return replace(found, q=indifferent_ambusher(self.game))
+        return self._within(replace(found, q=indifferent_ambusher(self.game)), shortest, 0.0)
 
     def by_cut(self) -> Outcome | None:
         """The plain game where the budgets leave the least value as it is.
