@@ -80,7 +80,7 @@ def test_all_solvers_agree_on_the_smallest_size(tmp_path):
 
 @pytest.mark.slow
 def test_random_games_of_any_kind(tmp_path):
-    text = run("random_games.py", "--count", 2, "--results", tmp_path / "results.md")
+    text = run("random_games.py", "--count", 1, "--results", tmp_path / "results.md")
     assert rows(text)["**failures**"] == ["**0**"]
     assert "seed" in text and "held against HiGHS" in text
 

@@ -73,7 +73,7 @@ def test_the_core_imports_and_solves_with_ros_blocked():
 
 @pytest.mark.parametrize("command", ["terrain", "table"])
 def test_commands_that_take_no_recordings_need_no_ros(command):
-    module = f"ambush_planner.tools.{command}_run"
+    module = f"ambush_planner.tools.{command}"
     pytest.importorskip("matplotlib", reason="the preview takes the extra figures")
     seen = f"import sys, {module}; print([m for m in sys.modules if m in ('rclpy', 'nav_msgs')])"
     done = subprocess.run(

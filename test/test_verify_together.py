@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from mcap.records import Channel, Schema
 from ros_harness import pose, stage
 from two_faced import assembled, encoded, split
 
-from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.recording import read_departure, recorder, recordings_in
 from ambush_planner.recording.mcap_file import decode, encode
 from ambush_planner.review.verify import Verifier
 from ambush_planner.tools import verify as tool
@@ -224,7 +225,15 @@ def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
     assert run().returncode != 0
 
 
-def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check):
+def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check, monkeypatch):
+    class Frozen(datetime):
+        """Both nodes start in the same second."""
+
+        @classmethod
+        def now(cls, tz=None):
+            return cls(2026, 1, 2, 3, 4, 5, tzinfo=tz)
+
+    monkeypatch.setattr(recorder, 'datetime', Frozen)
     for folder in ('first', 'second'):
         with stage(tmp_path / folder) as running:
             assert running.give().call('new_route').success
@@ -234,7 +243,8 @@ def test_sessions_of_two_nodes_may_have_chains_of_their_own(tmp_path, check):
     for name, path in (('first', one), ('second', two)):
         shutil.copytree(path.parent, joined / name)
     code, found = check(joined)
-    assert code == 0 and 'begins a chain of its own' in found['notes'][0]
+    assert code == 0, found
+    assert 'begins a chain of its own' in found['notes'][0]
 
 
 @pytest.mark.parametrize(('change', 'said'), [

@@ -26,7 +26,7 @@ def ground(seed, changed=()):
     return risk_map_from_occupancy(values, 0.5)
 
 
-@examples(10)
+@examples(5)
 @given(
     st.integers(0, 99), st.sampled_from((0.0, 2.0)), st.sampled_from((1.1, 1.3, np.inf)),
     st.lists(st.tuples(st.integers(0, 23), st.integers(4, 19), st.sampled_from((0, 80, 100))),

@@ -58,8 +58,9 @@ def chain_faults(verdicts: Sequence[Verdict]) -> tuple[list[str], list[str]]:
         if link.file != name:
             faults.append(f'{_shown(name)} is moved: it was recorded as {_shown(link.file)}')
         if not link.follows:
-            earlier = set(map(_session, names[:number]))
-            if _session(name) in earlier:
+            # Nodes that started in the same second named their sessions alike.
+            earlier = {_place(before) for before in verdicts[:number]}
+            if _place(each) in earlier:
                 faults.append(f'{_shown(name)} is inserted: it follows nothing')
             elif earlier:
                 notes.append(f'{_shown(name)} begins a chain of its own')
@@ -125,6 +126,10 @@ def _number_faults(verdicts: Sequence[Verdict]) -> list[str]:
         if each.number and (other := first.setdefault(each.number, each.path.name))
         != each.path.name
     ]
+
+
+def _place(verdict: Verdict) -> tuple[Path, str]:
+    return verdict.path.parent, _session(verdict.path.name)
 
 
 def _session(name: str) -> str:
