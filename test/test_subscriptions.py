@@ -7,26 +7,21 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from ros_harness import risk_grid, stage, wait_until
+from waiting import stderr_in
 
 INFO = re.compile(r'^\[INFO\].*\[ambush_planner\]: (.*)$', re.MULTILINE)
 
 
-def test_maps_plans_and_departures_are_told_in_a_line_each(capfd):
-    with stage() as running:
+def test_maps_plans_and_departures_are_told_in_a_line_each(tmp_path):
+    with stderr_in(tmp_path / 'log') as said, stage() as running:
         client = running.give(risk_grid(np.full((12, 30), 20, np.int8)), (1.5, 3.0), (13.5, 3.0))
         assert client.call('new_route').success
         assert client.call('new_route').success
         identity = client.diagnostics(departures='2')['departure_id']
         client.publish('alpha_map', risk_grid(np.full((12, 30), 20, np.int8)))  # the same again
         client.publish('alpha_map', risk_grid(np.full((14, 30), 20, np.int8)))
-        said, told = [], []
-
-        def heard(count):
-            said.append(capfd.readouterr().err)
-            told[:] = INFO.findall(''.join(said))
-            return sum('map accepted' in line for line in told) == count
-
-        wait_until(lambda: heard(2), 'the second map')
+        wait_until(lambda: said().count('map accepted') == 2, 'the second map')
+    told = INFO.findall(said())
     maps = [line for line in told if 'map accepted' in line]
     assert maps == ["map accepted: 30 x 12 cells of 0.5 m in the frame 'map'",
                     "map accepted: 30 x 14 cells of 0.5 m in the frame 'map'"]
