@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from io import BytesIO
+from unittest import mock
 
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
@@ -13,6 +15,8 @@ from ros_harness import pose, stage
 
 from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
 from ambush_planner.review.case import TYPES
+from ambush_planner.review.verify import Verifier
+from ambush_planner.tools import verify
 
 TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
@@ -48,8 +52,15 @@ def _recorded(folder):
     return files
 
 
-class KeptVerifier:
-    """Stands for the Verifier of a command; its worker and solves serve all calls of a module."""
+@contextmanager
+def one_verifier():
+    """A Verifier, which the command in this process uses, too: all share its worker and solves."""
+    with Verifier() as verifier, mock.patch.object(verify, 'Verifier', _Kept(verifier)):
+        yield verifier
+
+
+class _Kept:
+    """Stands for the class: each time that one is made, it is the same, and has seen nothing."""
 
     def __init__(self, verifier):
         self._verifier = verifier
@@ -58,7 +69,7 @@ class KeptVerifier:
         return self
 
     def __enter__(self):
-        self._verifier._seen.clear()  # it knows no departures from before
+        self._verifier._seen.clear()
         return self._verifier
 
     def __exit__(self, *_):

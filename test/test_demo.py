@@ -38,7 +38,7 @@ TYPES = {
 }
 
 
-# The command, with one budget instead of five: test_frontier has the others.
+# The command, with one budget instead of four: test_frontier has more.
 COMMAND = """
 import sys
 from ambush_planner.tools import demo

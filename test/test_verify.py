@@ -12,7 +12,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, KeptVerifier, record_runs
+from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, one_verifier, record_runs
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
 
@@ -36,17 +36,10 @@ def files(tmp_path_factory):
     return record_runs(tmp_path_factory)
 
 
-@pytest.fixture(scope='module')
-def worker():
-    """One worker process for all that is planned here."""
-    with Verifier() as verifier:
+@pytest.fixture(scope='module', autouse=True)
+def verifier():
+    with one_verifier() as verifier:
         yield verifier
-
-
-@pytest.fixture(autouse=True)
-def one_worker(worker, monkeypatch):
-    """The command in this process plans in the module's worker."""
-    monkeypatch.setattr(tool, 'Verifier', KeptVerifier(worker))
 
 
 def verified(place, capsys):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from forgeries import FORGERIES
 from forgeries_hidden import NOT_COVERED
-from forging import AGAIN, NEW_ROUTE, TEXTS, Forger, KeptVerifier, record_runs
+from forging import AGAIN, NEW_ROUTE, TEXTS, Forger, one_verifier, record_runs
 
 from ambush_planner.recording import read_departure
 from ambush_planner.recording.mcap_file import decode, encode
-from ambush_planner.review.verify import Verifier
 from ambush_planner.tools import verify as tool
 
 
@@ -26,17 +25,10 @@ def verified(path, capsys):
     return code, out
 
 
-@pytest.fixture(scope='module')
+@pytest.fixture(scope='module', autouse=True)
 def verifier():
-    """One worker process for all that is planned here."""
-    with Verifier() as verifier:
+    with one_verifier() as verifier:
         yield verifier
-
-
-@pytest.fixture(autouse=True)
-def one_worker(verifier, monkeypatch):
-    """The command in this process plans in the module's worker."""
-    monkeypatch.setattr(tool, 'Verifier', KeptVerifier(verifier))
 
 
 def test_the_untouched_recordings_hold(files, verifier):

@@ -11,14 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from forging import GET_PLAN, NEW_ROUTE, Forger, KeptVerifier, record_runs
+from forging import GET_PLAN, NEW_ROUTE, Forger, one_verifier, record_runs
 from mcap.records import Channel, Schema
 from ros_harness import pose, stage
 from two_faced import assembled, encoded, split
 
 from ambush_planner.recording import read_departure, recorder, recordings_in
 from ambush_planner.recording.mcap_file import decode, encode
-from ambush_planner.review.verify import Verifier
 from ambush_planner.tools import verify as tool
 
 
@@ -27,10 +26,9 @@ def recorded(tmp_path_factory):
     return record_runs(tmp_path_factory)
 
 
-@pytest.fixture(scope='module')
-def worker():
-    """One worker process for all that is planned here."""
-    with Verifier() as verifier:
+@pytest.fixture(scope='module', autouse=True)
+def verifier():
+    with one_verifier() as verifier:
         yield verifier
 
 
@@ -40,18 +38,16 @@ def runs(recorded, tmp_path):
     return shutil.copytree(recorded[0].parent.parent, tmp_path / 'runs')
 
 
-def result(capsys, monkeypatch, worker, *arguments):
-    """The exit code and the result as JSON; solves are kept between calls."""
-    monkeypatch.setattr(tool, 'Verifier', KeptVerifier(worker))
-    code = tool.main([*map(str, arguments), '--json'])
-    out, err = capsys.readouterr()
-    assert 'Traceback' not in out + err
-    return code, json.loads(out)
-
-
 @pytest.fixture
-def check(capsys, monkeypatch, worker):
-    return lambda *arguments: result(capsys, monkeypatch, worker, *arguments)
+def check(capsys):
+    """The command's exit code and its result as JSON; solves are kept between calls."""
+    def result(*arguments):
+        code = tool.main([*map(str, arguments), '--json'])
+        out, err = capsys.readouterr()
+        assert 'Traceback' not in out + err
+        return code, json.loads(out)
+
+    return result
 
 
 def test_each_file_states_the_hash_of_the_one_before_it(runs):
@@ -375,32 +371,32 @@ MANIPULATIONS = {
 
 
 @pytest.mark.parametrize('change', MANIPULATIONS, ids=lambda each: each.__name__)
-def test_what_stands_around_a_departure_is_checked(recorded, tmp_path, worker, change):
+def test_what_stands_around_a_departure_is_checked(recorded, tmp_path, verifier, change):
     path = shutil.copy(recorded[GET_PLAN], tmp_path / 'x.mcap')
     content_of(path, change)
-    verdict = worker.verify(path)
+    verdict = verifier.verify(path)
     assert any(MANIPULATIONS[change] in each for each in verdict.problems), verdict.problems
 
 
-def test_a_channel_without_messages_is_found(recorded, tmp_path, worker):
+def test_a_channel_without_messages_is_found(recorded, tmp_path, verifier):
     section, summary = split(recorded[NEW_ROUTE].read_bytes())
     extra = encoded(Channel(77, '/hidden', 'cdr', {'note': 'x'}, 1))
     path = tmp_path / 'x.mcap'
     path.write_bytes(assembled(
         [*(raw for _, raw, _ in section), extra], [*(raw for _, raw, _ in summary), extra]
     ))
-    assert not worker.verify(path).holds
+    assert not verifier.verify(path).holds
 
 
 def short_source(forger):
     forger.set_entry('route_entropy_source', [3])
 
 
-def test_a_short_random_source_is_found(recorded, tmp_path, worker):
+def test_a_short_random_source_is_found(recorded, tmp_path, verifier):
     forger = Forger(recorded[NEW_ROUTE])
     short_source(forger)
     forger.correct()
-    problems = worker.verify(forger.save(tmp_path / 'x.mcap')).problems
+    problems = verifier.verify(forger.save(tmp_path / 'x.mcap')).problems
     assert 'route_entropy_source: it has fewer than 192 bits' in problems
 
 
@@ -412,7 +408,7 @@ def test_names_of_files_cannot_write_to_the_terminal(recorded, tmp_path, capsys)
     assert '\x1b' not in out + err and 'a\\x1b[2Jb\\n.mcap' in out
 
 
-def test_cells_that_the_network_was_built_from_are_covered(recorded, tmp_path, worker):
+def test_cells_that_the_network_was_built_from_are_covered(recorded, tmp_path, verifier):
     """Any change that alters an edge or a node's loss is found; what does not is no matter."""
     rng = np.random.default_rng(4)
     found = 0
@@ -423,7 +419,7 @@ def test_cells_that_the_network_was_built_from_are_covered(recorded, tmp_path, w
         new = 100 if grid.data[cell] != 100 else 0
         forger.edit(forger.place('map'), lambda m, c=cell, v=new: m.data.__setitem__(c, v))
         forger.correct()
-        verdict = worker.verify(forger.save(tmp_path / f'{number}.mcap'))
+        verdict = verifier.verify(forger.save(tmp_path / f'{number}.mcap'))
         found += not verdict.holds
-        worker._seen.clear()
+        verifier._seen.clear()
     assert found > 2
