@@ -171,7 +171,7 @@ def test_the_exponent_of_the_growth(tables):
 def test_routes_are_measured_and_drawn(tmp_path):
     results, pictures = tmp_path / "results.md", tmp_path / "pictures"
     text = run(
-        "routes.py", "--maps", "maze", "--departures", 8, "--across", 20,
+        "routes.py", "--maps", "maze", "--departures", 8, "--nodes", 1000, "--across", 20,
         "--pictures", pictures, "--results", results,
     )
     found = rows(text)
