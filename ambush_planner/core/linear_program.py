@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import OptimizeResult
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
@@ -18,6 +18,9 @@ from .game import Game
 from .least_risk import conservation, first_unit
 from .max_entropy import Outcome
 from .routes import always_shortest
+
+if TYPE_CHECKING:  # see most_entropy
+    from scipy.optimize import OptimizeResult
 
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
