@@ -159,7 +159,7 @@ def test_a_listener_that_stands_still_for_a_while_loses_nothing(departure, tmp_p
 
         listener = started('-c', LISTENER, stdout=subprocess.PIPE)
         assert listener.stdout.readline() == 'listening\n'
-        replay = started('-m', 'ambush_planner.tools.replay', str(tmp_path), '--every', '10',
+        replay = started('-m', 'ambush_planner.tools.cli', 'replay', str(tmp_path), '--every', '10',
                          '--', '/goal_pose', stderr=subprocess.PIPE)
         assert listener.stdout.readline() == 'received\n'
         listener.send_signal(signal.SIGSTOP)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -32,11 +31,6 @@ A comparison that fails is a finding.
 --json: {"verdict", "folder", "failed": [statements], "seconds"}
 """ + cli.EXIT_CODES
 BEGIN, END = '<!-- ambush_paper: begin -->', '<!-- ambush_paper: end -->'
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Repeat the paper and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -71,12 +65,11 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     failed = [comparison.statement for comparison in comparisons if not comparison.holds]
     for statement in failed:
         console.error(f'does not hold: {statement}')
-    code = cli.Exit.FINDING if failed else cli.Exit.HOLDS
     console.result = {
-        'verdict': code.name.lower(), 'folder': cli.place(options.output), 'failed': failed,
+        'folder': cli.place(options.output), 'failed': failed,
         'seconds': round(time.monotonic() - begin, 1),
     }
-    return code
+    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
 def _compute(folder: Path, docs: Path | None, say: Say) -> tuple[Results, list[Comparison]]:
@@ -128,5 +121,4 @@ def _as_json(results: Results, comparisons: Sequence[Comparison]) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + '\n'
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,11 +35,6 @@ have been drawn at all is found all the same.
 {"recorded", "by_chance", "p_value", "finding"}}, "impossible", "random_source", "unreadable",
 "not_audited", "needed"}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Audit recordings and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -138,7 +131,6 @@ def _as_json(found: Outcome) -> dict[str, Any]:
         for name, test in (result.tests.items() if result else ())
     }
     return {
-        'verdict': found.code.name.lower(),
         'departures': len(found.departures),
         'strategies': found.strategies,
         'false_alarm_rate': result.false_alarm_rate if result else None,
@@ -162,5 +154,4 @@ def _rate(text: str) -> float:
     return rate
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

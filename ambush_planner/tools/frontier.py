@@ -37,11 +37,6 @@ A row without a strategy is a finding.
 """ + cli.EXIT_CODES
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write table and picture and return the exit code."""
-    return cli.run(parser(), _work, arguments)
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser(
@@ -90,9 +85,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
         f'\n{cli.place(arguments.output)}, {picture.name}: {len(network.points)} nodes'
     )
     console.result = {
-        'verdict': 'finding' if failed else 'holds',
-        'table': cli.place(arguments.output),
-        'rows': [asdict(row) for row in rows],
+        'table': cli.place(arguments.output), 'rows': [asdict(row) for row in rows],
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
@@ -171,5 +164,4 @@ def _show_progress(row: FrontierRow) -> None:
               end='\r', file=sys.stderr, flush=True)
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import chain, count
 from pathlib import Path
 from typing import Any
@@ -29,11 +28,6 @@ broken in it as a copy of its bytes.
 """ + cli.EXIT_CODES.replace('1 a finding', '1 something was lost')
 # What the recorder and its crashes leave.
 _NAME = re.compile(r'(?P<stem>.+?)\.mcap(\.tmp)?')
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Recover a file or a folder and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -68,11 +62,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     if source.is_dir():
         for folder in dict.fromkeys(target.parent for _, target in jobs):
             list_files(folder)
-    code = next(
-        each for each in (cli.Exit.FINDING, cli.Exit.UNREADABLE, cli.Exit.HOLDS) if each in codes
-    )
-    console.result = {'verdict': code.name.lower(), 'files': results}
-    return code
+    console.result = {'files': results}
+    # Something lost goes before something that cannot be read.
+    return min(set(codes) - {cli.Exit.HOLDS}, default=cli.Exit.HOLDS)
 
 
 def _jobs(source: Path, output: Path | None) -> Iterator[tuple[Path, Path]]:
@@ -153,5 +145,4 @@ def _stem(path: Path) -> str:
     return match['stem'] if match else path.stem
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

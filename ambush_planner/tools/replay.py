@@ -65,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with Stop() as stop:
             return _Replay(options, topics, console, stop).run(for_ros)
 
-    return cli.run(parser(), work, own)
+    return cli.run(parser, work, own)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -133,8 +133,7 @@ class _Replay:
             rclpy.try_shutdown()
         code = cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
         self._console.result = {
-            'verdict': code.name.lower(), 'published': dict(self._published),
-            'unreadable': list(self._unreadable.values()),
+            'published': dict(self._published), 'unreadable': list(self._unreadable.values()),
         }
         return code
 
@@ -289,7 +288,3 @@ def _number(text: str, good: Callable[[float], bool], what: str) -> float:
     if not good(number):
         raise argparse.ArgumentTypeError(f'must be a number {what}, got {text!r}')
     return number
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -11,8 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -104,11 +103,6 @@ def rviz_text(scene: Scene) -> str:
 def foxglove_text(scene: Scene) -> str:
     """Return the layout for Foxglove and Lichtblick."""
     return json.dumps(_foxglove(scene), indent=2) + '\n'
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write both files and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -339,5 +333,4 @@ def _short(number: float) -> float:
     return float(f'{number:.4g}')
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)
