@@ -40,7 +40,7 @@ from .draws import NotAuditable
 from .groups import Driven, expected_by_law, expected_of_sets, groups_of, owners
 from .learning import Learning, learning_from
 from .places import ground_of
-from .tallies import Order, Tallies, identical_pairs
+from .tallies import Order, Tallies, deviations, identical_pairs
 
 # With fewer, hardly anything but one route driven again and again would be found.
 FEWEST_DEPARTURES = 5
@@ -184,12 +184,13 @@ def audit(
         # Days have no law of single departures: what all sets have on average takes its place.
         expected, variance = expected_of_sets(tallies.passages)
         surprise = surprise - surprise.mean()
-    by_lag, deviations = tallies.order()
+    by_lag = tallies.order()
+    standard, band = deviations(by_lag)
     n = len(departures)
     found = {
         'frequency': _compared(tallies.frequency(expected, variance), n),
         'surprise': _compared(np.abs(surprise), n),
-        'order': _compared(np.abs(deviations.standard).max(axis=1), n),
+        'order': _compared(np.abs(standard).max(axis=1), n),
         'repeats': _compared(identical_pairs(tallies.known.T), n),
     }
     entropy = float(np.mean([groups[k].many.entropy for k in owners(groups, n)]))
@@ -209,7 +210,7 @@ def audit(
         order=Order(
             frozen_array(by_lag[0], np.float64),
             frozen_array(by_lag[1:].mean(axis=0), np.float64),
-            frozen_array(deviations.band, np.float64),
+            frozen_array(band, np.float64),
             float(by_lag[0].mean()),
             ground.square,
         ),
