@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -52,14 +51,9 @@ def parser() -> argparse.ArgumentParser:
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
     from .figures import draw_all  # --help needs no matplotlib
 
-    begin = time.monotonic()
-
-    def say(text: str) -> None:
-        console.say(f'{time.monotonic() - begin:5.1f} s  {text}')
-
     options.output.mkdir(parents=True, exist_ok=True)
-    results, comparisons = _compute(options.output, options.docs, say)
-    draw_all(results, options.output, say)
+    results, comparisons = _compute(options.output, options.docs, console.step)
+    draw_all(results, options.output, console.step)
     console.line(report(results))
     console.line(f'{cli.place(options.output)}: results.json, tables.md and the figures')
     failed = [comparison.statement for comparison in comparisons if not comparison.holds]
@@ -67,7 +61,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
         console.error(f'does not hold: {statement}')
     console.result = {
         'folder': cli.place(options.output), 'failed': failed,
-        'seconds': round(time.monotonic() - begin, 1),
+        'seconds': round(console.seconds, 1),
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 

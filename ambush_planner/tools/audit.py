@@ -6,9 +6,9 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from ..audit.departures import FEWEST_DEPARTURES, Driven, audit
-from ..audit.draws import ManyRoutes, NotAuditable
-from ..core.strategy import Strategy
+from ..audit.departures import FEWEST_DEPARTURES, LEAST_RATE, Driven, audit
+from ..audit.draws import ManyRoutes
+from ..core.acyclic import is_acyclic
 from ..recording import UnreadableRecording, recordings_in
 from ..review.departures import Departure, read_departures, source_findings
 from . import audit_text, cli
@@ -90,8 +90,9 @@ def _outcome(
     departures: list[Departure], unreadable: list[UnreadableRecording], rate: float,
     console: cli.Console,
 ) -> Outcome:
-    walkers = {id(each.law): _walkers(each.law) for each in departures}
-    audited = [each for each in departures if walkers[id(each.law)]]
+    laws = {id(each.law): each.law for each in departures}
+    acyclic = {key for key, law in laws.items() if is_acyclic(law.network, law.edge_probability)}
+    audited = [each for each in departures if id(each.law) in acyclic]
     console.say(f'auditing {cli.count(len(audited), "departure")}')
     result = None
     if len(audited) >= FEWEST_DEPARTURES:
@@ -99,7 +100,8 @@ def _outcome(
         result = audit(driven, rate, console.bar('audited'))
     # What cannot have been drawn at all can be said of any number of departures.
     impossible = result.impossible if result else sum(
-        walkers[id(each.law)].recorded([each.route])[1] for each in audited
+        ManyRoutes(each.law.network, each.law.edge_probability).recorded([each.route])[1]
+        for each in audited
     )
     sources = source_findings((each.path.name, each.metadata) for each in departures)
     sources += [
@@ -107,13 +109,6 @@ def _outcome(
         for each in departures if each.parameters.seed >= 0
     ]
     return Outcome(departures, audited, result, impossible, sources, unreadable)
-
-
-def _walkers(strategy: Strategy) -> ManyRoutes | None:
-    try:
-        return ManyRoutes(strategy.network, strategy.edge_probability)
-    except NotAuditable:
-        return None
 
 
 def _pictures(found: Outcome) -> dict[str, bytes]:
@@ -149,8 +144,8 @@ def _rate(text: str) -> float:
         rate = float(text)
     except ValueError:
         rate = 0.0
-    if not 0.001 <= rate <= 0.5:
-        raise argparse.ArgumentTypeError(f'must be a number from 0.001 to 0.5, got {text!r}')
+    if not LEAST_RATE <= rate <= 0.5:
+        raise argparse.ArgumentTypeError(f'must be a number from {LEAST_RATE} to 0.5, got {text!r}')
     return rate
 
 

@@ -119,6 +119,7 @@ class Console:
     def __init__(self, command: str, *, as_json: bool, quiet: bool) -> None:
         self._command, self._json, self._quiet = command, as_json, quiet
         self._colour = sys.stdout.isatty() and 'NO_COLOR' not in os.environ
+        self._begin = time.monotonic()
         self.result: dict[str, Any] = {}
 
     def line(self, text: str = '') -> None:
@@ -140,6 +141,15 @@ class Console:
         """Tell the progress."""
         if not self._quiet:
             print(text, file=sys.stderr, flush=True)
+
+    @property
+    def seconds(self) -> float:
+        """How long the command has been running."""
+        return time.monotonic() - self._begin
+
+    def step(self, text: str) -> None:
+        """Tell what comes next, with the time so far."""
+        self.say(f'{self.seconds:5.1f} s  {text}')
 
     def error(self, text: object) -> None:
         """Tell what is wrong, on standard error, also when quiet."""

@@ -72,11 +72,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
     # Ended from outside, it still takes its node along.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    begin = time.monotonic()
-
-    def say(text: str) -> None:
-        console.say(f'{time.monotonic() - begin:5.1f} s  {text}')
-
+    say = console.step
     folder = Path(os.path.abspath(options.output))
     folder.mkdir(parents=True, exist_ok=True)
     before = set(folder.rglob('*.mcap'))
@@ -100,7 +96,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     write_durably(folder / 'routes.png', as_png(figure))
     say('frontier.png: what another length budget, or more risk, would buy')
     _sweep(strategy, folder)
-    total = time.monotonic() - begin
+    total = console.seconds
     console.line(table(strategy, paths, [*seconds, total]))
     console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
                  'frontier.csv, node.log and the recordings')

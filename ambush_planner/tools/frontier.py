@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from io import BytesIO, StringIO
+from itertools import count
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -74,9 +74,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     network = build_network(
         risk_map, tuple(arguments.start), tuple(arguments.goal), options.network
     )
+    detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
+    bar, solved = console.bar('budgets solved'), count(1)
     rows = frontier(
-        network, options.game, arguments.detours or DETOURS, arguments.slacks or SLACKS,
-        options.strategy, _show_progress,
+        network, options.game, detours, slacks, options.strategy,
+        lambda row: bar(next(solved) / (len(detours) + len(slacks))),
     )
     write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     failed = any(row.error for row in rows)
@@ -155,13 +157,6 @@ def table_text(rows: Sequence[FrontierRow]) -> str:
         else ''.join(f'{cell:>14}' for cell in line[:2]) + f'  {line[2]}'
         for line in lines
     )
-
-
-def _show_progress(row: FrontierRow) -> None:
-    """A line that is written over on a terminal, nothing elsewhere."""
-    if sys.stderr.isatty():
-        print(f'\r{row.swept} {getattr(row, row.swept):g}: value {row.value:.4g}    ',
-              end='\r', file=sys.stderr, flush=True)
 
 
 main = cli.command(parser, _work)

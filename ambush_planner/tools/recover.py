@@ -12,7 +12,7 @@ from typing import Any
 
 from ..recording.durable import make_private_folders, write_durably
 from ..recording.errors import UnreadableRecording, reading_from
-from ..recording.mcap_file import BadFile, Content, decode, encode, whole_part
+from ..recording.mcap_file import Content, encode, whole_part
 from ..recording.reader import is_session, natural_order, read_bytes
 from ..recording.repair import list_files
 from . import cli
@@ -95,11 +95,6 @@ def _recover(path: Path, target: Path, copies: bool) -> dict[str, Any]:
     """Save a file, and return what was saved and lost in numbers; never what it says."""
     data = read_bytes(path)
     content, fault = whole_part(data)
-    if not fault:
-        try:
-            decode(data)
-        except BadFile as error:
-            fault = str(error)
     saved = (copies or bool(fault)) and any(
         (content.messages, content.metadata, content.attachments)
     )
