@@ -82,11 +82,7 @@ def read_departure(path: Path | str) -> RecordedDeparture:
         The file is missing, damaged, or no departure of this format.
     """
     path = Path(path)
-    return departure_from(path, read_bytes(path))
-
-
-def departure_from(path: Path, data: bytes) -> RecordedDeparture:
-    """Read the departure in the bytes of a file; raises as ``read_departure``."""
+    data = read_bytes(path)
     try:
         content = decode(data)
     except BadFile as error:
