@@ -40,7 +40,8 @@ class GameOptions:
     ambushers
         Number of different sites held at once; their losses add up.
     ambush_in_obstacles
-        With a reach, the ambusher can also hide in obstacle cells (``Network.cover_points``).
+        With a reach, the ambusher can also hide in obstacle cells: a plan makes them nodes that
+        no edge leads to.
 
     Raises
     ------
@@ -165,8 +166,6 @@ def make_game(network: Network, options: GameOptions) -> Game:
     InvalidOption
         There are more ambushers than nodes.
     """
-    if options.ambush_in_obstacles and options.ambush_radius > 0.0:
-        network = network.with_cover()
     if options.ambushers > network.place_count:
         raise InvalidOption(
             f"{options.ambushers} ambushers need as many different sites, and the network has "
