@@ -274,7 +274,7 @@ def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) ->
     if not options.game.ambush_in_obstacles or radius == 0.0:
         return network
     spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, radius, spacing).with_cover()
+    return with_hiding_places(network, risk_map, radius, spacing)
 
 
 def _tube(options: PlanningOptions, spacing: float) -> float | None:
