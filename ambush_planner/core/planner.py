@@ -234,7 +234,8 @@ def _different_paths(
     strategy: Strategy, corridors: Corridors, drive: DriveOptions, spacing: float
 ) -> int:
     """Always the same for the same strategy; a count tells nothing of what is drawn later."""
-    routes = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    routes = list({route.tobytes(): route for route in drawn}.values())  # each once
     step = max(spacing, strategy.shortest_length / DRAWN)
     paths = driven_paths(corridors, routes, step, drive.turning_radius)
     return different_paths(paths, APART * spacing)
