@@ -150,9 +150,8 @@ def test_on_a_map_that_has_changed_departures_have_the_law_of_the_routes_that_ar
 ):
     """Compared with routes drawn until they are clear, which is what the node does."""
     clear = clear_edges(a_plan.network)
-    left = [
-        route for route in drawn(a_plan, 4000, 3) if clear.issuperset(pairwise(route.tolist()))
-    ]
+    routes = a_plan.strategy.sample_routes(4000, np.random.default_rng(3))
+    left = [route for route in routes if clear.issuperset(pairwise(route.tolist()))]
     assert 1000 < len(left) < 3600
     after = occupancy()
     after[BLOCKED] = 100
