@@ -288,7 +288,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.verify', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'verify', *map(str, arguments)],
         env={**os.environ, 'ROS_PYTHON_CHECK_FIELDS': '1'},
         capture_output=True, text=True, timeout=60, check=False,
     )

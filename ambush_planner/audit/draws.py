@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ..core.acyclic import is_acyclic
 from ..core.arrays import FloatArray, IndexArray, sums
 from ..core.errors import AmbushPlannerError
 from ..core.network import Network
@@ -62,7 +61,7 @@ class ManyRoutes:
         used = np.flatnonzero(p > 0.0)
         self.used: IndexArray = used[np.argsort(network.tails[used], kind='stable')]
         count = len(network.points)
-        if _has_cycle(network, self.used):
+        if not is_acyclic(network, p):
             raise NotAuditable(
                 'the strategy has cycles, so its edge probabilities are not those of drawn routes; '
                 'only strategies without cycles (strategy.solver max_entropy) can be audited'
@@ -142,11 +141,3 @@ def _edges_between(network: Network, tails: IndexArray, heads: IndexArray) -> In
     place = np.searchsorted(keys, wanted, sorter=order)
     found: IndexArray = order[np.minimum(place, len(keys) - 1)]
     return np.where(keys[found] == wanted, found, -1)
-
-
-def _has_cycle(network: Network, used: IndexArray) -> bool:
-    """Tell whether the used edges close a cycle (no self-loops: some component has two nodes)."""
-    count = len(network.points)
-    ends = network.tails[used], network.heads[used]
-    graph = csr_matrix((np.ones(len(used)), ends), shape=(count, count))
-    return int(connected_components(graph, connection='strong', return_labels=False)) < count

@@ -89,8 +89,8 @@ class Tallies:
             found[part] = ((self.passages[part] - expected) ** 2 / (variance + 1.0)).sum(axis=1)
         return found
 
-    def order(self) -> tuple[FloatArray, Deviations]:
-        """Mean shared ground by lag of each set (B + 1, K), and how far each is off its own mean.
+    def order(self) -> FloatArray:
+        """Mean shared ground by lag of each set (B + 1, K).
 
         The share of two departures is twice the common squares over the sum of both (Dice).
         """
@@ -104,7 +104,7 @@ class Tallies:
                 common = _set_bits(bits[i] & bits[i + lag])
                 means[:, column] += 2.0 * common / np.maximum(size[i] + size[i + lag], 1)
             means[:, column] /= n - lag
-        return means, deviations(means)
+        return means
 
 
 def _set_bits(words: npt.NDArray[np.uint16]) -> npt.NDArray[np.int32]:
@@ -112,19 +112,11 @@ def _set_bits(words: npt.NDArray[np.uint16]) -> npt.NDArray[np.int32]:
     return _BITS[words].sum(axis=0, dtype=np.int32)
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
-    """By sets and lags, in standard deviations; and the band of the picture (K,)."""
-
-    standard: FloatArray
-    band: FloatArray
-
-
-def deviations(means: FloatArray) -> Deviations:
+def deviations(means: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How far each lag's share is off the set's own mean over lags, less what draws have there.
 
-    Mean and deviation are taken over all sets, the recorded one too, so that it stays
-    exchangeable with the others.
+    In standard deviations (B + 1, K), and the band of the picture (K,). Mean and deviation are
+    taken over all sets, the recorded one too, so that it stays exchangeable with the others.
     """
     centred = means - means.mean(axis=1, keepdims=True)
     off = centred - centred.mean(axis=0)
@@ -132,7 +124,7 @@ def deviations(means: FloatArray) -> Deviations:
     # Departures that are all equally alike have no order.
     standard = np.where(spread > 1e-9, off / np.maximum(spread, 1e-9), 0.0)
     reach = float(np.quantile(np.abs(standard[1:]).max(axis=1), 1.0 - OUTSIDE_BAND))
-    return Deviations(standard, reach * spread)
+    return standard, reach * spread
 
 
 def identical_pairs(known: np.ndarray) -> FloatArray:

@@ -24,7 +24,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from .certificate import upper_bound
 from .errors import InvalidOption, NotDistinct
 from .options import check_at_least, check_whole
-from .paths import distances_between
+from .paths import distances_from
 from .strategy import Strategy
 
 MOST_TRIES = 100_000
@@ -194,9 +194,9 @@ class Middle:
 
     def _find(self) -> None:
         network = self._strategy.network
-        ahead, behind = distances_between(
-            network.edges, network.lengths, len(network.points), network.source, network.target
-        )
+        lengths, count = network.lengths, len(network.points)
+        ahead = distances_from(network.edges, lengths, count, network.source)
+        behind = distances_from(network.edges[:, ::-1], lengths, count, network.target)
         with np.errstate(invalid='ignore'):
             share = ahead / (ahead + behind)
         first, last = 0.5 - self.distinct / 2.0, 0.5 + self.distinct / 2.0

@@ -32,8 +32,11 @@ PLACES = 64
 
 @dataclass(frozen=True, eq=False)
 class _Corners:
-    """A line with round corners: ``points`` (C, 2), and for those within it the turn [rad], to the
-    left > 0, and the length (C - 2,) by which the turn begins before the corner."""
+    """A line with round corners, ``points`` (C, 2).
+
+    For those within it: the ``turn`` (C - 2,) [rad], to the left > 0, and the length ``cut``
+    (C - 2,) [m] by which the turn begins before the corner.
+    """
 
     points: FloatArray
     turn: FloatArray
@@ -116,8 +119,10 @@ def driven_paths(
 
 
 def turn_radii(poses: FloatArray) -> FloatArray:
-    """Radii (L - 1,) [m] of the parts of circles from pose to pose of a path (L, 3) as
-    ``driven_path`` makes it; inf where it is straight, 0 where it turns on the spot."""
+    """Radii (L - 1,) [m] of the arcs from pose to pose of a path (L, 3) of ``driven_path``.
+
+    They are inf where it is straight, 0 where it turns on the spot.
+    """
     half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
     bent = half > 1e-9
     chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
@@ -210,8 +215,10 @@ def _leaves(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatAr
 
 
 def _shared(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:
-    """Cuts (C,), next to each other no longer than the lengths (C + 1,) between their corners: both
-    turns get equal radii, and the one what the other does not need."""
+    """Cuts (C,) of which two neighbours fit in the length (C + 1,) between their corners.
+
+    Both turns get equal radii, and each one also what the other does not need.
+    """
     tangent = np.concatenate(([0.0], np.maximum(tangent, 1e-12), [0.0]))
     most = np.concatenate(([0.0], cut, [0.0]))
     fair = length / np.maximum(tangent[:-1] + tangent[1:], 1e-12)

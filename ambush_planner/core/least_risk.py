@@ -20,10 +20,9 @@ from scipy.sparse import csr_matrix, hstack, vstack
 from . import highs
 from .acyclic import conserved
 from .arrays import BoolArray, FloatArray, IndexArray
-from .certificate import Budget, lower_bound, upper_bound
+from .certificate import Budget, lower_bound, priced_edges, upper_bound
 from .errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .game import Game
-from .paths import distances_between
 from .routes import always_shortest
 
 # The most that the edges of the program may grow by in one round.
@@ -125,22 +124,8 @@ def near_budgets(game: Game, budgets: tuple[Budget, ...]) -> BoolArray:
     near = np.ones(len(game.network.edges), dtype=bool)
     for budget in budgets:
         if budget.binds:
-            through = _through(game, budget.excess)
-            near &= through <= FAR_OVER_BUDGET * budget.room
+            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.room
     return near
-
-
-def _through(game: Game, weights: FloatArray) -> FloatArray:
-    """Least weight (M,) of a playable route through each edge; inf off the game."""
-    network, playable = game.network, game.playable
-    ahead, behind = distances_between(
-        network.edges[playable], weights[playable], game.node_count, network.source,
-        network.target,
-    )
-    through = np.full(len(weights), np.inf)
-    tail, head = network.edges[playable].T
-    through[playable] = ahead[tail] + weights[playable] + behind[head]
-    return through
 
 
 def _priced(
@@ -163,13 +148,8 @@ def _priced(
 
 def _route_costs(game: Game, found: LeastRisk, budgets: tuple[Budget, ...]) -> FloatArray:
     """What the best route through each edge (M,) costs by the program's duals; inf off routes."""
-    weights = game.mean_loss_on_edges(found.q)
-    paid = 0.0
-    for budget, price in zip(budgets, found.prices, strict=True):
-        if price > 0.0:
-            weights = weights + price * budget.excess
-            paid += price * budget.room
-    return _through(game, weights) - paid
+    weights, paid = priced_edges(game, found.q, budgets, found.prices)
+    return game.through(weights) - paid
 
 
 def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:

@@ -234,7 +234,8 @@ def _different_paths(
     strategy: Strategy, corridors: Corridors, drive: DriveOptions, spacing: float
 ) -> int:
     """Always the same for the same strategy; a count tells nothing of what is drawn later."""
-    routes = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    routes = list({route.tobytes(): route for route in drawn}.values())  # each once
     step = max(spacing, strategy.shortest_length / DRAWN)
     paths = driven_paths(corridors, routes, step, drive.turning_radius)
     return different_paths(paths, APART * spacing)
@@ -274,7 +275,7 @@ def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) ->
     if not options.game.ambush_in_obstacles or radius == 0.0:
         return network
     spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, radius, spacing).with_cover()
+    return with_hiding_places(network, risk_map, radius, spacing)
 
 
 def _tube(options: PlanningOptions, spacing: float) -> float | None:

@@ -22,8 +22,11 @@ ALONG = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Portals:
-    """``nodes`` (K, 2) of a route, unit vectors (K, 2) to the left, room to both sides (K,), and
-    the length (K,) of the shorter edge there [m]; of no width at the route's ends."""
+    """The portals at the ``nodes`` (K, 2) of a route [m]; of no width at its ends.
+
+    ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the room to both sides, and
+    ``length`` (K,) is that of the shorter edge there.
+    """
 
     nodes: FloatArray
     leftward: FloatArray
@@ -33,6 +36,7 @@ class Portals:
 
     @property
     def width(self) -> FloatArray:
+        """From end to end (K,) [m]."""
         return self.left + self.right
 
     def places(self, margin: FloatArray, side: float) -> FloatArray:
@@ -77,8 +81,10 @@ def portals_along(corridors: Corridors, route: IndexArray) -> Portals:
 
 
 def taut_string(portals: Portals, margin: FloatArray) -> list[tuple[int, int]]:
-    """The corners of the shortest line that passes all portals by ``margin`` (K,) [m] from their
-    ends, as (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route."""
+    """The corners of the shortest line through all portals, ``margin`` (K,) [m] from their ends.
+
+    A corner is (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route.
+    """
     left, right = (portals.places(margin, side) for side in (1, -1))
     ends = {1: left.tolist(), -1: right.tolist()}
     last = len(left) - 1
@@ -104,8 +110,10 @@ def taut_string(portals: Portals, margin: FloatArray) -> list[tuple[int, int]]:
 
 
 def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
-    """Whether, from one portal to the next, the left end may move before the right one does: if
-    the diagonal from the old right to the new left end lies between the portals."""
+    """Whether, from one portal to the next, the left end may move before the right one does.
+
+    It may if the diagonal from the old right to the new left end lies between the portals.
+    """
     old, new = right[:-1], left[1:]
     before = cross(old - left[:-1], new - left[:-1]) >= 0.0
     after = cross(right[1:] - old, new - old) >= 0.0

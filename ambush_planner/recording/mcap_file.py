@@ -130,29 +130,14 @@ def decode(data: bytes) -> Content:
     content, fault = whole_part(data)
     if fault:
         raise BadFile(fault)
-    try:
-        reader = SeekingReader(BytesIO(data), record_size_limit=len(data))
-        indexed = list(reader.iter_messages(log_time_order=False))
-        summary = reader.get_summary()
-        same = (
-            summary is not None
-            and [each[2] for each in indexed] == content.messages
-            and all(channel == content.channels.get(channel.id) for _, channel, _ in indexed)
-            and all(schema == content.schemas.get(schema.id) for schema, _, _ in indexed if schema)
-            and (summary.schemas, summary.channels) == (content.schemas, content.channels)
-            and list(reader.iter_attachments()) == content.attachments
-            and list(reader.iter_metadata()) == content.metadata
-            and _counts(summary.statistics) == _counted(content)
-        )
-    except BROKEN as error:
-        raise BadFile(f'its index is broken ({type(error).__name__})') from error
-    if not same:
-        raise BadFile('its index leads to another content than its records have')
     return content
 
 
 def whole_part(data: bytes) -> tuple[Content, str]:
-    """Return the whole records up to the first fault, and what the fault is ('': none)."""
+    """Return the whole records up to the first fault, and what the fault is ('': none).
+
+    A fault, too, is an index that leads to something else.
+    """
     content, place = Content(), 0
     if not data.startswith(MAGIC):
         return content, 'it is not an MCAP file' if data else 'it is empty'
@@ -182,7 +167,28 @@ def whole_part(data: bytes) -> tuple[Content, str]:
         return content, f'it is broken or cut off {where} ({_why(error)})'
     if not ended or stream.tell() != len(data):
         return content, 'its end is not where it should be'
-    return content, ''
+    return content, _index_fault(data, content)
+
+
+def _index_fault(data: bytes, content: Content) -> str:
+    """What is wrong with the index of a file with this content ('': nothing)."""
+    try:
+        reader = SeekingReader(BytesIO(data), record_size_limit=len(data))
+        indexed = list(reader.iter_messages(log_time_order=False))
+        summary = reader.get_summary()
+        same = (
+            summary is not None
+            and [each[2] for each in indexed] == content.messages
+            and all(channel == content.channels.get(channel.id) for _, channel, _ in indexed)
+            and all(schema == content.schemas.get(schema.id) for schema, _, _ in indexed if schema)
+            and (summary.schemas, summary.channels) == (content.schemas, content.channels)
+            and list(reader.iter_attachments()) == content.attachments
+            and list(reader.iter_metadata()) == content.metadata
+            and _counts(summary.statistics) == _counted(content)
+        )
+    except BROKEN as error:
+        return f'its index is broken ({type(error).__name__})'
+    return '' if same else 'its index leads to another content than its records have'
 
 
 def _add(content: Content, found: Iterable[object]) -> None:

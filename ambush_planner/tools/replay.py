@@ -19,15 +19,7 @@ from ..core.errors import AmbushPlannerError
 from ..recording import RecordedMessage, UnreadableRecording, read_departure, recordings_in
 from ..review.case import INPUT_TYPES
 from . import cli
-from .replay_player import (
-    CannotPublish,
-    Channel,
-    Player,
-    Stop,
-    check_channels,
-    qos_from_yaml,
-    sleep_until,
-)
+from .replay_player import Channel, Player, Stop, check_channels, sleep_until
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -65,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with Stop() as stop:
             return _Replay(options, topics, console, stop).run(for_ros)
 
-    return cli.run(parser(), work, own)
+    return cli.run(parser, work, own)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -133,8 +125,7 @@ class _Replay:
             rclpy.try_shutdown()
         code = cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
         self._console.result = {
-            'verdict': code.name.lower(), 'published': dict(self._published),
-            'unreadable': list(self._unreadable.values()),
+            'published': dict(self._published), 'unreadable': list(self._unreadable.values()),
         }
         return code
 
@@ -168,10 +159,9 @@ class _Replay:
 
     def _play(self, node: Node, files: dict[Path, set[Channel]]) -> None:
         channels = self._wanted(files)
-        _check_types(node, channels)
         player = Player(node)
         for channel in channels:
-            player.advertise(channel, channel.topic, channel.type, qos_from_yaml(channel.qos))
+            player.advertise(channel)
         self._console.say(f'{cli.count(len(files), "departure")}')
         longest, patience = _DISCOVERY, _PATIENCE
         if self._options.inputs_only:
@@ -254,25 +244,6 @@ def _init(for_ros: Sequence[str]) -> None:
         raise cli.UsageError(f'after --ros-args: {error}') from error
 
 
-def _check_types(node: Node, channels: Iterable[Channel]) -> None:
-    """Raise where a name would have two types: a node can publish only one."""
-    first: dict[str, Channel] = {}
-    for channel in channels:
-        name = node.resolve_topic_name(channel.topic)
-        other = first.setdefault(name, channel)
-        types = f'{other.type} and {channel.type}'
-        if other.type == channel.type:
-            continue
-        if other.topic != channel.topic:
-            raise cli.UsageError(
-                f'{other.topic} and {channel.topic} would both be {name}, as {types}'
-            )
-        raise CannotPublish(
-            f'{channel.topic} is recorded as {types}, and a node can publish only one of them; '
-            'name the other topics after --, or replay the files one by one'
-        )
-
-
 def _positive(text: str) -> float:
     return _number(text, lambda number: 0.0 < number < math.inf, 'over 0')
 
@@ -289,7 +260,3 @@ def _number(text: str, good: Callable[[float], bool], what: str) -> float:
     if not good(number):
         raise argparse.ArgumentTypeError(f'must be a number {what}, got {text!r}')
     return number
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -77,14 +77,14 @@ class Stop:
 
 
 class Player:
-    """Publishers for what was recorded, by any key; kept to the end, as latched topics need."""
+    """Publishers for what was recorded; kept to the end, as latched topics need."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._publishers: dict[object, Publisher] = {}
+        self._publishers: dict[Channel, Publisher] = {}
 
-    def advertise(self, key: object, topic: str, type_: str, qos: QoSProfile) -> None:
-        """Make a publisher; ``type_`` is one of ``TYPES``, ``topic`` a valid name.
+    def advertise(self, channel: Channel) -> None:
+        """Make a publisher for a channel that ``check_channels`` took.
 
         Raises
         ------
@@ -92,17 +92,20 @@ class Player:
             The middleware refuses it.
         """
         try:
-            self._publishers[key] = self._node.create_publisher(TYPES[type_], topic, qos)
+            self._publishers[channel] = self._node.create_publisher(
+                TYPES[channel.type], channel.topic, qos_from_yaml(channel.qos)
+            )
         except (RuntimeError, TypeError, ValueError, ArithmeticError) as error:
             # RCLError, and what the binding to C++ raises on numbers that do not fit.
             reason = str(error).partition('\n')[0]
             raise CannotPublish(
-                f'{topic} cannot be published as {type_}: {reason}; name the others after --'
+                f'{channel.topic} cannot be published as {channel.type}: {reason}; name the '
+                'others after --'
             ) from error
 
-    def publish(self, key: object, data: bytes) -> None:
+    def publish(self, channel: Channel, data: bytes) -> None:
         """Publish a serialised message."""
-        self._publishers[key].publish(data)
+        self._publishers[channel].publish(data)
 
     def wait_for_listeners(
         self, seconds: float, patience: float, going_on: Callable[[], bool]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +35,6 @@ ambush_planner.terrain. The map's origin is its south-west corner.
 Beside MAP.yaml it writes MAP.pgm, in map_server's mode raw, and MAP.png, to look at.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the map and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -95,9 +88,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     console.line(
         f'{cli.place(arguments.output)}, {", ".join(picture.name for picture in pictures)}'
     )
-    console.result = {
-        'verdict': 'holds', 'files': [cli.place(path) for path in (arguments.output, *pictures)],
-    }
+    console.result = {'files': [cli.place(path) for path in (arguments.output, *pictures)]}
     return cli.Exit.HOLDS
 
 
@@ -125,5 +116,4 @@ def _summary(ground: TerrainMap) -> str:
     )
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)
