@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from forging import one_verifier
+from matplotlib.figure import Figure
 from recording_samples import file_of, small_departure
 
 from ambush_planner.terrain.map_file import OccupancyMap, write_map
@@ -183,6 +184,7 @@ def test_lines_are_short_names_relative_and_json_is_the_object_in_the_help(
     monkeypatch.chdir(place)
     # Nobody is there to listen.
     monkeypatch.setattr('ambush_planner.tools.replay._DISCOVERY', 0.0)
+    monkeypatch.setattr('ambush_planner.tools.terrain.terrain_figure', lambda *_: Figure((1, 1)))
     module = cli._module(name)
     code = module.main(LINES[name].split())
     told = capsys.readouterr()
