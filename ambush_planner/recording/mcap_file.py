@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from typing import IO
@@ -64,13 +64,19 @@ class Content:
     attachments: list[records.Attachment] = field(default_factory=list)
 
     def add(self, record: object) -> None:
-        """Keep a record that carries content; others are ignored."""
-        if isinstance(record, records.Message):
+        """Keep a record that carries content; others are ignored.
+
+        Raises
+        ------
+        BadFile
+            A schema or channel is defined a second time, differently.
+        """
+        if isinstance(record, (records.Schema, records.Channel)):
+            known = self.schemas if isinstance(record, records.Schema) else self.channels
+            if known.setdefault(record.id, record) != record:
+                raise BadFile('a schema or channel is defined twice, differently')
+        elif isinstance(record, records.Message):
             self.messages.append(record)
-        elif isinstance(record, records.Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, records.Channel):
-            self.channels[record.id] = record
         elif isinstance(record, records.Metadata):
             self.metadata.append(record)
         elif isinstance(record, records.Attachment):
@@ -159,7 +165,8 @@ def whole_part(data: bytes) -> tuple[Content, str]:
             if len(found) + len(content.messages) > MOST_MESSAGES:
                 return content, f'it has more than {MOST_MESSAGES} messages'
             if not ended:
-                _add(content, found)
+                for each in found:
+                    content.add(each)
         if ended and stream.tell() == len(data):
             _check_summary(data)
     except BROKEN as error:
@@ -189,16 +196,6 @@ def _index_fault(data: bytes, content: Content) -> str:
     except BROKEN as error:
         return f'its index is broken ({type(error).__name__})'
     return '' if same else 'its index leads to another content than its records have'
-
-
-def _add(content: Content, found: Iterable[object]) -> None:
-    for record in found:
-        for kind, known in (
-            (records.Schema, content.schemas), (records.Channel, content.channels)
-        ):
-            if isinstance(record, kind) and known.get(record.id, record) != record:
-                raise BadFile('a schema or channel is defined twice, differently')
-        content.add(record)
 
 
 def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import math
 import os
 import sys
 import time
@@ -101,6 +102,22 @@ def positive(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) > 0):
         raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
     return int(text)
+
+
+def number(least: float, most: float) -> Callable[[str], float]:
+    """Return what reads an argument that is a number from ``least`` to ``most``."""
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(
+                f'must be a number from {least:g} to {most:g}, got {text!r}'
+            )
+        return value
+
+    return read
 
 
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:
