@@ -191,7 +191,7 @@ def _index_fault(data: bytes, content: Content) -> str:
             and (summary.schemas, summary.channels) == (content.schemas, content.channels)
             and list(reader.iter_attachments()) == content.attachments
             and list(reader.iter_metadata()) == content.metadata
-            and _counts(summary.statistics) == _counted(content)
+            and _counts_hold(summary.statistics, content)
         )
     except BROKEN as error:
         return f'its index is broken ({type(error).__name__})'
@@ -262,18 +262,12 @@ def _check_summary(data: bytes) -> None:
         raise BadFile("the summary's checksum does not hold")
 
 
-def _counts(statistics: records.Statistics | None) -> tuple | None:
-    if statistics is None:
-        return None
-    return (
+def _counts_hold(statistics: records.Statistics | None, content: Content) -> bool:
+    times = [each.log_time for each in content.messages] or [0]
+    return statistics is not None and (
         statistics.message_count, statistics.attachment_count, statistics.metadata_count,
         statistics.message_start_time, statistics.message_end_time,
-    )
-
-
-def _counted(content: Content) -> tuple:
-    times = [each.log_time for each in content.messages] or [0]
-    return (
+    ) == (
         len(content.messages), len(content.attachments), len(content.metadata),
         min(times), max(times),
     )
