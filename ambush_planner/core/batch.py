@@ -214,7 +214,7 @@ def _solve(
 ) -> Any:
     """Solve one problem where the executor wants it."""
     risk_map = _map_of(key, content)
-    if risk_map is None:
+    if risk_map is None and content is None:
         return _NeedsMap()
     start_xy, goal_xy, network_options, game, options = rest
     network = build_network(risk_map, start_xy, goal_xy, network_options)
