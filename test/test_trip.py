@@ -29,6 +29,7 @@ from ambush_planner import (
 )
 from ambush_planner.core.construction import Roads
 from ambush_planner.core.corridors import make_corridors
+from ambush_planner.core.driven_path import driven_paths
 from ambush_planner.core.planner import DriveOptions, depart, departure_path, strategy_on
 from ambush_planner.core.trip import trip_network
 
@@ -269,9 +270,10 @@ def test_many_stops_come_in_a_short_order(risk_map):
 def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(as_given, turning_radius):
     drive = DriveOptions(turning_radius=turning_radius)
     plan = replace(as_given, options=replace(as_given.options, drive=drive))
-    for seed in range(5):
-        route = depart(plan, np.random.default_rng(seed))
-        path = departure_path(plan, route, 5.0)
+    routes = [depart(plan, np.random.default_rng(seed)) for seed in range(5)]
+    paths = driven_paths(plan.corridors, [each.nodes for each in routes], 5.0, turning_radius)
+    for route, path in zip(routes, paths, strict=True):
+        assert np.array_equal(path, departure_path(plan, route, 5.0))
         at = [np.flatnonzero((path[:, :2] == stop).all(axis=1)).tolist() for stop in STOPS]
         assert all(len(each) == 1 for each in at) and at == sorted(at)
         assert path[0, :2].tolist() == list(START) and path[-1, :2].tolist() == list(GOAL)

@@ -16,8 +16,10 @@ from mcap.records import Channel, Schema
 from ros_harness import pose, stage
 from two_faced import assembled, encoded, split
 
-from ambush_planner.recording import read_departure, recorder, recordings_in
+from ambush_planner.recording import read_departure, reader, recorder, recordings_in
 from ambush_planner.recording.mcap_file import decode, encode
+from ambush_planner.review import case
+from ambush_planner.review.chain import together
 from ambush_planner.tools import verify as tool
 
 
@@ -424,3 +426,26 @@ def test_cells_that_the_network_was_built_from_are_covered(recorded, tmp_path, v
         found += not verdict.holds
         verifier._seen.clear()
     assert found > 2
+
+
+def test_each_file_and_each_message_is_decoded_once(runs, verifier, monkeypatch):
+    files, messages = [], []
+    for module, name, calls in ((reader, 'decode', files), (case, '_deserialised', messages)):
+        original = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda each, of=original, to=calls: (to.append(each), of(each))[1]
+        )
+    paths = recordings_in(runs)
+    verdicts = [verifier.verify(path) for path in paths]
+    together(verdicts)
+    assert files == [path.read_bytes() for path in paths]
+    assert 0 < len(messages) == len(set(map(id, messages)))
+
+
+def test_names_are_relative_to_where_the_command_is_run(runs, check, monkeypatch):
+    monkeypatch.chdir(runs.parent)
+    code, found = check('runs')
+    assert code == 0
+    assert [each['file'] for each in found['departures']] == [
+        str(path.relative_to(runs.parent)) for path in recordings_in(runs)
+    ]

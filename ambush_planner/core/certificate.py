@@ -26,6 +26,8 @@ LEAST_ROOM = 1e-12
 CONSERVATION_TOLERANCE = 1e-8
 # Rounding that a bound may exceed a value by, relative.
 ROUNDING = 1e-9
+# A solver's strategy keeps its budgets within this, relative.
+FITS = 5e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,10 @@ class Budget:
     def mean(self, p: FloatArray) -> float:
         """Mean cost of strategy p (M,)."""
         return float(p @ self.cost)
+
+    def keeps(self, p: FloatArray) -> bool:
+        """Whether p (M,) is within the limit but for a solver's rounding."""
+        return self.mean(p) <= self.limit * (1.0 + FITS)
 
     def overrun(self, p: FloatArray) -> float:
         """By how much the mean cost of p (M,) is over the limit, without cancellation."""

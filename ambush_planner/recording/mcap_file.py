@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from typing import IO
@@ -64,13 +64,19 @@ class Content:
     attachments: list[records.Attachment] = field(default_factory=list)
 
     def add(self, record: object) -> None:
-        """Keep a record that carries content; others are ignored."""
-        if isinstance(record, records.Message):
+        """Keep a record that carries content; others are ignored.
+
+        Raises
+        ------
+        BadFile
+            A schema or channel is defined a second time, differently.
+        """
+        if isinstance(record, (records.Schema, records.Channel)):
+            known = self.schemas if isinstance(record, records.Schema) else self.channels
+            if known.setdefault(record.id, record) != record:
+                raise BadFile('a schema or channel is defined twice, differently')
+        elif isinstance(record, records.Message):
             self.messages.append(record)
-        elif isinstance(record, records.Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, records.Channel):
-            self.channels[record.id] = record
         elif isinstance(record, records.Metadata):
             self.metadata.append(record)
         elif isinstance(record, records.Attachment):
@@ -159,7 +165,8 @@ def whole_part(data: bytes) -> tuple[Content, str]:
             if len(found) + len(content.messages) > MOST_MESSAGES:
                 return content, f'it has more than {MOST_MESSAGES} messages'
             if not ended:
-                _add(content, found)
+                for each in found:
+                    content.add(each)
         if ended and stream.tell() == len(data):
             _check_summary(data)
     except BROKEN as error:
@@ -184,21 +191,11 @@ def _index_fault(data: bytes, content: Content) -> str:
             and (summary.schemas, summary.channels) == (content.schemas, content.channels)
             and list(reader.iter_attachments()) == content.attachments
             and list(reader.iter_metadata()) == content.metadata
-            and _counts(summary.statistics) == _counted(content)
+            and _counts_hold(summary.statistics, content)
         )
     except BROKEN as error:
         return f'its index is broken ({type(error).__name__})'
     return '' if same else 'its index leads to another content than its records have'
-
-
-def _add(content: Content, found: Iterable[object]) -> None:
-    for record in found:
-        for kind, known in (
-            (records.Schema, content.schemas), (records.Channel, content.channels)
-        ):
-            if isinstance(record, kind) and known.get(record.id, record) != record:
-                raise BadFile('a schema or channel is defined twice, differently')
-        content.add(record)
 
 
 def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
@@ -265,18 +262,12 @@ def _check_summary(data: bytes) -> None:
         raise BadFile("the summary's checksum does not hold")
 
 
-def _counts(statistics: records.Statistics | None) -> tuple | None:
-    if statistics is None:
-        return None
-    return (
+def _counts_hold(statistics: records.Statistics | None, content: Content) -> bool:
+    times = [each.log_time for each in content.messages] or [0]
+    return statistics is not None and (
         statistics.message_count, statistics.attachment_count, statistics.metadata_count,
         statistics.message_start_time, statistics.message_end_time,
-    )
-
-
-def _counted(content: Content) -> tuple:
-    times = [each.log_time for each in content.messages] or [0]
-    return (
+    ) == (
         len(content.messages), len(content.attachments), len(content.metadata),
         min(times), max(times),
     )

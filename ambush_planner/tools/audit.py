@@ -46,7 +46,7 @@ def parser() -> argparse.ArgumentParser:
     )
     cli.add_output(made, 'the result')
     made.add_argument(
-        '--false-alarm-rate', type=_rate, default=0.01, metavar='RATE',
+        '--false-alarm-rate', type=cli.number(LEAST_RATE, 0.5), default=0.01, metavar='RATE',
         help='chance of any finding where there is nothing to find (default: %(default)s)',
     )
     return made
@@ -137,16 +137,6 @@ def _as_json(found: Outcome) -> dict[str, Any]:
         'not_audited': found.left_out,
         'needed': found.missing,
     }
-
-
-def _rate(text: str) -> float:
-    try:
-        rate = float(text)
-    except ValueError:
-        rate = 0.0
-    if not LEAST_RATE <= rate <= 0.5:
-        raise argparse.ArgumentTypeError(f'must be a number from {LEAST_RATE} to 0.5, got {text!r}')
-    return rate
 
 
 main = cli.command(parser, _work)

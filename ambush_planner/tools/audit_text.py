@@ -104,12 +104,8 @@ def lines(found: Outcome) -> list[str]:
 def title(found: Outcome) -> str:
     """Say how many departures, of how many strategies, and when they were."""
     strategies = f'{found.strategies} strateg{"ies" if found.strategies != 1 else "y"}'
-    return f'{how_many(found.departures)} of {strategies}, {span(found.departures)}'
-
-
-def how_many(departures: Sequence[Departure]) -> str:
-    """Return the number of departures, as text."""
-    return cli.count(len(departures), 'departure')
+    departures = cli.count(len(found.departures), 'departure')
+    return f'{departures} of {strategies}, {span(found.departures)}'
 
 
 def span(departures: Sequence[Departure]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import math
 import os
 import sys
 import time
@@ -104,6 +105,22 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def number(least: float, most: float) -> Callable[[str], float]:
+    """Return what reads an argument that is a number from ``least`` to ``most``."""
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(
+                f'must be a number from {least:g} to {most:g}, got {text!r}'
+            )
+        return value
+
+    return read
+
+
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:
     """Let a command write into a folder."""
     parser.add_argument(
@@ -126,7 +143,7 @@ class Console:
     def line(self, text: str = '') -> None:
         """Print a line of the result."""
         if not (self._json or self._quiet):
-            print(text, flush=True)
+            print(_wrapped(text), flush=True)
 
     def item(self, text: str) -> None:
         """Print what belongs to the line before it, indented and wrapped."""
@@ -141,7 +158,7 @@ class Console:
     def say(self, text: str) -> None:
         """Tell the progress."""
         if not self._quiet:
-            print(text, file=sys.stderr, flush=True)
+            self._tell(text)
 
     @property
     def seconds(self) -> float:
@@ -154,7 +171,12 @@ class Console:
 
     def error(self, text: object) -> None:
         """Tell what is wrong, on standard error, also when quiet."""
-        print(f'ambush_{self._command}: {text}', file=sys.stderr, flush=True)
+        self._tell(f'ambush_{self._command}: {text}')
+
+    def _tell(self, text: str) -> None:
+        # In a log each message is a line, to be searched for.
+        shown_text = _wrapped(text) if sys.stderr.isatty() else text
+        print(shown_text, file=sys.stderr, flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items, with a bar from two seconds on where a terminal shows it."""
@@ -264,6 +286,14 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
     make_private_folders(Path(os.path.abspath(folder)))
     for name, data in files.items():
         write_durably(folder / name, data)
+
+
+def _wrapped(text: str) -> str:
+    """Wrap lines that are too long for a terminal; names of files stay whole."""
+    return '\n'.join(
+        fill(line, WIDTH, subsequent_indent='  ', break_long_words=False, break_on_hyphens=False)
+        if len(line) > WIDTH else line for line in text.split('\n')
+    )
 
 
 def _entry_parser() -> argparse.ArgumentParser:

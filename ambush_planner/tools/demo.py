@@ -138,7 +138,7 @@ def _departures(
             paths.append(path_from_ros(client.depart()))
             seconds.append(time.monotonic() - begin)
         say('stopping the node')
-    say(f'the node ended with exit code 0 after {node.seconds_to_stop:.1f} s')
+    say('the node ended with exit code 0')
     return paths, seconds
 
 

@@ -12,11 +12,11 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..ros.conversions import occupancy_to_ros, pose_to_ros
+from ..ros.qos import LATCHED
 
 FRAME = 'map'
 # Discovery alone can take more than 3 s.
@@ -24,11 +24,6 @@ DISCOVERY_TIMEOUT = 30.0
 PLANNING_TIMEOUT = 90.0
 MESSAGE_TIMEOUT = 15.0
 STEP = 0.05
-LATCHED = QoSProfile(
-    depth=20,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 
 
 class NoAnswer(Exception):

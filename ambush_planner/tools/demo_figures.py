@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from ..core.arrays import FloatArray
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from .figures import (
     AMBUSHER,
     OBSTACLE,
     SECURED_DASHES,
-    FloatArray,
     draw_ends,
     draw_risk_map,
     draw_routes,

@@ -6,7 +6,6 @@ import argparse
 import csv
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from io import BytesIO, StringIO
 from itertools import count
 from pathlib import Path
 from zipfile import BadZipFile
@@ -122,21 +121,16 @@ def write_frontier(
     path: Path, rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
 ) -> None:
     """Write the table (CSV), and beside it the picture (.png), mode 0600."""
-    text = StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({
-            name: f'{value:.9g}' if isinstance(value, float) else value
-            for name, value in asdict(row).items()
-        })
-    picture = BytesIO()
-    frontier_figure(rows, max_detour, risk_slack).savefig(picture, format='png')
-    for file, content in (
-        (path, text.getvalue().encode()), (path.with_suffix('.png'), picture.getvalue())
-    ):
-        with open(file, 'wb', opener=private) as stream:
-            stream.write(content)
+    with open(path, 'w', encoding='utf-8', newline='', opener=private) as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator='\n')
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({
+                name: f'{value:.9g}' if isinstance(value, float) else value
+                for name, value in asdict(row).items()
+            })
+    with open(path.with_suffix('.png'), 'wb', opener=private) as stream:
+        frontier_figure(rows, max_detour, risk_slack).savefig(stream, format='png')
 
 
 def table_text(rows: Sequence[FrontierRow]) -> str:

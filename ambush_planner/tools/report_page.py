@@ -14,7 +14,8 @@ from types import MappingProxyType
 
 from ..review.verify import Verdict
 from . import report_words as words
-from .audit_text import how_many, span
+from .audit_text import span
+from .cli import count
 from .report_map import map_figure, script
 from .report_sections import Section
 
@@ -120,8 +121,8 @@ def page(
     verdicts, faults
         What verifying the files one by one and together found; empty where it was not done.
     """
-    count = sum(len(section.departures) for section in sections)
-    title = f"Convoy routes: {count} departure{'s' * (count != 1)}"
+    departures = sum(len(section.departures) for section in sections)
+    title = f'Convoy routes: {count(departures, "departure")}'
     body = [
         _element('h1', title),
         f'<p class="secret"><strong>Secret.</strong> {escape(SECRET)}</p>',
@@ -158,8 +159,8 @@ def _verification(verdicts: Sequence[Verdict], faults: Sequence[str]) -> list[st
 
 def _section(section: Section, several: str) -> list[str]:
     strategy, records = section.strategy, section.departures
-    heading = (f'{several}: ' if several else '') + f'{how_many(records)}, {span(records)}'
-    parts = [_element('h2', heading)]
+    heading = f'{count(len(records), "departure")}, {span(records)}'
+    parts = [_element('h2', f'{several}: {heading}' if several else heading)]
     if any(record.parameters.seed >= 0 for record in records):
         parts.append(_warning(FIXED_SEED))
     if section.strategies > 1:

@@ -83,7 +83,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))
     occupancy = OccupancyMap(ground.values, ground.resolution)
     pictures = [write_map(arguments.output, occupancy, _remark(elevation))]
-    pictures.append(_write_preview(arguments.output, elevation, ground))
+    pictures.append(arguments.output.with_suffix('.png'))
+    terrain_figure(elevation, ground).savefig(pictures[-1])
     console.line(_summary(ground))
     console.line(
         f'{cli.place(arguments.output)}, {", ".join(picture.name for picture in pictures)}'
@@ -95,12 +96,6 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
 def _remark(elevation: Elevation) -> str:
     place = f'; its lower left corner lies at {elevation.place}' if elevation.place else ''
     return f'Risk map from an elevation model{place}.'
-
-
-def _write_preview(path: Path, elevation: Elevation, ground: TerrainMap) -> Path:
-    picture = path.with_suffix('.png')
-    terrain_figure(elevation, ground).savefig(picture)
-    return picture
 
 
 def _summary(ground: TerrainMap) -> str:
