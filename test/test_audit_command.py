@@ -282,7 +282,7 @@ def garbage(data, count):
 
 
 @pytest.mark.parametrize(('damage', 'count'), [
-    (truncations, 200), (partial(flips, rng=RNG), 500), (garbage, 100),
+    (truncations, 80), (partial(flips, rng=RNG), 200), (garbage, 60),
 ])
 @pytest.mark.parametrize('tool', [audit, report])
 def test_damaged_files_are_refused_with_a_message(good, tmp_path, capsys, tool, damage, count):

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("matplotlib", reason="the demo draws pictures")
 
 import rclpy
+from commands import run_here
 from matplotlib.image import imread
 from rclpy.context import Context
 from rosbags.highlevel import AnyReader
@@ -38,31 +39,24 @@ TYPES = {
 }
 
 
-# The command, with one budget instead of four: test_frontier has more.
+# The command on a quarter of its nodes, with one budget instead of four: test_frontier has more.
 COMMAND = """
 import sys
 from ambush_planner.tools import demo
-demo.DETOURS, demo.SLACKS = (1.2,), (0.01,)
+demo.SPACING, demo.DETOURS, demo.SLACKS = 720.0, (1.2,), (0.01,)
 sys.exit(demo.main())
 """
-
-
-def run(*arguments: str, timeout: float = 280.0) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", COMMAND, *arguments],
-        env={**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=timeout,
-        check=False,
-    )
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     """The demo's folder and what it printed."""
     folder = tmp_path_factory.mktemp("demo") / "new folder: 1"
-    process = run("--output", str(folder), "--departures", str(DEPARTURES))
+    process = subprocess.run(
+        [sys.executable, "-c", COMMAND, "--output", folder, "--departures", str(DEPARTURES)],
+        env={**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"},
+        capture_output=True, text=True, timeout=280.0, check=False,
+    )
     assert process.returncode == 0, process.stdout + process.stderr
     assert "Traceback" not in process.stderr
     return folder, process.stdout, process.stderr
@@ -161,9 +155,9 @@ def test_progress_is_shown_step_by_step(done):
 
 def test_an_output_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    process = run("-o", str(tmp_path / "file"))
-    assert process.returncode == 3
-    assert process.stderr.startswith("ambush_demo: ") and "Traceback" not in process.stderr
+    done = run_here(demo, "-o", tmp_path / "file")
+    assert done.code == 3
+    assert done.err.startswith("ambush_demo: ") and "Traceback" not in done.err
 
 
 @pytest.mark.parametrize(

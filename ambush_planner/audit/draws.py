@@ -79,8 +79,9 @@ class ManyRoutes:
         node, route = np.full(count, self.network.source), np.arange(count)
         edges, routes = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         while len(node):
-            passed = rng.random(len(node))[:, None] >= self._ends[node]
-            place = self._first[node] + passed.sum(axis=1)
+            chance, place = rng.random(len(node)), self._first[node]
+            for ends in self._ends:
+                place += chance >= ends[node]
             edges.append(self.used[place])
             routes.append(route)
             node = self._heads[place]
@@ -89,7 +90,7 @@ class ManyRoutes:
         return Steps(count, np.concatenate(edges), np.concatenate(routes))
 
     def _ends_of_choices(self, tails: IndexArray, count: int) -> FloatArray:
-        """Where the choices of each node end on the way from 0 to 1 (N, most choices of a node).
+        """Where the choices of each node end on the way from 0 to 1 (most choices less 1, N).
 
         The last one never ends, so that rounding carries nobody beyond it.
         """
@@ -99,7 +100,7 @@ class ManyRoutes:
         ends[tails, place] = running[1:] - running[self._first[tails]]
         chosen = np.diff(self._first)
         ends[np.flatnonzero(chosen), chosen[chosen > 0] - 1] = np.inf
-        return ends
+        return np.ascontiguousarray(ends.T[:-1])
 
     def draw_sets(
         self, departures: int, sets: int, rng: np.random.Generator

@@ -10,7 +10,7 @@ import numpy as np
 from .arrays import BoolArray, IndexArray, frozen_array
 from .game import Game
 from .judged import budgets_in
-from .max_entropy import least_value
+from .least_risk import least_value
 from .strategy import Strategy
 
 # Sites this many median edges from the source, a stop or the target are said to hug it.

@@ -297,8 +297,11 @@ def _errors_of(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerE
 
 
 def _position(xy: npt.ArrayLike, name: str) -> FloatArray:
-    position = np.asarray(xy, dtype=np.float64)
     _, error = _errors_of(name)
+    try:
+        position = np.asarray(xy, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise error(f"{name} must be a position (x, y): {cause}") from cause
     if position.shape != (2,):
         raise error(f"{name} must be a position (x, y), got shape {position.shape}")
     if not np.isfinite(position).all():

@@ -24,7 +24,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from .certificate import upper_bound
 from .errors import InvalidOption, NotDistinct
 from .options import check_at_least, check_whole
-from .paths import distances_between
+from .paths import distances_from
 from .strategy import Strategy
 
 MOST_TRIES = 100_000
@@ -194,9 +194,9 @@ class Middle:
 
     def _find(self) -> None:
         network = self._strategy.network
-        ahead, behind = distances_between(
-            network.edges, network.lengths, len(network.points), network.source, network.target
-        )
+        lengths, count = network.lengths, len(network.points)
+        ahead = distances_from(network.edges, lengths, count, network.source)
+        behind = distances_from(network.edges[:, ::-1], lengths, count, network.target)
         with np.errstate(invalid='ignore'):
             share = ahead / (ahead + behind)
         first, last = 0.5 - self.distinct / 2.0, 0.5 + self.distinct / 2.0
@@ -215,11 +215,9 @@ class Middle:
         ``nodes`` (K,) are those of all routes, which come nowhere twice, ``day`` (K,) of which day.
         """
         inner = self.nodes[nodes]
-        used, times = np.unique(
-            day[inner] * len(self.nodes) + nodes[inner], return_counts=True
-        )
+        used = np.sort(day[inner] * len(self.nodes) + nodes[inner])
         apart = np.ones(count, dtype=bool)
-        apart[used[times > 1] // len(self.nodes)] = False
+        apart[used[1:][used[1:] == used[:-1]] // len(self.nodes)] = False
         return apart
 
     def go_on(self, n: int, found: int, tried: int, tries: int) -> None:

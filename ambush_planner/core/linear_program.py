@@ -14,8 +14,9 @@ from .arrays import FloatArray, IndexArray
 from .certificate import Budget
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import BudgetInfeasible, InvalidOption
+from .flow_program import conservation
 from .game import Game
-from .least_risk import conservation, first_unit
+from .least_risk import first_unit
 from .max_entropy import Outcome
 from .routes import always_shortest
 

@@ -311,4 +311,4 @@ def strategy_of(
 def _entropy(p: FloatArray, whole: FloatArray) -> float:
     """-sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
     used = p > 0.0
-    return float(-(p[used] * np.log(p[used] / whole[used])).sum())
+    return float(0.0 - (p[used] * np.log(p[used] / whole[used])).sum())  # never -0

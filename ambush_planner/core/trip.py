@@ -20,8 +20,8 @@ from .arrays import FloatArray, IndexArray
 from .construction import NetworkOptions, Roads, lay_roads
 from .cut import solve_by_cut
 from .errors import InvalidNetwork, InvalidOption, TimeLimit
+from .flow_program import at_most_one
 from .game import Game, GameOptions, make_game
-from .least_risk import at_most_one
 from .network import Network
 from .paths import distances_from
 from .planner import (

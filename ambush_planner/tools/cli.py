@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum
+from errno import ENOTDIR
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -264,7 +265,11 @@ def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
     ------
     UsageError
         A file of one of the ``names`` exists in the folder, and ``replace`` is False.
+    NotADirectoryError
+        The folder is a file.
     """
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(folder))
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing and not replace:
         raise UsageError(
