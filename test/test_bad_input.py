@@ -107,11 +107,11 @@ def test_bad_poses_on_topics_are_answered_with_the_reason(client, name):
     client.call_until('new_route', lambda answer: answer.success)
 
 
-@pytest.mark.parametrize('tolerance', [-1.0, NAN])
+@pytest.mark.parametrize('tolerance', [-1.0, NAN, math.inf])
 def test_bad_tolerance(client, tolerance):
     assert not client.get_plan(pose(*START), pose(*GOAL), tolerance).poses
     client.diagnostics(
-        code='INVALID_OPTION', message=f'tolerance must be >= 0 [m], got {tolerance}')
+        code='INVALID_OPTION', message=f'tolerance must be finite and >= 0 [m], got {tolerance}')
 
 
 def test_no_route():
@@ -152,3 +152,11 @@ def test_too_little_time():
         assert not answer.success
         assert 'allow more time' in answer.message
         running.client.diagnostics(code='TIMEOUT')
+
+
+def test_a_kept_plan_does_not_answer_for_a_goal_at_the_start(client):
+    x, y = START
+    assert client.get_plan(pose(x, y), pose(x + 0.01, y)).poses
+    assert not client.get_plan(pose(x, y), pose(x, y)).poses
+    client.diagnostics(
+        code='INVALID_NETWORK', message=f'start and goal are the same position, {START}')

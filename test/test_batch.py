@@ -85,11 +85,11 @@ def test_an_error_stands_in_its_place_and_stops_nothing(executor):
     risk_map = field()
     wall = RiskMap(np.ones((20, 20)), np.arange(400).reshape(20, 20) % 20 == 10, 10.0)
     problems = [problem(risk_map, 0), Problem(risk_map, (95.0, 95.0), (185.0, 95.0)),
-                problem(wall, 1), problem(risk_map, 2)]
+                problem(wall, 1), problem(None, 1), problem(risk_map, 2)]
     results = solve_many(problems, executor, answer=numbers)
     kinds = [type(result.error) for result in results]
-    assert kinds == [type(None), StartBlocked, NoRoute, type(None)]
-    assert [result.answer is None for result in results] == [False, True, True, False]
+    assert kinds == [type(None), StartBlocked, NoRoute, AttributeError, type(None)]
+    assert [result.answer is None for result in results] == [False, True, True, True, False]
 
 
 def test_no_problems_no_results(executor):

@@ -78,7 +78,7 @@ def random_networks(draw):
         assume(False)
 
 
-@examples(200)
+@examples(100)
 @given(random_networks())
 def test_laws(built):
     risk_map, options, network, ends = built
@@ -159,7 +159,7 @@ def test_grid8_joins_each_node_to_its_eight_neighbours():
     assert found == near
 
 
-@examples(60)
+@examples(25)
 @given(
     st.integers(0, 10**6),
     st.sampled_from((*METHODS[:2], *METHODS[3:])),

@@ -42,6 +42,8 @@ def test_no_route_names_both_ends_and_the_spacing(method):
         ((np.nan, 51), (101, 51), StartBlocked, "start must be finite"),
         ((101, 51), (np.inf, 51), GoalBlocked, "goal must be finite"),
         ((101, 51, 0), (101, 52), StartBlocked, r"start must be a position.*\(3,\)"),
+        (("x", 51), (101, 52), StartBlocked, "start must be a position .*'x'"),
+        ((101, 51), (10**400, 52), GoalBlocked, "goal must be a position .*too large"),
         ((101, 51), (101, 51), InvalidNetwork, "same position"),
     ],
 )

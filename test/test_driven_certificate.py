@@ -10,9 +10,9 @@ from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
 from ambush_planner.core.planner import DriveOptions, PlanningOptions, depart, departure_paths, plan
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
-DRAWS = 5000
+DRAWS = 2000
 # Without a reach lines are looked at more closely, which takes longer.
-DRAWS_WITHOUT = 1000
+DRAWS_WITHOUT = 600
 # Without a reach, whoever comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 

@@ -119,7 +119,7 @@ def test_value_within_the_slack_of_the_linear_programs(network, detour, count, s
 
 
 @pytest.mark.parametrize("reach", [0.0, 2.0])
-@examples(3)
+@examples(2)
 @given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
 def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
     """As in a depot: narrow places, and a budget that decides which of them can be reached."""

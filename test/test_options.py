@@ -42,6 +42,8 @@ def test_at_least():
         check_at_least("size", np.inf, 0.0, "m")
     with pytest.raises(InvalidOption, match=r"size must be >= 1, got 0\.5"):
         check_at_least("size", 0.5, 1.0, finite=False)
+    with pytest.raises(InvalidOption, match="size is too large"):
+        check_at_least("size", 10**400, 0.0)
 
 
 def test_whole_and_flag():

@@ -86,6 +86,7 @@ def one_bad(value) -> np.ndarray:
         ({"resolution": np.nan}, "resolution .*nan"),
         ({"resolution": np.inf}, "resolution .*inf"),
         ({"resolution": None}, "not numeric"),
+        ({"resolution": 10**400}, "not numeric"),
         ({"origin": (0.0, 0.0)}, "origin .*three"),
         ({"origin": (0.0, np.nan, 0.0)}, "origin .*nan"),
         ({"origin": (0.0, 0.0, "north")}, "not numeric"),

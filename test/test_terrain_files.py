@@ -172,7 +172,7 @@ def test_maps_that_cannot_be_read_are_refused(tmp_path, change, reason):
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.terrain', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'terrain', *map(str, arguments)],
         capture_output=True, text=True, timeout=110, check=False,
     )
 

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ..core.acyclic import is_acyclic
 from ..core.arrays import FloatArray, IndexArray, sums
 from ..core.errors import AmbushPlannerError
 from ..core.network import Network
@@ -62,7 +61,7 @@ class ManyRoutes:
         used = np.flatnonzero(p > 0.0)
         self.used: IndexArray = used[np.argsort(network.tails[used], kind='stable')]
         count = len(network.points)
-        if _has_cycle(network, self.used):
+        if not is_acyclic(network, p):
             raise NotAuditable(
                 'the strategy has cycles, so its edge probabilities are not those of drawn routes; '
                 'only strategies without cycles (strategy.solver max_entropy) can be audited'
@@ -80,8 +79,9 @@ class ManyRoutes:
         node, route = np.full(count, self.network.source), np.arange(count)
         edges, routes = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         while len(node):
-            passed = rng.random(len(node))[:, None] >= self._ends[node]
-            place = self._first[node] + passed.sum(axis=1)
+            chance, place = rng.random(len(node)), self._first[node]
+            for ends in self._ends:
+                place += chance >= ends[node]
             edges.append(self.used[place])
             routes.append(route)
             node = self._heads[place]
@@ -90,7 +90,7 @@ class ManyRoutes:
         return Steps(count, np.concatenate(edges), np.concatenate(routes))
 
     def _ends_of_choices(self, tails: IndexArray, count: int) -> FloatArray:
-        """Where the choices of each node end on the way from 0 to 1 (N, most choices of a node).
+        """Where the choices of each node end on the way from 0 to 1 (most choices less 1, N).
 
         The last one never ends, so that rounding carries nobody beyond it.
         """
@@ -100,7 +100,7 @@ class ManyRoutes:
         ends[tails, place] = running[1:] - running[self._first[tails]]
         chosen = np.diff(self._first)
         ends[np.flatnonzero(chosen), chosen[chosen > 0] - 1] = np.inf
-        return ends
+        return np.ascontiguousarray(ends.T[:-1])
 
     def draw_sets(
         self, departures: int, sets: int, rng: np.random.Generator
@@ -141,11 +141,3 @@ def _edges_between(network: Network, tails: IndexArray, heads: IndexArray) -> In
     place = np.searchsorted(keys, wanted, sorter=order)
     found: IndexArray = order[np.minimum(place, len(keys) - 1)]
     return np.where(keys[found] == wanted, found, -1)
-
-
-def _has_cycle(network: Network, used: IndexArray) -> bool:
-    """Tell whether the used edges close a cycle (no self-loops: some component has two nodes)."""
-    count = len(network.points)
-    ends = network.tails[used], network.heads[used]
-    graph = csr_matrix((np.ones(len(used)), ends), shape=(count, count))
-    return int(connected_components(graph, connection='strong', return_labels=False)) < count

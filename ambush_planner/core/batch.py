@@ -210,8 +210,8 @@ def _solve(
     answer: Callable[[Strategy], Any] | None,
 ) -> Any:
     """Solve one problem where the executor wants it."""
-    risk_map = _map_of(key, content)
-    if risk_map is None:
+    risk_map: Any = _map_of(key, content)
+    if risk_map is None and content is None:  # no map at all is the problem's own error
         return _NeedsMap()
     start_xy, goal_xy, network_options, game, options = rest
     network = build_network(risk_map, start_xy, goal_xy, network_options)

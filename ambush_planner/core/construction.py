@@ -307,7 +307,10 @@ def _check_position(
     risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str, options: NetworkOptions
 ) -> None:
     off_map, blocked = REFUSED.get(name, (StopOutsideMap, StopBlocked))
-    position = np.asarray(xy, dtype=np.float64)
+    try:
+        position = np.asarray(xy, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as cause:
+        raise blocked(f"{name} must be a position (x, y): {cause}") from cause
     if position.shape != (2,):
         raise blocked(f"{name} must be a position (x, y), got shape {position.shape}")
     if not np.isfinite(position).all():

@@ -215,11 +215,9 @@ class Middle:
         ``nodes`` (K,) are those of all routes, which come nowhere twice, ``day`` (K,) of which day.
         """
         inner = self.nodes[nodes]
-        used, times = np.unique(
-            day[inner] * len(self.nodes) + nodes[inner], return_counts=True
-        )
+        used = np.sort(day[inner] * len(self.nodes) + nodes[inner])
         apart = np.ones(count, dtype=bool)
-        apart[used[times > 1] // len(self.nodes)] = False
+        apart[used[1:][used[1:] == used[:-1]] // len(self.nodes)] = False
         return apart
 
     def go_on(self, n: int, found: int, tried: int, tries: int) -> None:

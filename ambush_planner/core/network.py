@@ -159,7 +159,7 @@ def _check_layers(
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:
     try:
         return frozen_array(values, np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidNetwork(f"{name} must be an array of numbers: {error}") from error
 
 

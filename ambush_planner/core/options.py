@@ -22,7 +22,10 @@ def check_at_least(
     number = isinstance(value, int | float | np.integer | np.floating)
     if not number or isinstance(value, bool):
         raise InvalidOption(f"{name} must be a number, got {value!r}")
-    value = float(value)  # type: ignore[arg-type]
+    try:
+        value = float(value)  # type: ignore[arg-type]
+    except OverflowError as error:
+        raise InvalidOption(f"{name} is too large a whole number") from error
     if not value >= least or (finite and math.isinf(value)):
         kind = "finite and " if finite else ""
         range_ = f"{kind}>= {least:g}" + (f" [{unit}]" if unit else "")

@@ -53,7 +53,7 @@ class RiskMap:
             obstacles = frozen_array(self.obstacles, np.bool_)
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise InvalidRiskMap(f"risk map: not numeric: {error}") from error
         _check_layers(alpha, obstacles)
         _check_place(resolution, origin)

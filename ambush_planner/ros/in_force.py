@@ -86,8 +86,8 @@ class PlanInForce:
             self._reporter.stands(standing, '')
             return
         why = 'the map has changed: ' + (
-            f'new obstacles lie on {1.0 - standing.share:.2g} of the routes' if standing.blocked
-            else f'the value has risen to {standing.value:.4g}'
+            f'new obstacles lie on {100.0 * (1.0 - standing.share):.0f} % of the routes'
+            if standing.blocked else f'the value has risen to {standing.value:.4g}'
         )
         if then is None:
             self._reporter.stands(standing, why)

@@ -6,6 +6,7 @@ import math
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from threading import RLock
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -252,10 +253,14 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
     if len({node % network.place_count for node in visits}) < len(visits):
         return False  # a place that is visited again cannot be moved for one visit only
     start, goal = held.ends(trip)
+    if any(one == other for one, other in pairwise((start, *held.plan.stops_xy, goal))):
+        return False  # refused where it is solved
     left = (p > 0.0) & ~held.ground.lost(trip.map)
     first, last = left & (network.tails == network.source), left & (network.heads == network.target)
     places = network.points.copy()
     places[[network.source, network.target]] = start, goal
+    if (places[network.tails] == places[network.heads])[first | last].all(axis=1).any():
+        return False  # a step to where one is has no direction
     # One after the other: the ground that both lie on may be the whole map.
     return all(
         held.ground.clear(places[network.tails[steps]], places[network.heads[steps]], trip.map)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
@@ -130,8 +131,8 @@ class Requests:
         return self._inputs().latest(self.robot())
 
     def _between(self, request: GetPlan.Request) -> Asked:
-        if not request.tolerance >= 0.0:
-            raise InvalidOption(f'tolerance must be >= 0 [m], got {request.tolerance}')
+        if not 0.0 <= request.tolerance < math.inf:
+            raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
         self._inputs().map_in_force()
         return Asked(
             _as_received(self._start, request.start),
