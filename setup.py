@@ -12,7 +12,8 @@ package_name = 'ambush_planner'
 data_files = [
     ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
     (f'share/{package_name}', ['package.xml']),
-    (f'share/{package_name}/config', sorted(glob('config/*'))),
+    (f'share/{package_name}/config',
+     sorted([*glob('config/*'), *glob(f'{package_name}/tools/{package_name}*')])),
     (f'share/{package_name}/launch', sorted(glob('launch/*'))),
     (f'share/{package_name}/msg_examples', sorted(glob('msg_examples/*.yaml'))),
 ]
@@ -38,7 +39,7 @@ setup(
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['tools/*.js']},
+    package_data={package_name: ['tools/*.js', 'tools/*.rviz', 'tools/*.json']},
     data_files=data_files,
     zip_safe=False,
     python_requires='>=3.10',

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ambush_planner import RiskMap, Strategy
 from ambush_planner.core.arrays import BoolArray, FloatArray, IndexArray
 from ambush_planner.core.corridors import Corridors
-from ambush_planner.core.taut_string import portals_along, taut_string
+from ambush_planner.core.taut_string import portals_along, taut_strings
 
 HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far
@@ -107,9 +107,9 @@ def turning_of(points: FloatArray) -> float:
 
 def least_turning(corridors: Corridors, route: IndexArray) -> float:
     """Turning of the shortest line in the corridors of a route: no line there turns less [rad]."""
-    portals = portals_along(corridors, corridors.shortened(route))
+    portals = portals_along(corridors, [corridors.shortened(route)])
     none = np.zeros(len(portals.nodes))
-    at, side = np.array(taut_string(portals, none)).T
+    at, side = np.array(taut_strings(portals, none, [0])[0]).T
     left, right = (portals.places(none, which)[at] for which in (1, -1))
     return turning_of(np.where(side[:, None] > 0, left, right))
 

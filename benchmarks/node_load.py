@@ -11,7 +11,9 @@ import argparse
 import multiprocessing
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
@@ -57,10 +59,28 @@ class Round:
     memory: float
 
 
-def ask(
-    domain: int, service: str, depth: int, calls: int, together: Barrier, answers: Any
-) -> None:
-    """What a client's process does."""
+class Together:
+    """Where the processes of the clients wait for each other, in each of them."""
+
+    barrier: Barrier
+
+    @classmethod
+    def meet_at(cls, barrier: Barrier) -> None:
+        cls.barrier = barrier
+
+
+@contextmanager
+def client_processes(count: int) -> Iterator[Executor]:
+    """Processes that begin together, each with one call of ``ask`` at a time."""
+    # No fork: it would copy the middleware's state without its threads.
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(count, spawn, Together.meet_at, (spawn.Barrier(count),)) as pool:
+        yield pool
+
+
+def ask(domain: int, service: str, depth: int, calls: int) -> tuple[int, int, float]:
+    """What a client does; how many calls were answered, how many well, and in what time."""
+    together = Together.barrier
     request: Any = Trigger.Request()
     if service == "get_plan":
         request = GetPlan.Request(start=START, goal=GOAL)
@@ -73,7 +93,7 @@ def ask(
         last = gather(caller, futures, STALL + STALL_A_CALL * together.parties * calls)
     done = [future.result() for future in futures if future.done()]
     good = sum(bool(each.plan.poses if kind is GetPlan else each.success) for each in done)
-    answers.put((len(done), good, last - begin))
+    return len(done), good, last - begin
 
 
 def gather(caller: Caller, futures: Sequence[Future], stall: float) -> float:
@@ -88,23 +108,16 @@ def gather(caller: Caller, futures: Sequence[Future], stall: float) -> float:
 
 
 def run_round(
-    rig: Rig, what: str, service: str, depth: int, calls: int, clients: int
+    rig: Rig, what: str, service: str, depth: int, calls: int, clients: int, pool: Executor
 ) -> Round:
-    """Start the clients, let them call at the same time, add up what they got."""
+    """Let the clients call at the same time, add up what they got."""
     say(f"{what}, clients of depth {depth}")
-    # No fork: it would copy the middleware's state without its threads.
-    spawn = multiprocessing.get_context("spawn")
-    together, answers = spawn.Barrier(clients), spawn.Queue()
     share = calls // clients
-    arguments = (rig.domain, service, depth, share, together, answers)
-    processes = [spawn.Process(target=ask, args=arguments) for _ in range(clients)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    if any(process.exitcode for process in processes):
-        raise NodeSilent("a client ended early")
-    found = [answers.get(timeout=TIMEOUT) for _ in processes]
+    asked = [pool.submit(ask, rig.domain, service, depth, share) for _ in range(clients)]
+    try:
+        found = [each.result() for each in asked]
+    except BrokenExecutor as error:
+        raise NodeSilent("a client ended early") from error
     answered, good = (sum(each[k] for each in found) for k in (0, 1))
     rig.process.check()
     seconds, memory = max(each[2] for each in found), resident(rig.process.pid)
@@ -113,15 +126,15 @@ def run_round(
 
 def load(rig: Rig, calls: int, clients: int) -> list[Round]:
     """All rounds; the first calls of all find no strategy and share one solve."""
-    with Caller(rig.domain, rig.process.check) as caller:
+    with client_processes(clients) as pool, Caller(rig.domain, rig.process.check) as caller:
         caller.give(field(CELLS, RESOLUTION), START, GOAL)
         deep = max(DEPTHS)
         what = "`new_route`, nothing solved yet"
-        rounds = [run_round(rig, what, "new_route", deep, calls, clients)]
+        rounds = [run_round(rig, what, "new_route", deep, calls, clients, pool)]
         for service in ("new_route", "get_plan"):
             for depth in DEPTHS:
                 what = f"`{service}`, strategy known"
-                rounds.append(run_round(rig, what, service, depth, calls, clients))
+                rounds.append(run_round(rig, what, service, depth, calls, clients, pool))
         caller.ask_parameter()
         caller.new_route()
     return rounds

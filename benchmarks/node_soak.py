@@ -43,7 +43,7 @@ from ambush_planner.recording import recordings_in
 from ambush_planner.recording.bag_folder import FILE_NAME, listed_files
 from ambush_planner.review.verify import Verifier
 
-CELLS, RESOLUTION, SPACING = 120, 0.5, 2.0
+CELLS, RESOLUTION = 120, 0.5
 SIDE = 3  # cells, of an obstacle that is somewhere else at each departure
 START = pose(5.0, 30.0)
 # Departures from one of these events to the next.
@@ -218,11 +218,11 @@ def results(
     return text, met
 
 
-def run(seconds: float, period: float) -> tuple[str, bool]:
+def run(seconds: float, period: float, spacing: float) -> tuple[str, bool]:
     """Start the node, soak it, stop it, look what it left."""
     with scratch() as folder:
         others = set(SHARED.iterdir())
-        with running_node(folder, {"network.spacing": SPACING}) as rig:
+        with running_node(folder, {"network.spacing": spacing}) as rig:
             with Caller(rig.domain, rig.process.check) as caller:
                 journal = soak(rig, caller, seconds, period)
             memory = shared_memory(rig.process.pid) - others
@@ -242,11 +242,12 @@ def main() -> int:
     parser.add_argument(
         "--results", type=Path, default=RESULTS, help="file whose block `node_soak` is replaced"
     )
+    parser.add_argument("--spacing", type=float, default=2.0, help="of the network's nodes [m]")
     options = parser.parse_args()
     if not 0.0 < options.period <= options.seconds:
         parser.error("--period must be over 0 and at most --seconds")
     try:
-        text, met = run(options.seconds, options.period)
+        text, met = run(options.seconds, options.period, options.spacing)
     except FAILURES as error:
         say(f"node_soak: {error}")
         return 2

@@ -23,8 +23,6 @@ from ambush_planner import Network, Strategy, TimeLimit, solve
 from ambush_planner.core.cut import solve_by_cut
 from ambush_planner.core.game import make_game
 
-# Short runs are repeated for this long [s].
-LONG_ENOUGH = 0.5
 # With this our side loads what it loads at its first use.
 WARM_UP = "block:12"
 
@@ -126,10 +124,10 @@ OURS = (build, value, strategy, whole)
 TASKS = (*OURS, simplex, interior_point, conic)
 
 
-def measure(run: Callable[[], Answer]) -> Answer:
-    """Run until it has taken ``LONG_ENOUGH``; the last answer with the median time."""
+def measure(run: Callable[[], Answer], long_enough: float) -> Answer:
+    """Run until it has taken ``long_enough`` [s]; the last answer with the median time."""
     times: list[float] = []
-    while sum(times) < LONG_ENOUGH:
+    while not times or sum(times) < long_enough:
         answer = run()
         times.append(answer["seconds"])
     return answer | {"seconds": statistics.median(times)}
@@ -142,6 +140,9 @@ def main() -> None:
     parser.add_argument("problem", help="such as block:200, of problems.py")
     parser.add_argument("file", type=Path, help=".npz in which `strategy` leaves its problem")
     parser.add_argument("--limit", type=int, default=0, help="seconds after which it ends")
+    parser.add_argument(
+        "--repeat-for", type=float, default=0.5, help="seconds for which a short run is repeated"
+    )
     arguments = parser.parse_args()
     task = tasks[arguments.task]
     if task in OURS:
@@ -149,7 +150,7 @@ def main() -> None:
     prepared = task(problem(arguments.problem), arguments.file)
     # Native code does not look at Python's signals: SIGPROF's default ends the process.
     signal.setitimer(signal.ITIMER_PROF, arguments.limit)
-    answer = measure(prepared)
+    answer = measure(prepared, arguments.repeat_for)
     signal.setitimer(signal.ITIMER_PROF, 0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(answer | {"peak": peak}))

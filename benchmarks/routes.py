@@ -88,9 +88,9 @@ class Trial:
     milliseconds: float
 
 
-def run(ground: Ground, departures: int) -> Trial:
-    """Solve at the defaults, draw and drive."""
-    risk_map, options = ground.risk_map, NetworkOptions()
+def run(ground: Ground, departures: int, nodes: int) -> Trial:
+    """Solve, draw and drive."""
+    risk_map, options = ground.risk_map, NetworkOptions(target_nodes=nodes)
     spacing = chosen_spacing(risk_map, options)
     network = build_network(risk_map, ground.start, ground.goal, options)
     strategy = solve(network, options=StrategyOptions(max_detour=1.2, risk_slack=0.01))
@@ -270,6 +270,9 @@ def main() -> None:
     )
     parser.add_argument("--maps", nargs="+", default=list(GROUNDS), choices=list(GROUNDS))
     parser.add_argument("--departures", type=int, default=1000, help="paths of a map")
+    parser.add_argument(
+        "--nodes", type=int, default=NetworkOptions.target_nodes, metavar="N", help="of a network"
+    )
     parser.add_argument("--across", type=int, default=200, help="nodes across in large networks")
     parser.add_argument("--pictures", type=Path, default=Path("out/routes"), help="folder")
     parser.add_argument(
@@ -283,7 +286,7 @@ def main() -> None:
         except FileNotFoundError as error:
             missing.append(f"`{name}` is left out: {error.filename} is not there.")
             continue
-        trials[name] = run(ground, options.departures)
+        trials[name] = run(ground, options.departures, options.nodes)
         picture(trials[name], options.pictures / f"{name}.png")
         print(name, figures_of(trials[name]), file=sys.stderr)
     if any(trial.papers for trial in trials.values()):

@@ -27,10 +27,13 @@ PEERS = ("simplex", "interior_point", "conic")
 Runs = dict[str, list[dict[str, Any]]]
 
 
-def one_run(task: str, name: str, file: Path = Path(os.devnull), limit: int = 0) -> dict[str, Any]:
+def one_run(
+    task: str, name: str, repeat_for: float, file: Path = Path(os.devnull), limit: int = 0
+) -> dict[str, Any]:
     """Answer of one process; ``{"limit": limit}`` if it was over its time."""
     threads = {f"{name}_NUM_THREADS": "1" for name in THREAD_VARIABLES}
-    command = [sys.executable, ONE_RUN, task, name, file, "--limit", str(limit)]
+    command = [sys.executable, ONE_RUN, task, name, file]
+    command += ["--limit", str(limit), "--repeat-for", str(repeat_for)]
     print(f"{name:16s}  {task:15s}", end="", file=sys.stderr, flush=True)
     done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
     if done.returncode == -signal.SIGPROF:
@@ -42,7 +45,7 @@ def one_run(task: str, name: str, file: Path = Path(os.devnull), limit: int = 0)
     return answer
 
 
-def runs_of_size(nodes: int, repeats: int, limit: int) -> Runs:
+def runs_of_size(nodes: int, repeats: int, limit: int, repeat_for: float) -> Runs:
     """Let all solvers take turns; who would go over ``limit`` seconds has no further turn."""
     runs: Runs = {task: [] for task in (*OURS, *PEERS)}
     with tempfile.TemporaryDirectory() as folder:
@@ -51,7 +54,7 @@ def runs_of_size(nodes: int, repeats: int, limit: int) -> Runs:
                 if not answers or (len(answers) + 1) * longest(answers) <= limit:
                     cap = limit if task in PEERS else 0
                     file = Path(folder, "problem.npz")
-                    answers.append(one_run(task, f"block:{nodes}", file, cap))
+                    answers.append(one_run(task, f"block:{nodes}", repeat_for, file, cap))
     return runs
 
 
@@ -79,6 +82,10 @@ def main() -> None:
     )
     parser.add_argument("--repeats", type=int, default=3, help="runs to take the median of")
     parser.add_argument(
+        "--repeat-for", type=float, default=0.5, metavar="SECONDS",
+        help="for which a short run is repeated; the median counts",
+    )
+    parser.add_argument(
         "--peer-limit", type=int, default=150, metavar="SECONDS",
         help="processor seconds that all runs of one solver on one size may take",
     )
@@ -94,18 +101,17 @@ def main() -> None:
         "--results", type=Path, default=RESULTS, help="file whose block `solver` is replaced"
     )
     options = parser.parse_args()
+    short = options.repeat_for
     measured = {
-        nodes: {
-            task: median(answers)
-            for task, answers in runs_of_size(nodes, options.repeats, options.peer_limit).items()
-        }
+        nodes: {task: median(answers) for task, answers in runs_of_size(
+            nodes, options.repeats, options.peer_limit, short).items()}
         for nodes in options.sizes
     }
     hard = {
-        name: median([one_run("strategy", name) for _ in range(options.repeats)])
+        name: median([one_run("strategy", name, short) for _ in range(options.repeats)])
         for name in options.problems
     }
-    growth = [one_run("whole", f"block:{nodes}") for nodes in options.growth]
+    growth = [one_run("whole", f"block:{nodes}", short) for nodes in options.growth]
     text = solver_tables.report(measured, hard, growth, conditions("highspy", "clarabel"))
     print(text)
     write_block(options.results, "solver", text)

@@ -5,22 +5,21 @@ Command lines as theirs; ``ros2 run ambush_planner`` starts the real programs.
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 
-import rclpy
-import yaml
-from rclpy.qos import QoSProfile
-from ros_harness import LATCHED
-from ros_yaml import Command, filled
-from std_msgs.msg import Header
-from waiting import wait_until
-
-from ambush_planner.ros.conversions import occupancy_to_ros
-from ambush_planner.terrain.map_file import read_map
+# What a command does not need is imported where it is needed: each one is a process.
 
 
 def serve_map(node, arguments):
     """Publish the map latched, as map_server does once it is active, until the end."""
+    import rclpy
+    from ros_harness import LATCHED
+    from std_msgs.msg import Header
+
+    from ambush_planner.ros.conversions import occupancy_to_ros
+    from ambush_planner.terrain.map_file import read_map
+
     options = dict(each.split(':=') for each in arguments if ':=' in each)
     grid = read_map(Path(options['yaml_filename']))
     header = Header(frame_id='map')
@@ -30,20 +29,31 @@ def serve_map(node, arguments):
     rclpy.spin(node)
 
 
+def type_of(name):
+    package, folder, kind = name.split('/')
+    return getattr(import_module(f'{package}.{folder}'), kind)
+
+
 def publish(node, topic, kind, text):
-    kind = Command('', (), topic, kind, '').type
-    publisher = node.create_publisher(kind, topic, QoSProfile(depth=1))
+    import yaml
+    from rclpy.qos import QoSProfile
+    from ros_yaml import filled
+    from waiting import wait_until
+
+    publisher = node.create_publisher(type_of(kind), topic, QoSProfile(depth=1))
     wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
-    publisher.publish(filled(kind(), yaml.safe_load(text)))
+    publisher.publish(filled(type_of(kind)(), yaml.safe_load(text)))
     # Until it has come through.
     assert publisher.wait_for_all_acked()
 
 
 def call(node, name, kind):
-    kind = Command('', (), name, kind, '').type
-    client = node.create_client(kind, name)
+    import rclpy
+    from waiting import wait_until
+
+    client = node.create_client(type_of(kind), name)
     wait_until(client.service_is_ready, name)
-    future = client.call_async(kind.Request())
+    future = client.call_async(client.srv_type.Request())
     rclpy.spin_until_future_complete(node, future)
     print(future.result())
 
@@ -54,6 +64,8 @@ def main(arguments):
             os.execvp(name, [name, *rest])
         case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
             return  # it is active from the beginning
+    import rclpy
+
     rclpy.init()
     node = rclpy.create_node('standin')
     match arguments:

@@ -207,20 +207,11 @@ def test_impossible_steps_are_a_finding_of_their_own(paper):
 def test_too_few_departures_and_rates_out_of_range_are_refused(paper):
     with pytest.raises(NotAuditable, match="4 departures are too few"):
         run(paper, drawn(paper, FEWEST_DEPARTURES - 1, 1))
-    for rate in (0.0, -0.1, 0.9, math.nan):
+    for rate in (0.0, -0.1, 0.0009, 0.9, math.nan):
         with pytest.raises(InvalidOption, match="false alarm rate"):
             run(paper, drawn(paper, 6, 1), rate)
 
 
-@pytest.mark.parametrize("rate", [1e-4, 0.001, 0.01, 0.05, 0.5])
+@pytest.mark.parametrize("rate", [0.001, 0.01, 0.05, 0.5])
 def test_the_smallest_p_value_can_always_be_a_finding(rate):
     assert 1.0 / (auditing._resamples(rate, 1, 1) + 1) <= rate / len(TESTS)
-
-
-@pytest.mark.parametrize("rate", [1e-9, 1e-5, 3.9e-5, 5e-324])
-def test_a_rate_that_takes_too_many_resamples_is_capped_and_said_to_be_blind(rate, paper):
-    assert auditing._resamples(rate, 1, 1) == auditing.MOST_RESAMPLES
-    if rate == 1e-5:
-        result = run(paper, drawn(paper, 6, 1), rate)
-        assert result.blind and not result.findings
-    assert not run(paper, drawn(paper, 6, 1)).blind

@@ -282,7 +282,7 @@ def garbage(data, count):
 
 
 @pytest.mark.parametrize(('damage', 'count'), [
-    (truncations, 200), (partial(flips, rng=RNG), 500), (garbage, 100),
+    (truncations, 80), (partial(flips, rng=RNG), 200), (garbage, 60),
 ])
 @pytest.mark.parametrize('tool', [audit, report])
 def test_damaged_files_are_refused_with_a_message(good, tmp_path, capsys, tool, damage, count):
@@ -300,9 +300,3 @@ def test_damaged_files_are_refused_with_a_message(good, tmp_path, capsys, tool, 
             assert same == decode(data)
         assert 'Traceback' not in told + progress
         assert not node_numbers(told + progress)
-
-
-def test_what_cannot_be_held_to_the_rate_is_no_pass(good, monkeypatch, capsys):
-    monkeypatch.setattr('ambush_planner.audit.departures.MOST_RESAMPLES', 300)
-    assert audit.main([str(good)]) == 4
-    assert 'UNTESTED: 301 resamples' in capsys.readouterr().out

@@ -6,9 +6,14 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+from audit_samples import departure, drawn, record, sample_plan
+from forging import one_verifier
+from matplotlib.figure import Figure
 from recording_samples import file_of, small_departure
 
+from ambush_planner.terrain.map_file import OccupancyMap, write_map
 from ambush_planner.tools import cli
 
 READERS = ('audit', 'recover', 'replay', 'report', 'verify')
@@ -126,3 +131,80 @@ def test_words_are_completed(line, word, tmp_path):
     })
     assert 'Traceback' not in done.stderr
     assert any(each.startswith(word) for each in found.read_text().split())
+
+
+@pytest.mark.parametrize(('terminal', 'quiet'), [(True, False), (False, False), (True, True)])
+def test_a_bar_from_two_seconds_on_where_a_terminal_shows_it(terminal, quiet, monkeypatch, capsys):
+    clock = iter([0.0, 0.0, 1.9, 2.1, 2.15, 2.3, 2.4])  # two for the console, then a call each
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: terminal)
+    monkeypatch.setattr(cli.time, 'monotonic', lambda: next(clock))
+    bar = cli.Console('x', as_json=False, quiet=quiet).bar('read')
+    told = []
+    for share in (0.1, 0.2, 0.3, 0.5, 1.0):
+        bar(share)
+        told.append(capsys.readouterr().err)
+    if terminal and not quiet:
+        assert [each != '' for each in told] == [False, True, False, True, True]
+        assert told[1].startswith('\r[######  ') and told[1].endswith(' 20% read')
+        assert not told[-1].strip()  # wiped
+    else:
+        assert told == [''] * 5
+
+
+@pytest.fixture(scope='module')
+def place(tmp_path_factory):
+    """A folder with recordings, an elevation model, a map, and places on it."""
+    folder = tmp_path_factory.mktemp('a folder of a name that is as long as names of folders are')
+    some_plan = sample_plan()
+    record(folder / 'runs', [
+        departure(some_plan, route, number) for number, route in enumerate(drawn(some_plan, 5), 1)
+    ])
+    write_map(folder / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
+    np.savez(folder / 'dem.npz', elevation=np.zeros((8, 9)), resolution=10.0)
+    (folder / 'from.csv').write_text('name,x,y\na,15,15\n')
+    (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
+    with one_verifier():
+        yield folder
+
+
+LINES = {
+    'audit': 'runs', 'recover': 'runs/run_0.mcap',
+    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported --replace',
+    'verify': 'runs', 'terrain': 'dem.npz -o made.yaml', 'views': 'map.yaml -o viewed --replace',
+    'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
+                '--set network.spacing=40',
+    'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
+}
+
+
+@pytest.mark.parametrize('name', LINES)
+def test_lines_are_short_names_relative_and_json_is_the_object_in_the_help(
+    name, place, monkeypatch, capsys
+):
+    monkeypatch.chdir(place)
+    # Nobody is there to listen.
+    monkeypatch.setattr('ambush_planner.tools.replay._DISCOVERY', 0.0)
+    monkeypatch.setattr('ambush_planner.tools.terrain.terrain_figure', lambda *_: Figure((1, 1)))
+    module = cli._module(name)
+    code = module.main(LINES[name].split())
+    told = capsys.readouterr()
+    said = told.out + told.err
+    assert max(map(len, said.splitlines())) < 100
+    assert str(place) not in said and '\x1b' not in said
+    assert module.main([*LINES[name].split(), '--json']) == code
+    result = json.loads(capsys.readouterr().out)
+    documented = re.search(r'--json: (\{.*?\})\n(?!")', module.EPILOG, re.DOTALL)[1]
+    inner = re.sub(r'[\[{][^\[\]{}]*[\]}]', '', re.sub(r'\{[^{}]*\}', '', documented[1:-1]))
+    assert set(result) == set(re.findall(r'"(\w+)"', inner))
+    assert result['verdict'] == cli.Exit(code).name.lower()
+
+
+def test_a_long_line_is_wrapped_and_names_stay_whole(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, 'isatty', lambda: True)
+    console = cli.Console('x', as_json=False, quiet=False)
+    name = 'n' * 120
+    for tell in (console.line, console.say, console.error):
+        tell('word ' * 40 + name + ' word' * 3)
+        told = ''.join(capsys.readouterr()).splitlines()
+        assert name in [each.strip() for each in told]
+        assert all(len(each) < 100 for each in told if name not in each)

@@ -78,7 +78,7 @@ def random_networks(draw):
         assume(False)
 
 
-@examples(200)
+@examples(100)
 @given(random_networks())
 def test_laws(built):
     risk_map, options, network, ends = built
@@ -99,7 +99,7 @@ def test_laws(built):
     assert all((j, i) in both for i, j in both if i != s and j != t)
 
 
-@examples(60)
+@examples(30)
 @given(random_networks())
 def test_equal_inputs_give_the_same_network_bit_for_bit(built):
     risk_map, options, network, ends = built
@@ -159,7 +159,7 @@ def test_grid8_joins_each_node_to_its_eight_neighbours():
     assert found == near
 
 
-@examples(60)
+@examples(25)
 @given(
     st.integers(0, 10**6),
     st.sampled_from((*METHODS[:2], *METHODS[3:])),

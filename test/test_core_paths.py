@@ -9,7 +9,7 @@ from games import examples, networks
 from hypothesis import given
 
 from ambush_planner.core.paths import (
-    distances_between,
+    distances_from,
     on_some_route,
     reachable_from,
     shortest_path,
@@ -30,7 +30,8 @@ def test_distances_and_a_path(network):
     n, ends = len(network.points), (network.source, network.target)
     weights = network.alpha[network.heads]  # some of them 0: an edge of weight 0 is an edge
     graph = graph_of(network, weights)
-    ahead, behind = distances_between(network.edges, weights, n, *ends)
+    ahead = distances_from(network.edges, weights, n, ends[0])
+    behind = distances_from(network.edges[:, ::-1], weights, n, ends[1])
     from_source = networkx.single_source_dijkstra_path_length(graph, ends[0])
     to_target = networkx.single_source_dijkstra_path_length(graph.reverse(), ends[1])
     assert ahead == pytest.approx([from_source.get(k, np.inf) for k in range(n)])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
 from ambush_planner.core.cover import with_hiding_places
-from ambush_planner.core.planner import DriveOptions, PlanningOptions, plan
+from ambush_planner.core.planner import DriveOptions, PlanningOptions, plan, with_cover
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)
 
@@ -21,14 +23,21 @@ def walled_map(hidden=5.0) -> RiskMap:
     return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
 
 
+def hidden(network, covered) -> tuple[np.ndarray, np.ndarray]:
+    """The places and the losses that were added."""
+    count = len(network.points)
+    assert np.array_equal(covered.points[:count], network.points)
+    return covered.points[count:], covered.alpha[count:]
+
+
 def test_cells_have_the_loss_of_the_nearest_free_cell():
     risk_map = walled_map(np.nan)
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
     covered = with_hiding_places(network, risk_map, 3.0, 2.0)
-    cells = risk_map.cells(covered.cover_points)
-    assert risk_map.obstacles[cells].all() and len(covered.cover_points) == 40
+    places, losses = hidden(network, covered)
+    assert risk_map.obstacles[risk_map.cells(places)].all() and len(places) == 40
     free = np.argwhere(~risk_map.obstacles) + 0.5
-    for (x, y), loss in zip(covered.cover_points, covered.cover_alpha, strict=True):
+    for (x, y), loss in zip(places, losses, strict=True):
         apart = np.hypot(*(free - (y, x)).T)
         nearest = free[np.isclose(apart, apart.min())].astype(int)
         assert loss in risk_map.alpha[tuple(nearest.T)]
@@ -38,11 +47,31 @@ def test_cells_have_the_loss_of_the_nearest_free_cell():
 def test_cells_out_of_reach_and_more_than_a_few_a_spacing_are_left_out():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=4.0))
-    assert len(with_hiding_places(network, risk_map, 3.0, 4.0).cover_points) == 12
+    assert len(hidden(network, with_hiding_places(network, risk_map, 3.0, 4.0))[0]) == 12
     solid = RiskMap(np.ones((40, 40)), np.mgrid[:40, :40][0] > 20, 1.0)
-    few = with_hiding_places(
-        build_network(solid, START, GOAL, NetworkOptions(spacing=2.0)), solid, 3.0, 2.0)
-    assert 21 < few.cover_points[:, 1].max() < 27
+    network = build_network(solid, START, GOAL, NetworkOptions(spacing=2.0))
+    places, _ = hidden(network, with_hiding_places(network, solid, 3.0, 2.0))
+    assert 21 < places[:, 1].max() < 27
+
+
+def test_on_a_trip_they_are_in_each_layer():
+    risk_map = walled_map()
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0), [(20.0, 15.0)])
+    covered = with_hiding_places(network, risk_map, 3.0, 2.0)
+    assert covered.legs == 2 and covered.place_count == network.place_count + 40
+    assert np.array_equal(covered.points[covered.edges], network.points[network.edges])
+    assert np.array_equal(covered.points[covered.stops], network.points[network.stops])
+    lone = np.setdiff1d(np.arange(len(covered.points)), covered.edges)
+    assert np.isin(np.arange(network.place_count, covered.place_count), lone).all()
+
+
+def test_without_a_reach_nobody_hides_beside_the_road():
+    risk_map = walled_map()
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
+    game = GameOptions(ambush_in_obstacles=True)
+    assert with_cover(network, risk_map, PlanningOptions(game=game)) is network
+    reaching = PlanningOptions(game=replace(game, ambush_radius=3.0))
+    assert len(with_cover(network, risk_map, reaching).points) > len(network.points)
 
 
 @pytest.mark.parametrize("hides", [False, True])

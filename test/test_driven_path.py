@@ -42,7 +42,7 @@ def dense(poses, parts=20):
     return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
 
 
-@examples(150)
+@examples(60)
 @given(drives())
 def test_the_path_keeps_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
@@ -60,7 +60,7 @@ def test_the_path_keeps_clear_and_in_its_tube(drive):
             assert distance_to(others, poses[:, :2]).min() > 1e-3
 
 
-@examples(150)
+@examples(60)
 @given(drives(), st.sampled_from((0.03, 0.2, 1.0, 7.0)))
 def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     corridors, route = drive[:2]
@@ -143,12 +143,12 @@ def test_radii_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
     assert [tight_turns(path, radius) for radius in (0.0, 1.0, 3.0, 4.0)] == [0, 1, 1, 2]
 
 
-@examples(100)
+@examples(50)
 @given(drives())
 def test_no_path_is_much_longer_than_its_route(drive):
     corridors, route = drive[:2]
     poses = driven_path(corridors, route, 0.2)
-    portals = portals_along(corridors, route)
+    portals = portals_along(corridors, [route])
     # Where a portal is all on one side of the node, the path keeps a margin from the node.
     detour = MOST * portals.width
     drawn = np.hypot(*np.diff(corridors.network.points[route], axis=0).T).sum()
@@ -203,6 +203,16 @@ def test_many_paths_are_as_one_by_one_and_counted():
         assert np.array_equal(path, driven_path(corridors, route, 0.3))
     assert different_paths(paths, 0.01) == 3
     assert different_paths(paths, 100.0) == 1
+
+
+@examples(30)
+@given(drives(), st.sampled_from((0.0, 0.6)))
+def test_many_paths_at_once_are_those_one_by_one(drive, radius):
+    corridors, route = drive[:2]
+    routes = [route, *(some_route(corridors.network, seed) for seed in range(100, 104))]
+    paths = driven_paths(corridors, routes, 0.3, radius)
+    for path, route in zip(paths, routes, strict=True):
+        np.testing.assert_allclose(path, driven_path(corridors, route, 0.3, radius), atol=1e-12)
 
 
 @pytest.mark.parametrize("spacing", [1e-5, 1e-30, 5e-324])

@@ -91,11 +91,11 @@ def test_the_literal_equations_on_two_way_edges_would_be_too_low():
 # Sites off the road.
 
 
-def road(alpha=(0, 1, 1, 1, 0), beside=(9.0,), **more) -> Network:
+def road(alpha=(0, 1, 1, 1, 0), beside=(9.0,)) -> Network:
     """A road of nodes 1 m apart and, 1 m beside its middle, nodes that no edge leads to."""
     points = [[k, 0] for k in range(5)] + [[2, 1 + k] for k in range(len(beside))]
     edges = [(k, k + 1) for k in range(4)]
-    return Network(points, [*alpha, *beside], edges, 0, 4, **more)
+    return Network(points, [*alpha, *beside], edges, 0, 4)
 
 
 def losses_at(network, **options) -> dict[int, float]:
@@ -126,13 +126,11 @@ def test_with_a_reach_he_waits_on_forbidden_ground():
     assert strategy.visit_probability[5] == 0.0
 
 
-def test_he_hides_in_cover_only_if_told_so_and_only_with_a_reach():
-    cover = {"cover_points": [[2.0, -1.0]], "cover_alpha": [7.0]}
-    network = road(beside=(), **cover)
-    assert losses_at(network, ambush_radius=1.1) == {2: 1.0}
-    assert losses_at(network, ambush_radius=1.1, ambush_in_obstacles=True) == {2: 1.0, 5: 7.0}
-    assert losses_at(network, ambush_in_obstacles=True) == {1: 1.0, 2: 1.0, 3: 1.0}
-    strategy = solve(network, GameOptions(ambush_radius=1.1, ambush_in_obstacles=True))
+def test_beside_the_road_he_waits_only_with_a_reach():
+    network = road(beside=(7.0,))
+    assert losses_at(network) == {1: 1.0, 2: 1.0, 3: 1.0}
+    assert losses_at(network, ambush_radius=1.1) == {2: 1.0, 5: 7.0}
+    strategy = solve(network, GameOptions(ambush_radius=1.1))
     assert strategy.value == pytest.approx(7.0)
     assert strategy.ambush_probability.tolist() == pytest.approx([0, 0, 0, 0, 0, 1.0])
 

@@ -35,7 +35,7 @@ from ambush_planner.ros.parameters import PARAMETERS
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
 NAV2 = ROOT / 'config' / 'nav2.yaml'
-RVIZ = ROOT / 'config' / 'ambush_planner.rviz'
+RVIZ = ROOT / 'ambush_planner' / 'tools' / 'ambush_planner.rviz'
 TREE = ElementTree.parse(FILE).getroot()
 DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
 OWN_NAMES = {name: f'ambush/{name}' for name in ('goal_pose', 'start_pose', 'initialpose')}
@@ -138,7 +138,7 @@ def test_start_and_goal_have_names_that_nav2_does_not_listen_to():
 
 
 def test_rviz_finds_the_planner_by_the_names_that_its_configuration_has():
-    shown = set(re.findall(r'Value: (/\w+)', (ROOT / 'config/ambush_planner.rviz').read_text()))
+    shown = set(re.findall(r'Value: (/\w+)', RVIZ.read_text()))
     remapped = {each.get('from') for each in node_of('rviz2').findall('remap')}
     assert shown <= remapped
 

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, TimeLimit
 from ambush_planner.core.certificate import lower_bound, upper_bound
 from ambush_planner.core.game import make_game
-from ambush_planner.core.least_risk import at_most_one, least_risk
+from ambush_planner.core.least_risk import by_cut, least_risk, least_value
 from ambush_planner.core.strategy import make_budgets
 
 NEVER = math.inf
@@ -154,10 +154,32 @@ def test_no_time_is_a_time_limit():
         solved(terrain_network(1, cells=10), 1.1, deadline=time.monotonic() - 1.0)
 
 
-@examples(90)
-@given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
-def test_at_most_one(masses, count):
-    if sum(masses) < 1e-3:
-        return
-    q = at_most_one(np.array(masses) * count / sum(masses), count)
-    assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0
+@examples(20)
+@given(networks(), st.integers(1, 3), st.sampled_from((1.0, 1.2, np.inf)))
+def test_a_cut_tells_the_value_where_it_can_and_the_least_value_is_the_programs(
+    network, count, detour
+):
+    game = make_game(network, GameOptions(ambushers=min(count, len(network.points))))
+    free = program_value(network, ambushers=game.ambushers)
+    loose = by_cut(game)
+    if loose is not None:
+        assert loose.value == pytest.approx(free, rel=OPTIMAL, abs=1e-9)
+        assert loose.bound == pytest.approx(free, rel=OPTIMAL, abs=1e-9)
+        assert lower_bound(game, loose.q) == pytest.approx(loose.bound, rel=1e-9)
+        assert is_acyclic(network, loose.p)
+    budgets = make_budgets(game, StrategyOptions(max_detour=detour))
+    shortest = least_weight(network, network.lengths)
+    loosely = program_value(network, None, detour * shortest * (1 + 2e-6), game.ambushers)
+    tightly = program_value(network, None, detour * shortest * (1 + 1e-12), game.ambushers)
+    least = least_value(game, budgets, 1e-3, NEVER)
+    assert loosely * (1 - 2e-3) - 1e-9 <= least <= tightly * (1 + OPTIMAL) + 1e-9
+
+
+def test_out_of_time_the_least_value_is_the_cuts():
+    game = make_game(terrain_network(1, cells=10), GameOptions())
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.0))
+    past = time.monotonic() - 1.0
+    assert least_value(game, budgets, CLOSED, past) == by_cut(game).bound
+    reaching = make_game(game.network, GameOptions(ambush_radius=2.0))
+    budgets = make_budgets(reaching, StrategyOptions(max_detour=1.0))
+    assert least_value(reaching, budgets, CLOSED, past) == 0.0

@@ -217,7 +217,7 @@ def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
 def test_many_wait_and_all_are_answered():
     with solving() as (running, future):
         client = running.client
-        futures = [future, *(client.send('new_route') for _ in range(100))]
+        futures = [future, *(client.send('new_route') for _ in range(30))]
         use(running, QUICK)
         wait_until(lambda: client.call('cancel') and all(each.done() for each in futures),
                    'the answers')

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
-from ambush_planner import GameOptions, SolverFailed, StrategyOptions, solve
+from ambush_planner import GameOptions, SolverFailed, StrategyOptions, TimeLimit, solve
 from ambush_planner.core import max_entropy
 from ambush_planner.core.certificate import certify
 from ambush_planner.core.least_risk import least_risk
@@ -119,7 +119,7 @@ def test_value_within_the_slack_of_the_linear_programs(network, detour, count, s
 
 
 @pytest.mark.parametrize("reach", [0.0, 2.0])
-@examples(3)
+@examples(2)
 @given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
 def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
     """As in a depot: narrow places, and a budget that decides which of them can be reached."""
@@ -161,6 +161,23 @@ def test_without_a_program_the_soft_search_closes_in(monkeypatch):
     outcome = max_entropy_strategy(exact.game, budgets, 0.01, math.inf)
     judged = certify(exact.game, outcome.p, outcome.q, budgets, outcome.prices)
     assert 0.0 < judged.bound <= exact.value and exact.lower_bound <= judged.value
+
+
+@pytest.mark.parametrize("reach", [0.0, 1.5])
+def test_without_a_program_and_without_room_the_shortest_route_is_left(monkeypatch, reach):
+    options = StrategyOptions(max_detour=1.0)
+
+    def fail(*_):
+        raise SolverFailed("not today")
+
+    monkeypatch.setattr(max_entropy, "least_risk", fail)
+    for seed in (0, 5):
+        network = terrain_network(seed, cells=10)
+        try:
+            reached = solve(network, GameOptions(ambush_radius=reach), options)
+        except TimeLimit as late:
+            reached = late.strategy
+        assert reached.expected_length == pytest.approx(reached.shortest_length, rel=1e-6)
 
 
 def test_more_slack_buys_more_entropy():

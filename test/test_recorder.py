@@ -181,17 +181,17 @@ def test_a_full_disk_at_the_metadata_keeps_the_file_and_the_old_metadata(tmp_pat
     recorder = Recorder(tmp_path)
     first = record(recorder, small_departure())
     session = first.parent
-    for _ in range(60):  # until the metadata alone is longer than a departure
+    for _ in range(80):  # until the metadata alone is longer than a departure
         record(recorder, small_departure())
     limit = first.stat().st_size + 500
     assert (session / 'metadata.yaml').stat().st_size > limit
     with disk_full_after(limit), pytest.raises(RecordingFailed, match='metadata.yaml'):
         record(recorder, small_departure())
     assert not list(session.glob('*.tmp'))
-    assert bag_information(session)['message_count'] == 4 * 61
-    assert len(read_with_rosbags(session / f'{session.name}_61.mcap')) == 4
+    assert bag_information(session)['message_count'] == 4 * 81
+    assert len(read_with_rosbags(session / f'{session.name}_81.mcap')) == 4
     record(recorder, small_departure())
-    assert bag_information(session)['message_count'] == 4 * 63
+    assert bag_information(session)['message_count'] == 4 * 83
 
 
 def test_a_session_that_is_full_is_followed_by_a_new_one(tmp_path, monkeypatch):

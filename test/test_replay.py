@@ -86,7 +86,7 @@ def listener(messages=()):
 @contextmanager
 def replaying(domain, *arguments):
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.tools.replay', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'replay', *map(str, arguments)],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )

@@ -20,7 +20,7 @@ from ambush_planner.recording.mcap_file import decode
 from ambush_planner.recording.qos import qos_to_yaml
 from ambush_planner.tools import replay
 from ambush_planner.tools.replay import main
-from ambush_planner.tools.replay_player import CannotPublish, Player, qos_from_yaml
+from ambush_planner.tools.replay_player import CannotPublish, Channel, Player, qos_from_yaml
 
 LISTENER = """
 import rclpy
@@ -73,12 +73,11 @@ def test_a_topic_of_two_types(departure, tmp_path, domain, capfd):
     path = forger.save(tmp_path / 'two.mcap')
     assert run(path) == 3
     err = capfd.readouterr().err
-    assert 'ambush_replay: /diagnostics is recorded as' in err and 'after --' in err
+    assert 'ambush_replay: /diagnostics cannot be published as' in err and 'after --' in err
     assert run(path, '--rate', 1000, '--', '/path') == 0
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['-r', '/goal_pose:=/path'], '/goal_pose and /path would both be /path, as'),
     (['--enclave', 'x'], 'Enclave name is not valid'),
     (['-r', '__ns:=' + os.fsdecode(b'/\xff')], 'after --ros-args'),
 ])
@@ -106,7 +105,9 @@ def test_what_the_middleware_refuses_is_told(error):
             raise error
 
     with pytest.raises(CannotPublish, match='^/path cannot be published as .*: no; name'):
-        Player(Refusing()).advertise(0, '/path', 'nav_msgs/msg/Path', QoSProfile(depth=1))
+        Player(Refusing()).advertise(
+            Channel('/path', 'nav_msgs/msg/Path', qos_to_yaml(QoSProfile(depth=1)))
+        )
 
 
 def test_signals_are_handled_as_before_when_it_has_ended(departure, tmp_path, domain):
@@ -159,7 +160,7 @@ def test_a_listener_that_stands_still_for_a_while_loses_nothing(departure, tmp_p
 
         listener = started('-c', LISTENER, stdout=subprocess.PIPE)
         assert listener.stdout.readline() == 'listening\n'
-        replay = started('-m', 'ambush_planner.tools.replay', str(tmp_path), '--every', '10',
+        replay = started('-m', 'ambush_planner.tools.cli', 'replay', str(tmp_path), '--every', '10',
                          '--', '/goal_pose', stderr=subprocess.PIPE)
         assert listener.stdout.readline() == 'received\n'
         listener.send_signal(signal.SIGSTOP)

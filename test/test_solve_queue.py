@@ -52,7 +52,9 @@ def submit(queue, key, asked, size=8, background=False):
 
 
 @pytest.fixture
-def queue():
+def queue(monkeypatch):
+    """A queue whose first worker may be one that an earlier test has left idle and well."""
+    monkeypatch.setattr(solve_queue, 'WorkerProcess', HandedOn.take)
     queue = SolveQueue()
     yield queue
     queue.close()

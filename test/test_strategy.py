@@ -104,7 +104,7 @@ def check_entropies(strategy) -> None:
     assert strategy.route_entropy == pytest.approx(route, rel=1e-9, abs=1e-9)
 
 
-@examples(90)
+@examples(60)
 @given(networks(), st.sampled_from(DETOURS))
 def test_default_solver_on_any_network(network, max_detour):
     strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
@@ -112,7 +112,7 @@ def test_default_solver_on_any_network(network, max_detour):
     check_value(strategy, max_detour, SLACK)
 
 
-@examples(50)
+@examples(30)
 @given(networks(), st.sampled_from(DETOURS))
 def test_without_slack_the_value_is_the_least(network, max_detour):
     options = StrategyOptions(max_detour=max_detour, risk_slack=0.0)
@@ -122,7 +122,7 @@ def test_without_slack_the_value_is_the_least(network, max_detour):
     assert strategy.value <= strategy.lower_bound * (1 + 1e-5)
 
 
-@examples(90)
+@examples(60)
 @given(networks(alphas=NASTY))
 def test_default_solver_with_losses_from_1e_9_to_1e9(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
@@ -131,13 +131,13 @@ def test_default_solver_with_losses_from_1e_9_to_1e9(network):
     assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
-@examples(50)
+@examples(30)
 @given(networks(alphas=NASTY), st.sampled_from(DETOURS))
 def test_budgets_with_losses_from_1e_9_to_1e9(network, max_detour):
     check_laws(solve(network, options=StrategyOptions(max_detour=max_detour)), max_detour)
 
 
-@examples(80)
+@examples(50)
 @given(networks(), st.sampled_from(DETOURS), st.sampled_from(SOLVERS[1:]))
 def test_linear_programs_on_any_network(network, max_detour, solver):
     strategy = solve(network, options=StrategyOptions(solver, max_detour))
@@ -145,7 +145,7 @@ def test_linear_programs_on_any_network(network, max_detour, solver):
     check_value(strategy, max_detour)
 
 
-@examples(20)
+@examples(10)
 @given(terrain_networks, st.sampled_from(DETOURS))
 def test_all_solvers_find_one_value_on_terrain(network, max_detour):
     for solver in SOLVERS:
@@ -154,7 +154,7 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
         check_value(strategy, max_detour, SLACK if solver == "max_entropy" else 0.0)
 
 
-@examples(35)
+@examples(25)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
 def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
     strict, loose = (
@@ -166,7 +166,7 @@ def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
     assert loose.lower_bound <= strict.value
 
 
-@examples(6)
+@examples(3)
 @given(terrain_networks)
 def test_the_value_falls_as_the_budget_grows(network):
     found = [
@@ -221,7 +221,7 @@ def test_no_time_at_all_is_a_time_limit(solver):
         solve(network, options=tight)
 
 
-@pytest.mark.parametrize("limit", [1e-9, 1e-6, 1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("limit", [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
 @pytest.mark.parametrize("detour, reach", [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
 def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detour, reach):
     """Never another error; value and bound are the strategy's own; none is published over."""
@@ -288,7 +288,7 @@ def test_a_law_of_another_network_is_no_start():
 # Random games of any kind.
 
 
-@examples(20)
+@examples(12)
 @given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze", "depot")), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""

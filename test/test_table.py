@@ -107,7 +107,7 @@ def interrupted(folder, how):
     places = ''.join(f'c{k},185,{15 + k % 17 * 10}.{k}\n' for k in range(100))
     (folder / 'customers.csv').write_text('name,x,y\n' + places)
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.tools.table',
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'table',
          *given(folder, '--set', 'network.spacing=7', '--jobs', '1')],
         stderr=subprocess.PIPE, text=True,
     )

@@ -1,14 +1,14 @@
 """Elevation models read, maps written and read back, and ``ambush_terrain`` as a user starts it."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from commands import run_here
 
 from ambush_planner.terrain import InvalidTerrain, OccupancyMap, read_map, read_raster, write_map
+from ambush_planner.tools import terrain
 
 DEPOT = Path(__file__).parent.parent.parent / 'shared' / 'data' / 'nav2_depot'
 
@@ -170,13 +170,6 @@ def test_maps_that_cannot_be_read_are_refused(tmp_path, change, reason):
         read_map(tmp_path / 'm.yaml')
 
 
-def run(*arguments):
-    return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.terrain', *map(str, arguments)],
-        capture_output=True, text=True, timeout=110, check=False,
-    )
-
-
 def test_the_command_leaves_map_picture_and_preview(tmp_path):
     pytest.importorskip('matplotlib', reason='the preview takes the extra "figures"')
     row, column = np.mgrid[:80, :120]
@@ -184,13 +177,14 @@ def test_the_command_leaves_map_picture_and_preview(tmp_path):
     heights[:10, :10] = np.nan
     dem = save(tmp_path / 'dem.npz', elevation=heights, resolution=10.0)
     roads = save(tmp_path / 'roads.npz', roads=row == 40, resolution=10.0)
-    done = run(dem, '-o', tmp_path / 'm.yaml', '--roads', roads, '--weapon-range', 100)
-    assert done.returncode == 0, done.stderr
+    done = run_here(
+        terrain, dem, '-o', tmp_path / 'm.yaml', '--roads', roads, '--weapon-range', 100)
+    assert done.code == 0, done.err
     result = read_map(tmp_path / 'm.yaml')
     assert result.values.shape == (80, 120) and result.resolution == 10.0
     assert (result.values[70:, :10] == -1).all()  # the file's first rows are in the north
     assert result.values[39].max() < 100
-    assert '120 x 80 cells of 10 m' in done.stdout
+    assert '120 x 80 cells of 10 m' in done.out
     assert (tmp_path / 'm.png').read_bytes().startswith(b'\x89PNG')
 
 
@@ -202,6 +196,6 @@ def test_the_command_says_what_is_wrong(tmp_path):
         ((dem, '-o', tmp_path / 'm.yaml'), 'weapon range'),
         ((dem, '-o', tmp_path / 'm.txt', '--weapon-range', 900), '.yaml'),
     ):
-        done = run(*arguments)
-        assert done.returncode == 3 and reason in done.stderr and 'Traceback' not in done.stderr
+        done = run_here(terrain, *arguments)
+        assert done.code == 3 and reason in done.err and 'Traceback' not in done.err
     assert not (tmp_path / 'm.yaml').exists()

@@ -2,10 +2,12 @@
 
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from games import examples, least_weight
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, hstack, vstack
@@ -27,7 +29,8 @@ from ambush_planner import (
 )
 from ambush_planner.core.construction import Roads
 from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.planner import depart, departure_path
+from ambush_planner.core.driven_path import driven_paths
+from ambush_planner.core.planner import DriveOptions, depart, departure_path, strategy_on
 from ambush_planner.core.trip import trip_network
 
 # The tolerance of a certificate, and as much again.
@@ -119,7 +122,7 @@ def check_laws(strategy, visits):
         assert strategy.value == pytest.approx(float(losses.max()))
 
 
-@settings(max_examples=40, deadline=None)
+@examples(25)
 @given(
     seed=st.integers(0, 10**6), stops=st.integers(1, 3), radius=st.sampled_from([0.0, 0.7]),
     detour=st.sampled_from([1.1, 1.5, math.inf]),
@@ -201,6 +204,16 @@ def options(risk_map=None, **strategy):
     )
 
 
+@pytest.fixture(scope='module')
+def in_best_order(risk_map):
+    return plan_trip(risk_map, START, GOAL, options(), stops=STOPS, order='best')
+
+
+@pytest.fixture(scope='module')
+def as_given(risk_map):
+    return plan_trip(risk_map, START, GOAL, options(), stops=STOPS)
+
+
 @pytest.mark.parametrize('radius', [0.0, 15.0])
 def test_the_best_order_is_the_best_of_all(risk_map, radius):
     asked = options()
@@ -209,35 +222,33 @@ def test_the_best_order_is_the_best_of_all(risk_map, radius):
     best = plan_trip(risk_map, START, GOAL, asked, stops=STOPS, order='best')
     assert best.order_found == 'best'
     assert best.stops_xy == tuple(STOPS[k] for k in best.order)
-    orders = list(itertools.permutations(range(3)))
     networks = {
         order: build_network(risk_map, START, GOAL, asked.network, [STOPS[k] for k in order])
-        for order in orders
+        for order in itertools.permutations(range(3))
     }
-    lengths = {order: solve(network, options=FREE).shortest_length
+    lengths = {order: least_weight(network, network.lengths)
                for order, network in networks.items()}
     budget = asked.strategy.max_detour * min(lengths.values())
     values = {
-        order: plan_trip(
-            risk_map, START, GOAL,
-            PlanningOptions(asked.network, asked.game,
-                            StrategyOptions(max_detour=max(1.0, budget / lengths[order]))),
-            stops=[STOPS[k] for k in order],
-        ).strategy.value
-        for order in orders if lengths[order] <= budget
+        order: strategy_on(risk_map, network, PlanningOptions(
+            asked.network, asked.game,
+            StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
+        for order, network in networks.items() if lengths[order] <= budget
     }
     assert best.order in values
     assert best.strategy.value <= min(values.values()) * 1.0101
     assert best.strategy.length_budget == pytest.approx(budget)
 
 
-def test_the_best_order_does_not_depend_on_the_given_one(risk_map):
-    plans = [plan_trip(risk_map, START, GOAL, options(), stops=stops, order='best')
-             for stops in (STOPS, STOPS[::-1])]
-    assert plans[0].stops_xy == plans[1].stops_xy
-    assert np.array_equal(*(each.strategy.edge_probability for each in plans))
-    for each, order in ((plans[0], 'best'), (plan_trip(
-            risk_map, START, GOAL, options(), stops=STOPS), 'given')):
+def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order):
+    other = plan_trip(risk_map, START, GOAL, options(), stops=STOPS[::-1], order='best')
+    assert other.stops_xy == in_best_order.stops_xy
+    assert np.array_equal(
+        other.strategy.edge_probability, in_best_order.strategy.edge_probability)
+
+
+def test_the_network_of_a_trip_comes_again(risk_map, in_best_order, as_given):
+    for each, order in ((in_best_order, 'best'), (as_given, 'given')):
         again = trip_network(
             risk_map, START, GOAL, options().network, each.stops_xy, order)
         assert np.array_equal(again.points, each.network.points)
@@ -256,11 +267,13 @@ def test_many_stops_come_in_a_short_order(risk_map):
 
 
 @pytest.mark.parametrize('turning_radius', [0.0, 12.0])
-def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(risk_map, turning_radius):
-    plan = plan_trip(risk_map, START, GOAL, options(), stops=STOPS)
-    for seed in range(5):
-        route = depart(plan, np.random.default_rng(seed))
-        path = departure_path(plan, route, 5.0)
+def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(as_given, turning_radius):
+    drive = DriveOptions(turning_radius=turning_radius)
+    plan = replace(as_given, options=replace(as_given.options, drive=drive))
+    routes = [depart(plan, np.random.default_rng(seed)) for seed in range(5)]
+    paths = driven_paths(plan.corridors, [each.nodes for each in routes], 5.0, turning_radius)
+    for route, path in zip(routes, paths, strict=True):
+        assert np.array_equal(path, departure_path(plan, route, 5.0))
         at = [np.flatnonzero((path[:, :2] == stop).all(axis=1)).tolist() for stop in STOPS]
         assert all(len(each) == 1 for each in at) and at == sorted(at)
         assert path[0, :2].tolist() == list(START) and path[-1, :2].tolist() == list(GOAL)

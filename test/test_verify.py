@@ -288,7 +288,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.verify', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.tools.cli', 'verify', *map(str, arguments)],
         env={**os.environ, 'ROS_PYTHON_CHECK_FIELDS': '1'},
         capture_output=True, text=True, timeout=60, check=False,
     )
@@ -321,13 +321,13 @@ def test_one_bad_file_in_a_folder_does_not_hide_the_others(files, tmp_path, caps
 
 
 def damaged(files):
-    """Recordings cut off at 200 places from the first byte to the last, or with one bit changed."""
+    """Recordings cut off at 100 places from the first byte to the last, or with one bit changed."""
     whole = [path.read_bytes() for path in files]
-    for k in range(200):
+    for k in range(100):
         data = whole[k % len(whole)]
-        yield data[: (len(data) - 1) * k // 199]
+        yield data[: (len(data) - 1) * k // 99]
     rng = np.random.default_rng(0)
-    for k in range(500):
+    for k in range(200):
         data = bytearray(whole[k % len(whole)])
         data[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
         yield bytes(data)

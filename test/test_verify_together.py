@@ -16,8 +16,10 @@ from mcap.records import Channel, Schema
 from ros_harness import pose, stage
 from two_faced import assembled, encoded, split
 
-from ambush_planner.recording import read_departure, recorder, recordings_in
+from ambush_planner.recording import read_departure, reader, recorder, recordings_in
 from ambush_planner.recording.mcap_file import decode, encode
+from ambush_planner.review import case
+from ambush_planner.review.chain import together
 from ambush_planner.tools import verify as tool
 
 
@@ -200,6 +202,7 @@ def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
         each for text in texts for each in re.findall(r'```sh\n(.*?)```', text, re.DOTALL)
         if 'ssh-keygen -Y sign' in each
     ]
+    shutil.rmtree(recordings_in(runs)[0].parent)  # the two of the other session are enough
     key = tmp_path / 'key'
     subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
     (tmp_path / 'signers').write_text(f'me {key.with_suffix(".pub").read_text()}')
@@ -215,7 +218,7 @@ def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
     done = run()
     assert done.returncode == 0, done.stderr
     assert 'Good "ambush_planner" signature for me' in done.stdout
-    assert '6 departures: all hold' in done.stdout
+    assert '2 departures: all hold' in done.stdout
     (tmp_path / 'newest').write_text('0' * 64)  # another hash than was signed
     shell = shell[shell.index('ssh-keygen -Y verify'):]
     assert run().returncode != 0
@@ -423,3 +426,26 @@ def test_cells_that_the_network_was_built_from_are_covered(recorded, tmp_path, v
         found += not verdict.holds
         verifier._seen.clear()
     assert found > 2
+
+
+def test_each_file_and_each_message_is_decoded_once(runs, verifier, monkeypatch):
+    files, messages = [], []
+    for module, name, calls in ((reader, 'decode', files), (case, '_deserialised', messages)):
+        original = getattr(module, name)
+        monkeypatch.setattr(
+            module, name, lambda each, of=original, to=calls: (to.append(each), of(each))[1]
+        )
+    paths = recordings_in(runs)
+    verdicts = [verifier.verify(path) for path in paths]
+    together(verdicts)
+    assert files == [path.read_bytes() for path in paths]
+    assert 0 < len(messages) == len(set(map(id, messages)))
+
+
+def test_names_are_relative_to_where_the_command_is_run(runs, check, monkeypatch):
+    monkeypatch.chdir(runs.parent)
+    code, found = check('runs')
+    assert code == 0
+    assert [each['file'] for each in found['departures']] == [
+        str(path.relative_to(runs.parent)) for path in recordings_in(runs)
+    ]

@@ -21,7 +21,7 @@ from rclpy.qos import (
 from ros_harness import FRAME, stage, wait_until, whole_graph
 from ros_yaml import EXAMPLES
 
-CONFIG = Path(__file__).resolve().parent.parent / 'config'
+VIEWS = Path(__file__).resolve().parent.parent / 'ambush_planner' / 'tools'
 DISPLAYS = {
     'rviz_default_plugins/Map': 'nav_msgs/msg/OccupancyGrid',
     'rviz_default_plugins/MarkerArray': 'visualization_msgs/msg/MarkerArray',
@@ -94,13 +94,13 @@ def interface():
 
 @pytest.fixture(scope='module')
 def rviz():
-    text = (CONFIG / 'ambush_planner.rviz').read_text()
+    text = (VIEWS / 'ambush_planner.rviz').read_text()
     return yaml.safe_load(text)['Visualization Manager']
 
 
 @pytest.fixture(scope='module')
 def foxglove():
-    return json.loads((CONFIG / 'ambush_planner_foxglove.json').read_text())
+    return json.loads((VIEWS / 'ambush_planner_foxglove.json').read_text())
 
 
 def panels(foxglove, kind):

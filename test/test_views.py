@@ -27,7 +27,7 @@ from ambush_planner.tools.views import (
     scene_of,
 )
 
-CONFIG = Path(__file__).resolve().parent.parent / 'config'
+TEMPLATES = Path(__file__).resolve().parent.parent / 'ambush_planner' / 'tools'
 # Width and height [m], and origin: the example, a depot, a country, a tall one, a rotated one.
 GROUNDS = {
     'example': (10.0, 8.0, (0.0, 0.0, 0.0)),
@@ -58,13 +58,13 @@ def panel(scene):
     return json.loads(foxglove_text(scene))['configById']['3D!planner']
 
 
-def test_the_files_in_config_are_those_of_the_example():
+def test_the_installed_files_are_those_of_the_example():
     info = yaml.safe_load((EXAMPLES / 'alpha_map.yaml').read_text())['info']
     size = info['width'] * info['resolution'], info['height'] * info['resolution']
     assert size == GROUNDS['example'][:2]
     example = scene(*GROUNDS['example'])
-    assert (CONFIG / RVIZ).read_text() == rviz_text(example)
-    assert (CONFIG / FOXGLOVE).read_text() == foxglove_text(example)
+    assert (TEMPLATES / RVIZ).read_text() == rviz_text(example)
+    assert (TEMPLATES / FOXGLOVE).read_text() == foxglove_text(example)
 
 
 @pytest.mark.parametrize('ground', GROUNDS)

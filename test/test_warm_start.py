@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ros_harness import risk_grid, stage
 
-from ambush_planner import GameOptions, NetworkOptions, StrategyOptions
+from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network
+from ambush_planner.core import planner
 from ambush_planner.core.max_entropy import Law
 from ambush_planner.core.planner import PlanningOptions, WarmStart, plan
 from ambush_planner.core.risk_map import risk_map_from_occupancy
@@ -26,6 +27,11 @@ def ground(seed, changed=()):
     return risk_map_from_occupancy(values, 0.5)
 
 
+def strategy_on(risk_map, options, warm=None):
+    network = build_network(risk_map, *ENDS, options.network)
+    return planner.strategy_on(risk_map, network, options, warm)
+
+
 @examples(5)
 @given(
     st.integers(0, 99), st.sampled_from((0.0, 2.0)), st.sampled_from((1.1, 1.3, np.inf)),
@@ -37,18 +43,18 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
         NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
         StrategyOptions(max_detour=detour),
     )
-    before = plan(ground(seed), *ENDS, options)
+    before = strategy_on(ground(seed), options)
     newest = ground(seed, changed)
-    cold = plan(newest, *ENDS, options)
-    warm = plan(newest, *ENDS, options, WarmStart(before.network.points, before.strategy.law))
-    assert (cold.strategy.start, warm.strategy.start is None) == (None, False)
+    cold = strategy_on(newest, options)
+    warm = strategy_on(newest, options, WarmStart(before.network.points, before.law))
+    assert (cold.start, warm.start is None) == (None, False)
     assert np.array_equal(warm.network.points, cold.network.points)
-    assert warm.strategy.value <= cold.strategy.lower_bound * 1.01 * (1 + 1e-5)
-    assert warm.strategy.lower_bound == pytest.approx(cold.strategy.lower_bound, rel=2e-3)
-    assert warm.strategy.route_entropy == pytest.approx(cold.strategy.route_entropy, rel=0.01)
+    assert warm.value <= cold.lower_bound * 1.01 * (1 + 1e-5)
+    assert warm.lower_bound == pytest.approx(cold.lower_bound, rel=2e-3)
+    assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.01)
     # The law that was used, on these nodes, leads to the same strategy bit for bit.
-    again = plan(newest, *ENDS, options, WarmStart(warm.network.points, warm.strategy.start))
-    assert np.array_equal(again.strategy.edge_probability, warm.strategy.edge_probability)
+    again = strategy_on(newest, options, WarmStart(warm.network.points, warm.start))
+    assert np.array_equal(again.edge_probability, warm.edge_probability)
 
 
 def test_multipliers_are_those_of_the_nearest_node():

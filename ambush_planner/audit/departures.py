@@ -40,7 +40,7 @@ from .draws import NotAuditable
 from .groups import Driven, expected_by_law, expected_of_sets, groups_of, owners
 from .learning import Learning, learning_from
 from .places import ground_of
-from .tallies import Order, Tallies, identical_pairs
+from .tallies import Order, Tallies, deviations, identical_pairs
 
 # With fewer, hardly anything but one route driven again and again would be found.
 FEWEST_DEPARTURES = 5
@@ -50,8 +50,8 @@ SEED = 1
 # Resamples B, with few strategies and with many (each is a draw of its own); both can give a
 # finding at the default rate.
 RESAMPLES, RESAMPLES_OF_MANY, MANY, MANY_PLACES = 3999, 999, 25, 25_000
-# More take minutes; a rate that needs more cannot be held, see ``Audit.blind``.
-MOST_RESAMPLES = 99_999
+# A smaller one takes more resamples than anybody waits for.
+LEAST_RATE = 0.001
 # Rounding: statistics this near to each other, relative or a departure, are equal.
 TIE = 1e-9
 
@@ -111,11 +111,6 @@ class Audit:
     learning: Learning
 
     @property
-    def blind(self) -> bool:
-        """Whether the rate is so low that ``MOST_RESAMPLES`` cannot give any test a finding."""
-        return 1.0 / (self.resamples + 1) > self.false_alarm_rate / len(TESTS)
-
-    @property
     def findings(self) -> tuple[str, ...]:
         """Names of the tests that found something, 'impossible' first; empty: nothing."""
         certain = ('impossible',) if self.impossible else ()
@@ -134,8 +129,7 @@ def audit(
     departures
         At least 5, in the order of time; those of one strategy share the object.
     false_alarm_rate
-        Chance of any finding when all is well, at most. Below 4e-5, 100 000 draws are too few
-        for a finding by the tests (``Audit.blind``).
+        Chance of any finding when all is well, at most; from 0.001 to 0.5.
     progress
         Called with how much is done, 0..1.
 
@@ -147,11 +141,11 @@ def audit(
     NotDistinct
         A strategy leaves no room for as many distinct routes as a day has.
     InvalidOption
-        The rate is not over 0 and at most 0.5.
+        The rate is out of range.
     """
-    if not 0.0 < false_alarm_rate <= 0.5:
+    if not LEAST_RATE <= false_alarm_rate <= 0.5:
         raise InvalidOption(
-            f'the false alarm rate must be over 0 and at most 0.5, got {false_alarm_rate}'
+            f'the false alarm rate must be from {LEAST_RATE} to 0.5, got {false_alarm_rate}'
         )
     if len(departures) < FEWEST_DEPARTURES:
         raise NotAuditable(
@@ -184,12 +178,13 @@ def audit(
         # Days have no law of single departures: what all sets have on average takes its place.
         expected, variance = expected_of_sets(tallies.passages)
         surprise = surprise - surprise.mean()
-    by_lag, deviations = tallies.order()
+    by_lag = tallies.order()
+    standard, band = deviations(by_lag)
     n = len(departures)
     found = {
         'frequency': _compared(tallies.frequency(expected, variance), n),
         'surprise': _compared(np.abs(surprise), n),
-        'order': _compared(np.abs(deviations.standard).max(axis=1), n),
+        'order': _compared(np.abs(standard).max(axis=1), n),
         'repeats': _compared(identical_pairs(tallies.known.T), n),
     }
     entropy = float(np.mean([groups[k].many.entropy for k in owners(groups, n)]))
@@ -209,7 +204,7 @@ def audit(
         order=Order(
             frozen_array(by_lag[0], np.float64),
             frozen_array(by_lag[1:].mean(axis=0), np.float64),
-            frozen_array(deviations.band, np.float64),
+            frozen_array(band, np.float64),
             float(by_lag[0].mean()),
             ground.square,
         ),
@@ -221,9 +216,7 @@ def audit(
 
 
 def _resamples(rate: float, strategies: int, places: int) -> int:
-    """Enough that the smallest p-value possible is a finding, up to ``MOST_RESAMPLES``."""
-    if rate * (MOST_RESAMPLES + 1) <= len(TESTS):
-        return MOST_RESAMPLES
+    """Enough that the smallest p-value possible is a finding."""
     many = strategies > MANY or places > MANY_PLACES
     least = RESAMPLES_OF_MANY if many else RESAMPLES
     return max(least, math.ceil(len(TESTS) / rate) - 1)

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components
 
+from ..core.acyclic import is_acyclic
 from ..core.arrays import FloatArray, IndexArray, sums
 from ..core.errors import AmbushPlannerError
 from ..core.network import Network
@@ -48,6 +47,8 @@ class ManyRoutes:
         The edges of positive probability, by tail.
     choice : (M,) float
         p_ij / x_i: how likely the edge is taken by a route that stands at its tail; 0 if unused.
+    surprise : (M,) float
+        -ln of that [nats]; 0 if unused.
     entropy : float
         Of the drawn route [nats].
 
@@ -62,7 +63,7 @@ class ManyRoutes:
         used = np.flatnonzero(p > 0.0)
         self.used: IndexArray = used[np.argsort(network.tails[used], kind='stable')]
         count = len(network.points)
-        if _has_cycle(network, self.used):
+        if not is_acyclic(network, p):
             raise NotAuditable(
                 'the strategy has cycles, so its edge probabilities are not those of drawn routes; '
                 'only strategies without cycles (strategy.solver max_entropy) can be audited'
@@ -71,7 +72,8 @@ class ManyRoutes:
         tails = network.tails[self.used]
         out = sums(network.tails, p, count)
         self.choice: FloatArray = p / np.where(out > 0.0, out, 1.0)[network.tails]
-        self.entropy = float(-(p[self.used] @ np.log(self.choice[self.used])))
+        self.surprise: FloatArray = -np.log(np.where(p > 0.0, self.choice, 1.0))
+        self.entropy = float(p @ self.surprise)
         self._first = np.searchsorted(tails, np.arange(count + 1))
         self._ends = self._ends_of_choices(tails, count)
 
@@ -80,8 +82,9 @@ class ManyRoutes:
         node, route = np.full(count, self.network.source), np.arange(count)
         edges, routes = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
         while len(node):
-            passed = rng.random(len(node))[:, None] >= self._ends[node]
-            place = self._first[node] + passed.sum(axis=1)
+            chance, place = rng.random(len(node)), self._first[node]
+            for ends in self._ends:
+                place += chance >= ends[node]
             edges.append(self.used[place])
             routes.append(route)
             node = self._heads[place]
@@ -90,7 +93,7 @@ class ManyRoutes:
         return Steps(count, np.concatenate(edges), np.concatenate(routes))
 
     def _ends_of_choices(self, tails: IndexArray, count: int) -> FloatArray:
-        """Where the choices of each node end on the way from 0 to 1 (N, most choices of a node).
+        """Where the choices of each node end on the way from 0 to 1 (most choices less 1, N).
 
         The last one never ends, so that rounding carries nobody beyond it.
         """
@@ -100,7 +103,7 @@ class ManyRoutes:
         ends[tails, place] = running[1:] - running[self._first[tails]]
         chosen = np.diff(self._first)
         ends[np.flatnonzero(chosen), chosen[chosen > 0] - 1] = np.inf
-        return ends
+        return np.ascontiguousarray(ends.T[:-1])
 
     def draw_sets(
         self, departures: int, sets: int, rng: np.random.Generator
@@ -141,11 +144,3 @@ def _edges_between(network: Network, tails: IndexArray, heads: IndexArray) -> In
     place = np.searchsorted(keys, wanted, sorter=order)
     found: IndexArray = order[np.minimum(place, len(keys) - 1)]
     return np.where(keys[found] == wanted, found, -1)
-
-
-def _has_cycle(network: Network, used: IndexArray) -> bool:
-    """Tell whether the used edges close a cycle (no self-loops: some component has two nodes)."""
-    count = len(network.points)
-    ends = network.tails[used], network.heads[used]
-    graph = csr_matrix((np.ones(len(used)), ends), shape=(count, count))
-    return int(connected_components(graph, connection='strong', return_labels=False)) < count

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from ..core.arrays import FloatArray, IndexArray
 from .draws import ManyRoutes, Steps
@@ -14,7 +15,10 @@ from .places import Ground
 LONGEST_LAG = 14
 # Share of draws that leave the band of the picture anywhere.
 OUTSIDE_BAND = 0.01
-_BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
+# How many bits are set in each number of 16 bits.
+_BITS = np.unpackbits(
+    np.arange(2**16, dtype=np.uint16).view(np.uint8).reshape(-1, 2), axis=1
+).sum(axis=1, dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +48,8 @@ class Tallies:
             0, 2**64, len(ground.segments), dtype=np.uint64
         )
         self.known = np.zeros((departures, sets), np.uint64)
-        self._ground_bits = np.zeros((departures, sets, -(-ground.squares // 8)), np.uint8)
+        # A bit for each square, 16 at a time.
+        self._ground_bits = np.zeros((departures, -(-ground.squares // 16), sets), np.uint16)
 
     def add(
         self, k: int, many: ManyRoutes, members: IndexArray, sets: slice, steps: Steps
@@ -62,18 +67,20 @@ class Tallies:
             cells, number = np.unique(cell, return_counts=True)
             self.passages[sets].reshape(-1)[cells] += number.astype(np.uint16)
         surprise = np.bincount(
-            steps.route // n, weights=-np.log(many.choice[steps.edge]), minlength=count
+            steps.route // n, weights=many.surprise[steps.edge], minlength=count
         )
         self.surprise[sets] += surprise - n * many.entropy
         inner = self._ground.inner[k][steps.edge]
         known = np.zeros(steps.count, np.uint64)
         np.add.at(known, steps.route[inner], self._numbers[place[inner]])
         self.known[members, sets] = known.reshape(count, n).T
-        crossed = np.zeros((steps.count, self._ground.squares), bool)
-        for ends in (many.network.tails, many.network.heads):
-            crossed[steps.route, self._ground.of_node[k][ends[steps.edge]]] = True
-        bits = np.packbits(crossed, axis=1).reshape(count, n, -1)
-        self._ground_bits[members, sets] = bits.transpose(1, 0, 2)
+        words = self._ground_bits.shape[1]
+        crossed = np.zeros((steps.count, 16 * words), bool)
+        square = self._ground.of_node[k]
+        crossed[:, square[many.network.source]] = True
+        crossed[steps.route, square[many.network.heads[steps.edge]]] = True
+        bits = np.packbits(crossed, axis=1).view(np.uint16).reshape(count, n, words)
+        self._ground_bits[members, :, sets] = bits.transpose(1, 2, 0)
 
     def frequency(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """The statistic ``frequency`` of each set."""
@@ -83,37 +90,34 @@ class Tallies:
             found[part] = ((self.passages[part] - expected) ** 2 / (variance + 1.0)).sum(axis=1)
         return found
 
-    def order(self) -> tuple[FloatArray, Deviations]:
-        """Mean shared ground by lag of each set (B + 1, K), and how far each is off its own mean.
+    def order(self) -> FloatArray:
+        """Mean shared ground by lag of each set (B + 1, K).
 
         The share of two departures is twice the common squares over the sum of both (Dice).
         """
         bits = self._ground_bits
-        size = _BITS[bits].sum(axis=2, dtype=np.int32)
+        size = np.array([_set_bits(each) for each in bits])
         n = len(bits)
         lags = range(1, min(LONGEST_LAG, n // 2) + 1)
-        means = np.zeros((bits.shape[1], len(lags)))
+        means = np.zeros((bits.shape[2], len(lags)))
         for column, lag in enumerate(lags):
             for i in range(n - lag):
-                common = _BITS[bits[i] & bits[i + lag]].sum(axis=1, dtype=np.int32)
+                common = _set_bits(bits[i] & bits[i + lag])
                 means[:, column] += 2.0 * common / np.maximum(size[i] + size[i + lag], 1)
             means[:, column] /= n - lag
-        return means, deviations(means)
+        return means
 
 
-@dataclass(frozen=True, eq=False)
-class Deviations:
-    """By sets and lags, in standard deviations; and the band of the picture (K,)."""
-
-    standard: FloatArray
-    band: FloatArray
+def _set_bits(words: npt.NDArray[np.uint16]) -> npt.NDArray[np.int32]:
+    """How many bits are set in each column of words (W, B)."""
+    return _BITS[words].sum(axis=0, dtype=np.int32)
 
 
-def deviations(means: FloatArray) -> Deviations:
+def deviations(means: FloatArray) -> tuple[FloatArray, FloatArray]:
     """How far each lag's share is off the set's own mean over lags, less what draws have there.
 
-    Mean and deviation are taken over all sets, the recorded one too, so that it stays
-    exchangeable with the others.
+    In standard deviations (B + 1, K), and the band of the picture (K,). Mean and deviation are
+    taken over all sets, the recorded one too, so that it stays exchangeable with the others.
     """
     centred = means - means.mean(axis=1, keepdims=True)
     off = centred - centred.mean(axis=0)
@@ -121,7 +125,7 @@ def deviations(means: FloatArray) -> Deviations:
     # Departures that are all equally alike have no order.
     standard = np.where(spread > 1e-9, off / np.maximum(spread, 1e-9), 0.0)
     reach = float(np.quantile(np.abs(standard[1:]).max(axis=1), 1.0 - OUTSIDE_BAND))
-    return Deviations(standard, reach * spread)
+    return standard, reach * spread
 
 
 def identical_pairs(known: np.ndarray) -> FloatArray:

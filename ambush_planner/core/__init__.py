@@ -5,9 +5,10 @@
    ``construction``: from a map to a ``network``.
 3. ``paths``, ``discs``, ``game``: who drives where, who may wait where, what it costs.
 4. ``certificate``: what a strategy costs, and what no strategy can do better.
-5. ``cut``, ``least_risk`` (by ``highs``): the least value and the ambusher's strategy.
-6. ``acyclic``, ``gibbs`` (by ``triangular``), ``most_entropy``, ``max_entropy``: of the best
-   strategies, the most unpredictable.
+5. ``acyclic``, ``cut``, ``flow_program`` (by ``highs``), ``least_risk``: the least value and the
+   ambusher's strategy.
+6. ``gibbs`` (by ``triangular``), ``most_entropy``, ``max_entropy``: of the best strategies, the
+   most unpredictable.
 7. ``linear_program``: the paper's solvers. ``strategy``: the record, and ``solve``.
 8. ``routes``, ``corridors`` (by ``room``), ``refitted``, ``taut_string``, ``driven_path``: drawing
    a route, and the path that is driven; ``day``: routes that do not share their middle.

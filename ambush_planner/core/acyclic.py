@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 from .arrays import FloatArray, IndexArray, sums
 from .game import Game
 from .network import Network
-from .paths import distances_between, edge_matrix
+from .paths import edge_matrix
 
 # Nodes up to which the potential is solved for; beyond, progress takes its place.
 POTENTIAL_NODES = 250_000
@@ -66,11 +66,8 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
 
 def progress(game: Game) -> FloatArray:
     """d(source, j) - d(j, target) over length [m] for each node (N,); inf off every route."""
-    network, playable = game.network, game.playable
-    ahead, behind = distances_between(
-        network.edges[playable], network.lengths[playable], game.node_count, network.source,
-        network.target,
-    )
+    network = game.network
+    ahead, behind = game.distances_ahead(network.lengths), game.distances_behind(network.lengths)
     off = ~(np.isfinite(ahead) & np.isfinite(behind))
     risen = np.where(off, np.inf, np.where(off, 0.0, ahead) - np.where(off, 0.0, behind))
     risen[network.source], risen[network.target] = -np.inf, np.finfo(float).max

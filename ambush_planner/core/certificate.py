@@ -20,13 +20,14 @@ import numpy as np
 from .arrays import FloatArray, sums
 from .errors import BudgetInfeasible, SolverFailed
 from .game import Game
-from .paths import distances_from
 
 # Rooms below this share of the best route's cost count as this: ties of best routes are rounding.
 LEAST_ROOM = 1e-12
 CONSERVATION_TOLERANCE = 1e-8
 # Rounding that a bound may exceed a value by, relative.
 ROUNDING = 1e-9
+# A solver's strategy keeps its budgets within this, relative.
+FITS = 5e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +73,7 @@ class Budget:
 
     @cached_property
     def _behind(self) -> FloatArray:
-        network, playable = self.game.network, self.game.playable
-        backwards = network.edges[playable][:, ::-1]
-        return distances_from(
-            backwards, self.cost[playable], self.game.node_count, network.target
-        )
+        return self.game.distances_behind(self.cost)
 
     @property
     def option(self) -> str:
@@ -110,6 +107,10 @@ class Budget:
     def mean(self, p: FloatArray) -> float:
         """Mean cost of strategy p (M,)."""
         return float(p @ self.cost)
+
+    def keeps(self, p: FloatArray) -> bool:
+        """Whether p (M,) is within the limit but for a solver's rounding."""
+        return self.mean(p) <= self.limit * (1.0 + FITS)
 
     def overrun(self, p: FloatArray) -> float:
         """By how much the mean cost of p (M,) is over the limit, without cancellation."""
@@ -173,18 +174,23 @@ def lower_bound(
         q is no strategy of the ambusher, or a price is negative.
     """
     _check_ambusher(game, q)
-    weights, paid = game.mean_loss_on_edges(q), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if not price >= 0.0:
             raise SolverFailed(f"the price of the {budget.name} budget is {price}, not >= 0")
+    weights, paid = priced_edges(game, q, budgets, prices)
+    return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
+
+
+def priced_edges(
+    game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...]
+) -> tuple[FloatArray, float]:
+    """What each edge (M,) costs by q (N,) and the budgets' prices, and what their room is worth."""
+    weights, paid = game.mean_loss_on_edges(q), 0.0
+    for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             weights = weights + price * budget.excess
             paid += price * budget.room
-    network, playable = game.network, game.playable
-    distance = distances_from(
-        network.edges[playable], weights[playable], game.node_count, network.source
-    )
-    return max(float(distance[network.target]) - paid, 0.0)
+    return weights, paid
 
 
 def _check_flow(game: Game, p: FloatArray) -> None:

@@ -67,10 +67,9 @@ class Corridors:
     shortcut: BoolArray
     _keys: IndexArray
 
-    def links_along(self, route: IndexArray) -> IndexArray:
-        """Indices (K - 1,) of the links that join the nodes of a route (K,)."""
-        pairs = np.stack((route[:-1], route[1:]), axis=1)
-        return np.searchsorted(self._keys, _keys(pairs, len(self.uv)))
+    def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
+        """Indices (L,) of the links that join nodes."""
+        return np.searchsorted(self._keys, tails * len(self.uv) + heads)
 
     def shortened(self, route: IndexArray) -> IndexArray:
         """The shortest route along links that lead forward from node to node of a route (K,).

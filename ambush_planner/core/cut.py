@@ -18,7 +18,6 @@ from .acyclic import without_cycles
 from .arrays import BoolArray, FloatArray, IndexArray, sums
 from .errors import SolverFailed
 from .game import Game
-from .paths import distances_from
 from .routes import always_shortest
 
 # scipy's maximum flow counts in int32. Capacities are scaled so that the flow that is still
@@ -87,12 +86,7 @@ def _cut_bound(game: Game) -> float:
     """
     network = game.network
     is_site = game.loss > 0.0
-    depth = distances_from(
-        network.edges[game.playable],
-        is_site[network.heads[game.playable]].astype(np.float64),
-        game.node_count,
-        network.source,
-    )
+    depth = game.distances_ahead(is_site[network.heads].astype(np.float64))
     reached = is_site & np.isfinite(depth)
     capacity = np.bincount(depth[reached].astype(np.int64), weights=1.0 / game.loss[reached])
     return float(capacity[1 : int(depth[network.target]) + 1].min())

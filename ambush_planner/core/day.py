@@ -24,7 +24,7 @@ from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from .certificate import upper_bound
 from .errors import InvalidOption, NotDistinct
 from .options import check_at_least, check_whole
-from .paths import distances_between
+from .paths import distances_from
 from .strategy import Strategy
 
 MOST_TRIES = 100_000
@@ -151,7 +151,7 @@ def day_effect(
     parts = [beside.flow(middle, others[k:k + size]) for k in range(0, days, size)]
     chance, flow = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
     if not chance.sum() > 0.0:
-        raise NotDistinct(_not_distinct(middle, n, 0, days))
+        raise middle.not_distinct(n, 0, days)
     p = flow.sum(axis=0) / chance.sum()
     game = strategy.game
     visits, losses = game.visits(p), game.site_losses(p)
@@ -194,9 +194,9 @@ class Middle:
 
     def _find(self) -> None:
         network = self._strategy.network
-        ahead, behind = distances_between(
-            network.edges, network.lengths, len(network.points), network.source, network.target
-        )
+        lengths, count = network.lengths, len(network.points)
+        ahead = distances_from(network.edges, lengths, count, network.source)
+        behind = distances_from(network.edges[:, ::-1], lengths, count, network.target)
         with np.errstate(invalid='ignore'):
             share = ahead / (ahead + behind)
         first, last = 0.5 - self.distinct / 2.0, 0.5 + self.distinct / 2.0
@@ -215,18 +215,26 @@ class Middle:
         ``nodes`` (K,) are those of all routes, which come nowhere twice, ``day`` (K,) of which day.
         """
         inner = self.nodes[nodes]
-        used, times = np.unique(
-            day[inner] * len(self.nodes) + nodes[inner], return_counts=True
-        )
+        used = np.sort(day[inner] * len(self.nodes) + nodes[inner])
         apart = np.ones(count, dtype=bool)
-        apart[used[times > 1] // len(self.nodes)] = False
+        apart[used[1:][used[1:] == used[:-1]] // len(self.nodes)] = False
         return apart
 
     def go_on(self, n: int, found: int, tried: int, tries: int) -> None:
         """Raise ``NotDistinct`` where ``found`` of ``tried`` days of ``n`` routes are too few."""
         hopeless = not found and tried >= _PATIENCE and self.most(n) < n
         if hopeless or tried >= tries * (found + 1):
-            raise NotDistinct(_not_distinct(self, n, found, tried))
+            raise self.not_distinct(n, found, tried)
+
+    def not_distinct(self, n: int, found: int, tried: int) -> NotDistinct:
+        """The error of ``n`` routes that were apart in ``found`` of ``tried`` tries."""
+        most = self.most(n)
+        there = f'no more than {most} can be' if most < n else 'routes that are, are too rare'
+        return NotDistinct(
+            f'{n} routes were apart over the middle {100.0 * self.distinct:g} % of the way in '
+            f'{found} of {tried} tries: {there}; plan fewer convoys, or a smaller share to be '
+            'distinct in'
+        )
 
     def most(self, n: int) -> int:
         """How many routes of the strategy can be apart at once, counted up to ``n``: a flow."""
@@ -286,13 +294,3 @@ class _Beside:
             for tail, head in network.edges[self._edges].tolist()
         ]
         return float(behind[network.source].sum()), p
-
-
-def _not_distinct(middle: Middle, n: int, found: int, tried: int) -> str:
-    most = middle.most(n)
-    there = f'no more than {most} can be' if most < n else 'routes that are, are too rare'
-    return (
-        f'{n} routes were apart over the middle {100.0 * middle.distinct:g} % of the way in '
-        f'{found} of {tried} tries: {there}; plan fewer convoys, or a smaller share to be '
-        'distinct in'
-    )

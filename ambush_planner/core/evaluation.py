@@ -9,7 +9,6 @@ import numpy as np
 from .arrays import FloatArray, IndexArray
 from .certificate import upper_bound
 from .game import Game
-from .paths import distances_from
 from .routes import always, shortest_route
 from .strategy import Strategy
 
@@ -60,15 +59,9 @@ def energy_efficient_route(game: Game) -> IndexArray:
 
 def risk_avoiding_route(game: Game) -> IndexArray:
     """Nodes (K,) of a route of least sum of alpha; among these, of a shortest one."""
-    network = game.network
-    edges = np.flatnonzero(game.playable)
-    tail, head = network.edges[edges].T
-    risk = network.alpha[head]
-    ahead = distances_from(network.edges[edges], risk, game.node_count, network.source)
-    behind = distances_from(network.edges[edges][:, ::-1], risk, game.node_count, network.target)
-    least = ahead[network.target]
-    tied = ahead[tail] + risk + behind[head] <= least * (1.0 + TIE)
-    return shortest_route(network, edges[tied])
+    through = game.through(game.network.alpha[game.network.heads])
+    tied = through <= through.min() * (1.0 + TIE)
+    return shortest_route(game.network, np.flatnonzero(tied))
 
 
 def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
-from .discs import entering_edges, inside
+from .discs import entering_edges, near_ends
 from .errors import InvalidOption, NoRoute
 from .network import Network
 from .options import check_at_least, check_flag, check_whole
-from .paths import on_some_route
+from .paths import distances_from, on_some_route
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class GameOptions:
     ambushers
         Number of different sites held at once; their losses add up.
     ambush_in_obstacles
-        With a reach, the ambusher can also hide in obstacle cells (``Network.cover_points``).
+        With a reach, the ambusher can also hide in obstacle cells: a plan makes them nodes that
+        no edge leads to.
 
     Raises
     ------
@@ -119,6 +120,22 @@ class Game:
         x[self.network.source] += 1.0
         return x
 
+    def distances_ahead(self, weights: FloatArray) -> FloatArray:
+        """Least weight (N,) of a way to each node from the source; inf where there is none."""
+        edges = self.network.edges[self.playable]
+        return distances_from(edges, weights[self.playable], self.node_count, self.network.source)
+
+    def distances_behind(self, weights: FloatArray) -> FloatArray:
+        """Least weight (N,) of a way from each node to the target; inf where there is none."""
+        edges = self.network.edges[self.playable][:, ::-1]
+        return distances_from(edges, weights[self.playable], self.node_count, self.network.target)
+
+    def through(self, weights: FloatArray) -> FloatArray:
+        """Least weight (M,) of a route by way of each edge; inf off the playable ones."""
+        ahead = self.distances_ahead(weights)[self.network.tails]
+        behind = self.distances_behind(weights)[self.network.heads]
+        return np.where(self.playable, ahead + weights + behind, np.inf)
+
     def restricted_to(self, edges: BoolArray) -> Game | None:
         """The game on those of ``edges`` (M,) that still lie on a route; None if there is none."""
         network, usable = self.network, self.playable & edges
@@ -149,8 +166,6 @@ def make_game(network: Network, options: GameOptions) -> Game:
     InvalidOption
         There are more ambushers than nodes.
     """
-    if options.ambush_in_obstacles and options.ambush_radius > 0.0:
-        network = network.with_cover()
     if options.ambushers > network.place_count:
         raise InvalidOption(
             f"{options.ambushers} ambushers need as many different sites, and the network has "
@@ -192,8 +207,4 @@ def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     radius = max(options.secured_radius, options.ambush_radius)
     if radius == 0.0:
         return np.ones(len(network.points), dtype=bool)
-    near = [
-        inside(network.points - network.points[end], radius)
-        for end in (network.source, *network.stops, network.target)
-    ]
-    return ~np.any(near, axis=0)
+    return ~near_ends(network, radius)

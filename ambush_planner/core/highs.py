@@ -5,15 +5,17 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy
-from scipy.optimize import OptimizeResult, OptimizeWarning, linprog
 from scipy.sparse import csr_matrix
 
 from .arrays import FloatArray
 from .errors import SolverFailed, TimeLimit
+
+if TYPE_CHECKING:  # see most_entropy
+    from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
 # ipm_optimality_tolerance, one after the other until HiGHS is content; its default is 1e-8.
@@ -85,6 +87,8 @@ def _interior_point(
 
 
 def _linprog(program: Program, method: str, options: dict[str, Any]) -> OptimizeResult:
+    from scipy.optimize import OptimizeWarning, linprog
+
     constrained = program.inequalities.shape[0] > 0
     with warnings.catch_warnings():
         # run_crossover is not among scipy's documented options: it is passed through to HiGHS.

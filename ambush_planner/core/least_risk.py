@@ -1,12 +1,8 @@
-"""The least value where no cut tells it: with budgets, a reach, or several ambushers.
+"""Stage 1: the least value, and strategies of both sides that have it.
 
-With f = p / z in units of a loss near the value, the program is to send as much as possible,
-
-    maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
-
-because the budget's row is homogeneous in f. It is solved by HiGHS' interior point method on a
-part of the network; its duals are the ambusher's q and the prices of the budgets. If the
-certificate then finds better routes outside that part, their edges join it, and so on.
+Where no budget binds, without a reach, a cut tells it. Elsewhere HiGHS' interior point method
+solves a linear program (``flow_program``) on a part of the network. If the certificate then finds
+better routes outside that part, their edges join it, and so on.
 """
 
 from __future__ import annotations
@@ -15,17 +11,19 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix, hstack, vstack
 
-from . import highs
-from .acyclic import conserved
-from .arrays import BoolArray, FloatArray, IndexArray
-from .certificate import Budget, lower_bound, upper_bound
+from .acyclic import conserved, forward_part, order_potential, rank_around, rank_by
+from .arrays import BoolArray, FloatArray, sums
+from .certificate import Budget, lower_bound, priced_edges, upper_bound
+from .cut import indifferent_ambusher, solve_by_cut
 from .errors import BudgetInfeasible, SolverFailed, TimeLimit
+from .flow_program import FlowProgram
 from .game import Game
-from .paths import distances_between
 from .routes import always_shortest
 
+# Sites where an ambush costs this many times the value are driven past only if nothing else is
+# left: a strategy may use them so little that rounding alone would break the limit.
+BARRED = 1e7
 # The most that the edges of the program may grow by in one round.
 GROWTH, LEAST_GROWTH = 0.3, 1000
 # After the first round, edges on routes that cost this many times the value or more are dropped.
@@ -38,8 +36,6 @@ NEGLIGIBLE = 1e-8
 FAR_OVER_BUDGET = 2.0
 # A unit of loss is this near to the value, or the program is built again.
 UNIT_RANGE = 1e3
-# Edges that are over a budget by this many times its room are as good as unused.
-MOST_EXCESS = 1e7
 MAX_ROUNDS = 30
 
 
@@ -59,10 +55,84 @@ class LeastRisk:
     level: FloatArray
 
 
+def least_value(
+    game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
+) -> float:
+    """The least value within the budgets, from below and no further off than ``closed``.
+
+    At the deadline it is the value without budgets, and 0 where no cut tells that.
+
+    Raises
+    ------
+    BudgetInfeasible
+        No strategy fits all budgets.
+    """
+    loose = by_cut(game)
+    if loose and all(budget.keeps(loose.p) for budget in budgets):
+        if loose.value <= loose.bound * (1.0 + closed):
+            return loose.bound
+    try:
+        part = first_part(game, budgets, order_potential(game))
+        return least_risk(game, part, budgets, closed, deadline).bound
+    except (TimeLimit, SolverFailed):
+        return loose.bound if loose else 0.0
+
+
+def by_cut(game: Game) -> LeastRisk | None:
+    """The least value where no budget raises it: routes past all sites, or a minimum cut.
+
+    None with a reach, and where a cut does not hold several ambushers: with k of them the game is
+    that of one k times over, if none of k q is over 1. With several legs the cut is that of the
+    costliest leg, a lower bound; it is attained where the others need not pass that leg's sites.
+    """
+    safe, k = game.past_all_sites(), game.ambushers
+    if safe is not None:
+        p, nothing = always_shortest(safe), np.zeros(len(game.sites))
+        return LeastRisk(0.0, 0.0, p, indifferent_ambusher(game), (0.0, 0.0), nothing)
+    if game.ambush_radius > 0.0:
+        return None
+    cut = solve_by_cut(replace(game, ambushers=1))
+    q = k * sums(game.network.places, cut.q, game.node_count)
+    if q.max() > 1.0:
+        return None
+    lean, p = without_barred(game, cut.value), cut.p
+    if lean is not game:
+        p = solve_by_cut(replace(lean, ambushers=1)).p
+    level = np.full(len(game.sites), cut.value)
+    return LeastRisk(upper_bound(game, p), k * cut.value, p, q, (0.0, 0.0), level)
+
+
+def without_barred(game: Game, value: float, p: FloatArray | None = None) -> Game:
+    """The game without sites far too costly ever to pass, if a route is left (with p's edges)."""
+    barred = game.loss[game.sites] > BARRED * value
+    if not barred.any():
+        return game
+    open_edges = np.asarray(game.hits[barred].getnnz(axis=0) == 0)
+    if p is not None:
+        open_edges |= p > 0.0
+    return game.restricted_to(open_edges) or game
+
+
+def first_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
+    """Edges that the program begins with: forward in an order around a maximum flow.
+
+    The flow is the plain game's on edges that some route not too far over the budgets uses.
+    """
+    near = np.ones(len(game.network.edges), dtype=bool)
+    for budget in budgets:
+        if budget.binds:
+            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.room
+    part = game.restricted_to(near) or game
+    rank = rank_by(potential)
+    if game.ambush_radius == 0.0:
+        rank = rank_around(part, solve_by_cut(replace(part, ambushers=1)).p, potential)
+    return forward_part(part, rank) or part
+
+
 def least_risk(
     game: Game, part: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
 ) -> LeastRisk:
-    """Solve the value program, starting on the edges of ``part``.
+    """Solve the linear program, starting on the edges of ``part``.
 
     It is solved when value and bound are within ``closed`` of each other, relative.
 
@@ -79,9 +149,8 @@ def least_risk(
     first, solver = True, "interior_point"
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
+        assert restricted is not None  # it holds the routes of the strategy before
         try:
-            if restricted is None:
-                raise SolverFailed("the chosen edges hold no route")
             found, unit = _solve(game, restricted, budgets, unit, solver, deadline)
         except (SolverFailed, BudgetInfeasible):
             if chosen.sum() == game.playable.sum():
@@ -95,7 +164,8 @@ def least_risk(
         best = _better(best, _priced(game, found, budgets, closed))
         if best.bound >= best.value * (1.0 - closed):
             return best
-        through = _route_costs(game, found, budgets)
+        weights, paid = priced_edges(game, found.q, budgets, found.prices)
+        through = game.through(weights) - paid
         added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
         if not added.any() and solver == "simplex":
             return best
@@ -120,29 +190,6 @@ def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
 
 
-def near_budgets(game: Game, budgets: tuple[Budget, ...]) -> BoolArray:
-    """Edges (M,) that some route not too far over the budgets uses."""
-    near = np.ones(len(game.network.edges), dtype=bool)
-    for budget in budgets:
-        if budget.binds:
-            through = _through(game, budget.excess)
-            near &= through <= FAR_OVER_BUDGET * budget.room
-    return near
-
-
-def _through(game: Game, weights: FloatArray) -> FloatArray:
-    """Least weight (M,) of a playable route through each edge; inf off the game."""
-    network, playable = game.network, game.playable
-    ahead, behind = distances_between(
-        network.edges[playable], weights[playable], game.node_count, network.source,
-        network.target,
-    )
-    through = np.full(len(weights), np.inf)
-    tail, head = network.edges[playable].T
-    through[playable] = ahead[tail] + weights[playable] + behind[head]
-    return through
-
-
 def _priced(
     game: Game, found: LeastRisk, budgets: tuple[Budget, ...], closed: float
 ) -> LeastRisk:
@@ -159,17 +206,6 @@ def _priced(
             if bound > found.bound:
                 found = replace(found, bound=bound, prices=tuple(prices))
     return found
-
-
-def _route_costs(game: Game, found: LeastRisk, budgets: tuple[Budget, ...]) -> FloatArray:
-    """What the best route through each edge (M,) costs by the program's duals; inf off routes."""
-    weights = game.mean_loss_on_edges(found.q)
-    paid = 0.0
-    for budget, price in zip(budgets, found.prices, strict=True):
-        if price > 0.0:
-            weights = weights + price * budget.excess
-            paid += price * budget.room
-    return _through(game, weights) - paid
 
 
 def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
@@ -192,7 +228,7 @@ def _solve(
 ) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``, in a unit of loss that is brought near the value."""
     for _ in range(6):
-        program = _FlowProgram(part, budgets, unit)
+        program = FlowProgram(part, budgets, unit)
         size, f, duals = program.solve(solver, deadline)
         if 1.0 / UNIT_RANGE < size < UNIT_RANGE:
             break
@@ -201,120 +237,8 @@ def _solve(
     p = conserved(part, f / size, NEGLIGIBLE)
     if p is None:
         raise SolverFailed("the program's flow holds no route")
-    value = upper_bound(game, p)
-    bound = lower_bound(game, q, budgets, prices)
-    return LeastRisk(value, bound, p, q, prices, program.levels(p)), unit
-
-
-class _FlowProgram:
-    """The linear program on the edges of a game, and what its solution means."""
-
-    def __init__(self, game: Game, budgets: tuple[Budget, ...], unit: float) -> None:
-        self.game, self.unit = game, unit
-        self.budgets = budgets
-        self.edge = np.flatnonzero(game.playable)
-        rows = game.hits[:, self.edge]
-        self.row = np.flatnonzero(rows.getnnz(axis=1) > 0)
-        loss = game.loss[game.sites][self.row] / unit
-        scaled = csr_matrix(rows[self.row].multiply(loss[:, None]))
-        out = (game.network.tails[self.edge] == game.network.source).astype(float)
-        bound = [b for b in budgets if b.binds]
-        over = [
-            csr_matrix(np.minimum(b.excess[self.edge] / b.room, MOST_EXCESS) - out) for b in bound
-        ]
-        several = game.ambushers > 1
-        sites = len(self.row)
-        extra = 1 + sites if several else 0
-        blocks = [hstack((scaled, _shared_loss(sites))) if several else scaled]
-        blocks += [hstack((row, csr_matrix((1, extra)))) if several else row for row in over]
-        limits = [np.zeros(sites) if several else np.ones(sites), np.zeros(len(over))]
-        if several:
-            total = np.concatenate((np.zeros(len(out)), [game.ambushers], np.ones(sites)))
-            blocks.append(csr_matrix(total))
-            limits.append(np.ones(1))
-        self._over, self._several = len(over), several
-        rows_of_a, node = conservation(game)
-        inner = rows_of_a[node != game.network.source]
-        self.program = highs.Program(
-            np.concatenate((-out, np.zeros(extra))),
-            csr_matrix(vstack(blocks)),
-            np.concatenate(limits),
-            csr_matrix(hstack((inner, csr_matrix((inner.shape[0], extra))))),
-            np.zeros(inner.shape[0]),
-        )
-
-    def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
-        """Return |f|, f (M,) and the duals of the inequalities."""
-        try:
-            result = highs.run(self.program, solver, deadline, presolve=False)
-        except SolverFailed:
-            result = highs.run(self.program, "simplex", deadline)
-        size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
-        if not size > 1e-12:
-            names = " and ".join(b.option for b in self.budgets if b.binds)
-            raise BudgetInfeasible(f"no strategy fits all budgets at once; raise {names}")
-        f = np.zeros(len(self.game.network.edges))
-        f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
-        return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
-
-    def ambusher(self, duals: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
-        """q (N,) and the budgets' prices; a site too costly ever to be passed stays barred."""
-        sites, k = len(self.row), self.game.ambushers
-        q = np.zeros(self.game.node_count)
-        q[self.game.sites[self.row]] = duals[:sites]
-        # With several, the dual of the sum's row: no q_j is over it, and all may sum to less.
-        total = float(duals[-1]) if self._several else float(q.sum())
-        if not total > 0.0:
-            raise SolverFailed("the program has no ambusher")
-        q = at_most_one(q / total, k)
-        price = iter(duals[sites : sites + self._over] / total * self.unit)
-        return q, tuple(
-            float(next(price)) / budget.room if budget.binds else 0.0 for budget in self.budgets
-        )
-
-    def levels(self, p: FloatArray) -> FloatArray:
-        """Mean loss (S,) that each site may cause: the k-th worst one's, or its own if worse."""
-        losses = self.game.site_losses(p)
-        kth = np.sort(losses)[-min(self.game.ambushers, len(losses))]
-        return np.maximum(losses, kth)
-
-
-def _shared_loss(sites: int) -> csr_matrix:
-    """Columns for loss_j <= t + s_j: t first, then one s_j a site; k t + sum s <= 1 elsewhere."""
-    entries = np.full(2 * sites, -1.0)
-    row = np.tile(np.arange(sites), 2)
-    column = np.concatenate((np.zeros(sites, dtype=int), 1 + np.arange(sites)))
-    return csr_matrix((entries, (row, column)), shape=(sites, 1 + sites))
-
-
-def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
-    """Rows of ``A`` over the playable edges, and their nodes: all in use but the target.
-
-    The target's row follows from the others.
-    """
-    network = game.network
-    tail, head = network.edges[game.playable].T
-    column = np.arange(len(tail))
-    entries = np.concatenate((np.ones(len(tail)), -np.ones(len(tail))))
-    full = csr_matrix(
-        (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
-        shape=(game.node_count, len(tail)),
-    )
-    node = np.unique(tail)
-    return full[node], node
-
-
-def at_most_one(q: FloatArray, ambushers: int) -> FloatArray:
-    """Bring q (N,), which sums to the number of ambushers, below 1 everywhere."""
-    for _ in range(100):
-        over = q >= 1.0
-        missing = ambushers - float(np.minimum(q, 1.0).sum())
-        q = np.minimum(q, 1.0)
-        if missing <= 0.0:
-            break
-        rest = float(q[~over].sum())
-        if rest <= 0.0:
-            q[~over] += missing / max(int((~over).sum()), 1)
-            break
-        q[~over] *= 1.0 + missing / rest
-    return q
+    # Each site may cause as much as the k-th worst one, or its own loss if that is worse.
+    losses = game.site_losses(p)
+    level = np.maximum(losses, np.sort(losses)[-min(game.ambushers, len(losses))])
+    value, bound = upper_bound(game, p), lower_bound(game, q, budgets, prices)
+    return LeastRisk(value, bound, p, q, prices, level), unit

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import OptimizeResult
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
@@ -14,10 +14,14 @@ from .arrays import FloatArray, IndexArray
 from .certificate import Budget
 from .cut import indifferent_ambusher, solve_by_cut
 from .errors import BudgetInfeasible, InvalidOption
+from .flow_program import conservation
 from .game import Game
-from .least_risk import conservation, first_unit
+from .least_risk import first_unit
 from .max_entropy import Outcome
 from .routes import always_shortest
+
+if TYPE_CHECKING:  # see most_entropy
+    from scipy.optimize import OptimizeResult
 
 # No node is visited this often; where a loss is so small, its row says this instead.
 MOST_VISITS = 1e6
@@ -30,8 +34,8 @@ CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)
-class LinearProgram:
-    """minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``, v = (p, z') >= 0.
+class LinearProgram(highs.Program):
+    """The program in v = (p, z').
 
     p are the expected uses of the playable edges ``edge`` (m,), z' is the value in units of
     ``unit``. Rows of ``inequalities``: one a site, ``sum p into j - z' unit / alpha_j <= 0``, and
@@ -39,11 +43,6 @@ class LinearProgram:
     """
 
     edge: IndexArray
-    cost: FloatArray
-    inequalities: csr_matrix
-    limits: FloatArray
-    equalities: csr_matrix
-    rhs: FloatArray
     unit: float
 
 
@@ -67,12 +66,12 @@ def linear_program(
     rows_of_a, node = conservation(game)
     nothing = csr_matrix((len(node), 1))
     return LinearProgram(
-        edge,
         cost,
         inequalities.tocsr(),
         limits,
         hstack((rows_of_a, nothing)).tocsr(),
         np.where(node == network.source, 1.0, 0.0),
+        edge,
         unit,
     )
 
@@ -178,10 +177,7 @@ def _with_ambusher(
 
 
 def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
-    flat = highs.Program(
-        program.cost, program.inequalities, program.limits, program.equalities, program.rhs
-    )
-    result = highs.run(flat, solver, deadline)
+    result = highs.run(program, solver, deadline)
     if result.status == highs.INFEASIBLE:
         raise BudgetInfeasible(f"{solver}: no strategy fits the length budget; raise max_detour")
     return result

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import fmin_l_bfgs_b
 from scipy.sparse import csr_matrix
 
 from .arrays import FloatArray, IndexArray
@@ -128,6 +127,9 @@ class _Search:
         return value, 1.0 - used + self.softness * total
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+        # Who solves nothing does without it: it is a seventh of what loading the package takes.
+        from scipy.optimize import fmin_l_bfgs_b
+
         fmin_l_bfgs_b(
             self, start, bounds=[(0.0, None)] * len(start), m=CORRECTIONS, factr=5.0, pgtol=1e-12,
             maxfun=evaluations, maxiter=evaluations,

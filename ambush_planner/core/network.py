@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import FloatArray, IndexArray, frozen_array
+from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidNetwork
 
 
@@ -34,9 +34,6 @@ class Network:
         (tail, head) of each directed edge; no self-loops, no duplicates.
     source, target : int
         Where every route starts and ends.
-    cover_points, cover_alpha : (K, 2) and (K,) float
-        Places off the network where an ambusher can hide, such as obstacle cells [m], and the
-        loss there; none by default.
     legs : int
         Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
 
@@ -51,8 +48,6 @@ class Network:
     edges: IndexArray
     source: int
     target: int
-    cover_points: FloatArray = field(default_factory=lambda: np.empty((0, 2)), repr=False)
-    cover_alpha: FloatArray = field(default_factory=lambda: np.empty(0), repr=False)
     legs: int = 1
     dropped_edges: IndexArray = field(init=False, repr=False)
 
@@ -72,12 +67,6 @@ class Network:
                 f"{target} were dropped: no route uses them",
                 stacklevel=3,
             )
-        cover = _floats("cover_points", self.cover_points)
-        hidden = _floats("cover_alpha", self.cover_alpha)
-        if len(cover):
-            _check_nodes(np.vstack((cover, cover)), np.concatenate((hidden, hidden)))
-        object.__setattr__(self, "cover_points", cover)
-        object.__setattr__(self, "cover_alpha", hidden)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "alpha", alpha)
         object.__setattr__(self, "edges", frozen_array(edges[~outside], np.int64))
@@ -103,21 +92,6 @@ class Network:
         tail = np.where(is_end[self.tails], head, tail)
         head = np.where(is_end[self.heads], tail, head)
         return frozen_array(self.lengths * (tail + head) / 2.0, np.float64)
-
-    def with_cover(self) -> Network:
-        """The network with the places of cover as nodes, in each layer, that no edge leads to."""
-        count, added = self.place_count, len(self.cover_points)
-        cover = np.tile(self.cover_points, (self.legs, 1, 1))
-        hidden = np.tile(self.cover_alpha, (self.legs, 1))
-        moved = np.arange(len(self.points)) + np.arange(len(self.points)) // count * added
-        return Network(
-            np.concatenate((self.points.reshape(self.legs, -1, 2), cover), 1).reshape(-1, 2),
-            np.concatenate((self.alpha.reshape(self.legs, -1), hidden), 1).ravel(),
-            moved[self.edges],
-            int(moved[self.source]),
-            int(moved[self.target]),
-            legs=self.legs,
-        )
 
     @property
     def place_count(self) -> int:
@@ -245,7 +219,7 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
     return edges
 
 
-def _refuse_edges(edges: IndexArray, bad: npt.NDArray[np.bool_], what: str) -> None:
+def _refuse_edges(edges: IndexArray, bad: BoolArray, what: str) -> None:
     if bad.any():
         k = int(np.argmax(bad))
         raise InvalidNetwork(

@@ -40,8 +40,10 @@ def way_by_cells(
 
 
 def passage_nodes(way: FloatArray, room: FloatArray, spacing: float) -> FloatArray:
-    """Nodes (K, 2) along the narrow parts of a way by cells, as near to one another as they are
-    narrow: together with the lattice's they lead along it."""
+    """Nodes (K, 2) along the narrow parts of a way by cells, the closer the narrower.
+
+    Together with the lattice's nodes they lead along it.
+    """
     kept: list[int] = []
     before = -2
     for k in np.flatnonzero(room < COVERED * spacing).tolist():

@@ -35,17 +35,6 @@ def distances_from(edges: IndexArray, weights: FloatArray, count: int, node: int
     return distance
 
 
-def distances_between(
-    edges: IndexArray, weights: FloatArray, count: int, source: int, target: int
-) -> tuple[FloatArray, FloatArray]:
-    """Least weight from ``source`` to each node and from each node to ``target``, (count,) each.
-
-    For edge k, ``ahead[tail] + weight + behind[head]`` is the least weight of a path through it.
-    """
-    ahead = distances_from(edges, weights, count, source)
-    return ahead, distances_from(edges[:, ::-1], weights, count, target)
-
-
 def shortest_path(
     edges: IndexArray, weights: FloatArray, count: int, source: int, target: int
 ) -> IndexArray:

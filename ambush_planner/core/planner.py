@@ -14,7 +14,7 @@ from .bottleneck import Bottleneck, find_bottleneck
 from .construction import NetworkOptions, build_network, chosen_spacing
 from .corridors import Corridors, make_corridors
 from .cover import with_hiding_places
-from .driven_path import different_paths, driven_path, driven_paths
+from .driven_path import Ends, different_paths, driven_path, driven_paths
 from .errors import TimeLimit
 from .game import GameOptions
 from .judged import open_gap
@@ -25,7 +25,6 @@ from .options import check_at_least
 from .risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from .strategy import Strategy, StrategyOptions, solve
 
-Ends = tuple[tuple[float, float], tuple[float, float]]
 # Tube with a reach, in distances of nodes.
 DEFAULT_TUBE = 0.35
 # Paths that are drawn to count the different ones, and how far these are apart [spacings].
@@ -234,7 +233,8 @@ def _different_paths(
     strategy: Strategy, corridors: Corridors, drive: DriveOptions, spacing: float
 ) -> int:
     """Always the same for the same strategy; a count tells nothing of what is drawn later."""
-    routes = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+    routes = list({route.tobytes(): route for route in drawn}.values())  # each once
     step = max(spacing, strategy.shortest_length / DRAWN)
     paths = driven_paths(corridors, routes, step, drive.turning_radius)
     return different_paths(paths, APART * spacing)
@@ -274,7 +274,7 @@ def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) ->
     if not options.game.ambush_in_obstacles or radius == 0.0:
         return network
     spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, radius, spacing).with_cover()
+    return with_hiding_places(network, risk_map, radius, spacing)
 
 
 def _tube(options: PlanningOptions, spacing: float) -> float | None:

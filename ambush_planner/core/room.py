@@ -1,5 +1,8 @@
-"""How much room there is beside edges and beyond their ends: to other nodes, obstacles, the map's
-edge. Geometry for ``corridors``, in map axes, whole arrays at a time."""
+"""How much room there is beside edges and beyond their ends.
+
+It ends at other nodes, obstacles, the map's edge. Geometry for ``corridors``, in map axes, whole
+arrays at a time.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +28,11 @@ CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Widths (P, 2) of the strips on the left and right of P pairs of nodes [m], and radii
-    (P, 2, 2) of the quarters beyond their start and end, on the left and right."""
+    """The room beside P pairs of nodes [m].
+
+    ``widths`` (P, 2) are those of the strips on the left and right, ``beyond`` (P, 2, 2) the radii
+    of the quarters beyond start and end, on the left and right.
+    """
 
     widths: FloatArray
     beyond: FloatArray
@@ -135,8 +141,11 @@ class _Cells:
     def around(
         self, places: FloatArray, radius: FloatArray, of: IndexArray
     ) -> tuple[IndexArray, FloatArray]:
-        """The cells within a radius (K,) of places (K, 2), for the place ``of`` (P,) each: indices
-        (C,) into ``of``, and the offsets (C, 4, 2) of the cells' corners from the place."""
+        """The cells within a radius (K,) of places (K, 2), for the place ``of`` (P,) each.
+
+        Returned are indices (C,) into ``of``, and the offsets (C, 4, 2) of the cells' corners from
+        the place.
+        """
         if self._tree is None:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         found = self._tree.query_ball_point(places, radius, return_sorted=False)
@@ -196,8 +205,10 @@ def _quarters(
 
 
 def _from_corner(along: FloatArray, aside: FloatArray, kept: float) -> FloatArray:
-    """Distance (C,) from 0, which lies in none of them, of those parts of squares with corners
-    (C, 4) that have both offsets at least ``-kept``; inf where there is no such part."""
+    """Distance (C,) from 0 of those parts of squares that have both offsets at least ``-kept``.
+
+    The squares have corners (C, 4), and 0 lies in none of them; inf where there is no such part.
+    """
     first, last = _within([along + kept, aside + kept])
     forward, sideward = (np.roll(offset, -1, axis=1) - offset for offset in (along, aside))
     foot = -(along * forward + aside * sideward) / (forward**2 + sideward**2)
@@ -208,8 +219,10 @@ def _from_corner(along: FloatArray, aside: FloatArray, kept: float) -> FloatArra
 
 
 def _within(offsets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
-    """From which to which share (C, 4) of the sides of squares all offsets are at least 0; they are
-    given at the corners (C, 4). Nowhere if the first share is the larger one."""
+    """From which to which share (C, 4) of the sides of squares all offsets are at least 0.
+
+    Offsets are given at the corners (C, 4). Nowhere if the first share is the larger one.
+    """
     first, last = np.zeros(offsets[0].shape), np.ones(offsets[0].shape)
     for offset in offsets:
         change = np.roll(offset, -1, axis=1) - offset
@@ -224,8 +237,10 @@ def _within(offsets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
 def _to_map_edge(
     uv: FloatArray, pairs: IndexArray, size: FloatArray, margin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Widths (P, 2) and radii (P, 2, 2) at which strips and quarters come within ``margin`` of the
-    map's outer edge."""
+    """Widths (P, 2) and radii (P, 2, 2) at which the room comes within ``margin`` of the edge.
+
+    The edge is the map's outer one.
+    """
     direction = _frame(uv, pairs)[1]
     leftward = np.stack((-direction[:, 1], direction[:, 0]), axis=1)
     strips, quarters = np.full((len(pairs), 2), np.inf), np.full((len(pairs), 2, 2), np.inf)

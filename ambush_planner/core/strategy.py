@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .arrays import FloatArray, IndexArray, frozen_array, sums
-from .certificate import Budget, Certificate, certify
+from .certificate import Budget, certify
 from .errors import InvalidNetwork, InvalidOption, TimeLimit
 from .game import Game, GameOptions, make_game
 from .linear_program import linear_program_strategy
@@ -259,28 +259,28 @@ def _published(
     game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], options: StrategyOptions,
     start: Law | None,
 ) -> Strategy:
-    """The strategy as computed from p, q and prices alone; TimeLimit if its gap is too wide."""
-    certificate = certify(game, outcome.p, outcome.q, budgets, outcome.prices)
-    strategy = _strategy(game, outcome, budgets, certificate, start)
+    """The strategy that was found; TimeLimit if its gap is too wide."""
+    strategy = strategy_of(game, outcome, budgets, start)
     slack = options.risk_slack if options.solver == "max_entropy" else 0.0
     slack += CERTIFICATE_TOLERANCE
     # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
     weighed = options.length_weight > 0.0
     extra = outcome.prices[0] * strategy.expected_length if weighed else 0.0
-    if certificate.value + extra <= (certificate.bound + extra) * (1.0 + slack):
+    if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
         return strategy
     raise TimeLimit(
-        f"the value {certificate.value:.6g} is not within {slack:.3g} of its bound "
-        f"{certificate.bound:.6g} after {outcome.iterations} steps; allow more time",
+        f"the value {strategy.value:.6g} is not within {slack:.3g} of its bound "
+        f"{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time",
         strategy,
     )
 
 
-def _strategy(
-    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], certificate: Certificate,
-    start: Law | None,
+def strategy_of(
+    game: Game, outcome: Outcome, budgets: tuple[Budget, Budget], start: Law | None
 ) -> Strategy:
+    """The strategy with its certificate, as computed from p, q and prices alone."""
     network, p = game.network, outcome.p
+    certificate = certify(game, p, outcome.q, budgets, outcome.prices)
     leaving = sums(network.tails, p, game.node_count)
     length, exposure = budgets
     return Strategy(

@@ -1,4 +1,4 @@
-"""The shortest line through a route's corridors.
+"""The shortest lines through the corridors of routes, many routes at once.
 
 A route's strips and quarters (``corridors``) overlap in a *portal* at each of its nodes: a piece of
 the line that halves the angle between its two edges. Strips are convex, so what leads from portal
@@ -8,6 +8,7 @@ the funnel algorithm (Lee and Preparata 1984) in one pass.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +23,23 @@ ALONG = 0.45
 
 @dataclass(frozen=True, eq=False)
 class Portals:
-    """``nodes`` (K, 2) of a route, unit vectors (K, 2) to the left, room to both sides (K,), and
-    the length (K,) of the shorter edge there [m]; of no width at the route's ends."""
+    """The portals at the ``nodes`` (K, 2) of routes, one route behind the other [m].
+
+    ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the room to both sides, and
+    ``length`` (K,) is that of the shorter edge there. At the ends of a route they are of no width.
+    Route i has the portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,).
+    """
 
     nodes: FloatArray
     leftward: FloatArray
     left: FloatArray
     right: FloatArray
     length: FloatArray
+    bounds: IndexArray
 
     @property
     def width(self) -> FloatArray:
+        """From end to end (K,) [m]."""
         return self.left + self.right
 
     def places(self, margin: FloatArray, side: float) -> FloatArray:
@@ -41,11 +48,16 @@ class Portals:
         return self.nodes + aside[:, None] * self.leftward
 
 
-def portals_along(corridors: Corridors, route: IndexArray) -> Portals:
-    """The portals at the nodes of a route (K,)."""
+def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
+    """The portals at the nodes of routes (K,)."""
+    bounds = np.cumsum([0, *map(len, routes)])
+    route = np.concatenate(routes)
     nodes = corridors.uv[route]
-    links = corridors.links_along(route)
-    step = np.diff(nodes, axis=0)
+    joined = np.ones(len(route) - 1, dtype=bool)  # what does not lead to the next route
+    joined[bounds[1:-1] - 1] = False
+    links = np.zeros(len(joined), dtype=np.int64)
+    links[joined] = corridors.links_along(route[:-1][joined], route[1:][joined])
+    step = np.where(joined[:, None], np.diff(nodes, axis=0), (1.0, 0.0))
     length = np.hypot(*step.T)
     unit = step / length[:, None]
     halves = unit[:-1] + unit[1:]
@@ -64,28 +76,42 @@ def portals_along(corridors: Corridors, route: IndexArray) -> Portals:
         # where strip and quarter meet.
         steep = np.maximum(width[before] / length[:-1], width[after] / length[1:]) / (1.0 - ALONG)
         outer.append(quarter / np.maximum(off + along * steep, 1.0))
-    turn = unit[:-1, 0] * unit[1:, 1] - unit[:-1, 1] * unit[1:, 0]
-    usable = size > 1e-6
-    zero = np.zeros(1)
+    turn = cross(unit[:-1], unit[1:])
+    within = joined[:-1] & joined[1:]
+    usable = within & (size > 1e-6)
     return Portals(
         nodes,
-        np.concatenate((np.zeros((1, 2)), leftward, np.zeros((1, 2)))),
-        np.concatenate((zero, np.where(turn >= 0, inner[0], outer[0]) * usable, zero)),
-        np.concatenate((zero, np.where(turn <= 0, inner[1], outer[1]) * usable, zero)),
-        np.concatenate((zero, np.minimum(length[:-1], length[1:]), zero)),
+        padded(leftward * within[:, None]),
+        padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
+        padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
+        padded(np.minimum(length[:-1], length[1:])),
+        bounds,
     )
 
 
-def taut_string(portals: Portals, margin: FloatArray) -> list[tuple[int, int]]:
-    """The corners of the shortest line that passes all portals by ``margin`` (K,) [m] from their
-    ends, as (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route."""
+def taut_strings(
+    portals: Portals, margin: FloatArray, routes: Iterable[int]
+) -> list[list[tuple[int, int]]]:
+    """The corners of the shortest lines through all portals, ``margin`` (K,) [m] from their ends.
+
+    There is a line for each of ``routes``, which are numbers of those of the portals. A corner is
+    (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route.
+    """
     left, right = (portals.places(margin, side) for side in (1, -1))
     ends = {1: left.tolist(), -1: right.tolist()}
-    last = len(left) - 1
     first_side = np.where(_left_first(left, right), 1, -1).tolist()
-    corners, apex, k, half = [(0, 0)], ends[1][0], 1, 0
+    bounds = portals.bounds.tolist()
+    return [_taut_string(ends, first_side, *bounds[each : each + 2]) for each in routes]
+
+
+def _taut_string(
+    ends: dict[int, list[list[float]]], first_side: list[int], first: int, end: int
+) -> list[tuple[int, int]]:
+    """The corners of one line, through the portals from ``first`` to before ``end``."""
+    last = end - 1
+    corners, apex, k, half = [(first, 0)], ends[1][first], first + 1, 0
     tip = {1: apex, -1: apex}
-    at = {1: 0, -1: 0}
+    at = {1: first, -1: first}
     while k <= last:
         side = first_side[k] if half == 0 else -first_side[k]
         (ax, ay), (x, y), (sx, sy), (ox, oy) = apex, ends[side][k], tip[side], tip[-side]
@@ -104,12 +130,21 @@ def taut_string(portals: Portals, margin: FloatArray) -> list[tuple[int, int]]:
 
 
 def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
-    """Whether, from one portal to the next, the left end may move before the right one does: if
-    the diagonal from the old right to the new left end lies between the portals."""
+    """Whether, from one portal to the next, the left end may move before the right one does.
+
+    It may if the diagonal from the old right to the new left end lies between the portals.
+    """
     old, new = right[:-1], left[1:]
     before = cross(old - left[:-1], new - left[:-1]) >= 0.0
     after = cross(right[1:] - old, new - old) >= 0.0
     return [True, *(before & after).tolist()]
+
+
+def padded(values: FloatArray) -> FloatArray:
+    """Values (K - 2, ...) of all portals but the first and the last, with zeros for these."""
+    padded = np.zeros((len(values) + 2, *values.shape[1:]))
+    padded[1:-1] = values
+    return padded
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

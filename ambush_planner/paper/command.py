@@ -9,8 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import sys
-import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -34,11 +32,6 @@ A comparison that fails is a finding.
 BEGIN, END = '<!-- ambush_paper: begin -->', '<!-- ambush_paper: end -->'
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Repeat the paper and return the exit code."""
-    return cli.run(parser(), _work, arguments)
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser(
@@ -58,25 +51,19 @@ def parser() -> argparse.ArgumentParser:
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
     from .figures import draw_all  # --help needs no matplotlib
 
-    begin = time.monotonic()
-
-    def say(text: str) -> None:
-        console.say(f'{time.monotonic() - begin:5.1f} s  {text}')
-
     options.output.mkdir(parents=True, exist_ok=True)
-    results, comparisons = _compute(options.output, options.docs, say)
-    draw_all(results, options.output, say)
+    results, comparisons = _compute(options.output, options.docs, console.step)
+    draw_all(results, options.output, console.step)
     console.line(report(results))
     console.line(f'{cli.place(options.output)}: results.json, tables.md and the figures')
     failed = [comparison.statement for comparison in comparisons if not comparison.holds]
     for statement in failed:
         console.error(f'does not hold: {statement}')
-    code = cli.Exit.FINDING if failed else cli.Exit.HOLDS
     console.result = {
-        'verdict': code.name.lower(), 'folder': cli.place(options.output), 'failed': failed,
-        'seconds': round(time.monotonic() - begin, 1),
+        'folder': cli.place(options.output), 'failed': failed,
+        'seconds': round(console.seconds, 1),
     }
-    return code
+    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
 def _compute(folder: Path, docs: Path | None, say: Say) -> tuple[Results, list[Comparison]]:
@@ -128,5 +115,4 @@ def _as_json(results: Results, comparisons: Sequence[Comparison]) -> str:
     return json.dumps(content, indent=2, allow_nan=False) + '\n'
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

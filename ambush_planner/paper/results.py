@@ -219,7 +219,7 @@ def _spread(network: str, solver: str, strategy: Strategy) -> Spread:
 def distinct_routes(strategy: Strategy, draws: int) -> int:
     """Number of different routes among ``draws`` drawn ones, always the same draws."""
     rng = np.random.default_rng(DRAWS_SEED)
-    return len({strategy.sample_route(rng).tobytes() for _ in range(draws)})
+    return len({route.tobytes() for route in strategy.sample_routes(draws, rng)})
 
 
 def _planner_rows(raw: Strategy, named: Mapping[str, Strategy]) -> tuple[PlannerRow, ...]:

@@ -9,38 +9,35 @@ from pathlib import Path
 from ..core.errors import AmbushPlannerError, shown
 
 
-class RecordingFailed(AmbushPlannerError):
-    """A departure could not be recorded; planning is not affected, the next one tries again.
-
-    Attributes
-    ----------
-    path
-        The file or folder that could not be read or written.
-    reason
-        Why, in the operating system's words where it was the one to refuse.
-    """
-
-    def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f'recording failed at {shown(path)}: {reason}')
-        self.path = path
-        self.reason = reason
-
-
-class UnreadableRecording(AmbushPlannerError):
-    """A file or folder is not a whole recording of a departure.
+class _AtPath(AmbushPlannerError):
+    """What went wrong at a file or folder.
 
     Attributes
     ----------
     path
         The file or folder.
     reason
-        What is wrong with it, and what to do.
+        What is wrong, in the operating system's words where it was the one to refuse.
     """
 
+    _said = ''
+
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(f'{shown(path)} is not readable as a recording: {reason}')
+        super().__init__(self._said.format(shown(path), reason))
         self.path = path
         self.reason = reason
+
+
+class RecordingFailed(_AtPath):
+    """A departure could not be recorded; planning is not affected, the next one tries again."""
+
+    _said = 'recording failed at {}: {}'
+
+
+class UnreadableRecording(_AtPath):
+    """A file or folder is not a whole recording of a departure."""
+
+    _said = '{} is not readable as a recording: {}'
 
 
 @contextmanager

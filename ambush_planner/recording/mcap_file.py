@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from typing import IO
@@ -64,13 +64,19 @@ class Content:
     attachments: list[records.Attachment] = field(default_factory=list)
 
     def add(self, record: object) -> None:
-        """Keep a record that carries content; others are ignored."""
-        if isinstance(record, records.Message):
+        """Keep a record that carries content; others are ignored.
+
+        Raises
+        ------
+        BadFile
+            A schema or channel is defined a second time, differently.
+        """
+        if isinstance(record, (records.Schema, records.Channel)):
+            known = self.schemas if isinstance(record, records.Schema) else self.channels
+            if known.setdefault(record.id, record) != record:
+                raise BadFile('a schema or channel is defined twice, differently')
+        elif isinstance(record, records.Message):
             self.messages.append(record)
-        elif isinstance(record, records.Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, records.Channel):
-            self.channels[record.id] = record
         elif isinstance(record, records.Metadata):
             self.metadata.append(record)
         elif isinstance(record, records.Attachment):
@@ -130,29 +136,14 @@ def decode(data: bytes) -> Content:
     content, fault = whole_part(data)
     if fault:
         raise BadFile(fault)
-    try:
-        reader = SeekingReader(BytesIO(data), record_size_limit=len(data))
-        indexed = list(reader.iter_messages(log_time_order=False))
-        summary = reader.get_summary()
-        same = (
-            summary is not None
-            and [each[2] for each in indexed] == content.messages
-            and all(channel == content.channels.get(channel.id) for _, channel, _ in indexed)
-            and all(schema == content.schemas.get(schema.id) for schema, _, _ in indexed if schema)
-            and (summary.schemas, summary.channels) == (content.schemas, content.channels)
-            and list(reader.iter_attachments()) == content.attachments
-            and list(reader.iter_metadata()) == content.metadata
-            and _counts(summary.statistics) == _counted(content)
-        )
-    except BROKEN as error:
-        raise BadFile(f'its index is broken ({type(error).__name__})') from error
-    if not same:
-        raise BadFile('its index leads to another content than its records have')
     return content
 
 
 def whole_part(data: bytes) -> tuple[Content, str]:
-    """Return the whole records up to the first fault, and what the fault is ('': none)."""
+    """Return the whole records up to the first fault, and what the fault is ('': none).
+
+    A fault, too, is an index that leads to something else.
+    """
     content, place = Content(), 0
     if not data.startswith(MAGIC):
         return content, 'it is not an MCAP file' if data else 'it is empty'
@@ -174,7 +165,8 @@ def whole_part(data: bytes) -> tuple[Content, str]:
             if len(found) + len(content.messages) > MOST_MESSAGES:
                 return content, f'it has more than {MOST_MESSAGES} messages'
             if not ended:
-                _add(content, found)
+                for each in found:
+                    content.add(each)
         if ended and stream.tell() == len(data):
             _check_summary(data)
     except BROKEN as error:
@@ -182,17 +174,28 @@ def whole_part(data: bytes) -> tuple[Content, str]:
         return content, f'it is broken or cut off {where} ({_why(error)})'
     if not ended or stream.tell() != len(data):
         return content, 'its end is not where it should be'
-    return content, ''
+    return content, _index_fault(data, content)
 
 
-def _add(content: Content, found: Iterable[object]) -> None:
-    for record in found:
-        for kind, known in (
-            (records.Schema, content.schemas), (records.Channel, content.channels)
-        ):
-            if isinstance(record, kind) and known.get(record.id, record) != record:
-                raise BadFile('a schema or channel is defined twice, differently')
-        content.add(record)
+def _index_fault(data: bytes, content: Content) -> str:
+    """What is wrong with the index of a file with this content ('': nothing)."""
+    try:
+        reader = SeekingReader(BytesIO(data), record_size_limit=len(data))
+        indexed = list(reader.iter_messages(log_time_order=False))
+        summary = reader.get_summary()
+        same = (
+            summary is not None
+            and [each[2] for each in indexed] == content.messages
+            and all(channel == content.channels.get(channel.id) for _, channel, _ in indexed)
+            and all(schema == content.schemas.get(schema.id) for schema, _, _ in indexed if schema)
+            and (summary.schemas, summary.channels) == (content.schemas, content.channels)
+            and list(reader.iter_attachments()) == content.attachments
+            and list(reader.iter_metadata()) == content.metadata
+            and _counts_hold(summary.statistics, content)
+        )
+    except BROKEN as error:
+        return f'its index is broken ({type(error).__name__})'
+    return '' if same else 'its index leads to another content than its records have'
 
 
 def records_of(chunk: records.Chunk, most: int) -> list[records.McapRecord]:
@@ -259,18 +262,12 @@ def _check_summary(data: bytes) -> None:
         raise BadFile("the summary's checksum does not hold")
 
 
-def _counts(statistics: records.Statistics | None) -> tuple | None:
-    if statistics is None:
-        return None
-    return (
+def _counts_hold(statistics: records.Statistics | None, content: Content) -> bool:
+    times = [each.log_time for each in content.messages] or [0]
+    return statistics is not None and (
         statistics.message_count, statistics.attachment_count, statistics.metadata_count,
         statistics.message_start_time, statistics.message_end_time,
-    )
-
-
-def _counted(content: Content) -> tuple:
-    times = [each.log_time for each in content.messages] or [0]
-    return (
+    ) == (
         len(content.messages), len(content.attachments), len(content.metadata),
         min(times), max(times),
     )

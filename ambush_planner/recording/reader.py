@@ -82,11 +82,7 @@ def read_departure(path: Path | str) -> RecordedDeparture:
         The file is missing, damaged, or no departure of this format.
     """
     path = Path(path)
-    return departure_from(path, read_bytes(path))
-
-
-def departure_from(path: Path, data: bytes) -> RecordedDeparture:
-    """Read the departure in the bytes of a file; raises as ``read_departure``."""
+    data = read_bytes(path)
     try:
         content = decode(data)
     except BadFile as error:
@@ -224,8 +220,10 @@ def _channels(content: Content) -> dict[int, tuple[str, str, str]]:
     return found
 
 
-def check_readable(path: Path, content: Content, size: int) -> None:
+def check_readable(path: Path, content: Content, size: int, known: bytes = b'') -> bytes:
     """Check that the readers would take what is about to be written, a file of ``size`` bytes.
+
+    ``known`` is a strategy's file that they would take; the content's is returned.
 
     Raises
     ------
@@ -236,6 +234,9 @@ def check_readable(path: Path, content: Content, size: int) -> None:
         unpacked = sum(len(each.data) for each in content.messages)
         if max(size, unpacked) > MOST_BYTES // 2 or len(content.messages) > MOST_MESSAGES // 2:
             raise ValueError(f'{unpacked} bytes are more than a departure has')
-        arrays_of(_departure(path, b'', content).strategy)
+        strategy = _departure(path, b'', content).strategy
+        if strategy is not known:
+            arrays_of(strategy)
     except (ValueError, ArithmeticError) as error:
         raise UnreadableRecording(path, str(error)) from error
+    return strategy

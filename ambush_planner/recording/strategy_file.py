@@ -7,16 +7,14 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import entr
 
-from ..core.arrays import frozen_array, sums
-from ..core.certificate import Budget, certify
+from ..core.arrays import frozen_array
+from ..core.certificate import Budget
 from ..core.errors import AmbushPlannerError
 from ..core.game import Game, GameOptions, make_game
-from ..core.max_entropy import Law
+from ..core.max_entropy import Law, Outcome
 from ..core.network import Network
-from ..core.routes import RouteSampler
-from ..core.strategy import Strategy
+from ..core.strategy import Strategy, strategy_of
 from .npz import BadAttachment, Shape, packed, unpacked
 
 STRATEGY_FILE = 'strategy.npz'
@@ -130,41 +128,14 @@ def _strategy(game: Game, content: dict[str, np.ndarray]) -> Strategy:
     p = frozen_array(content['edge_probability'], np.float64)
     q = frozen_array(content['ambush_probability'], np.float64)
     stated = {name: float(content[name]) for name in NUMBERS}
-    length = Budget(
-        game, network.lengths, stated['length_budget'], stated['shortest_length'], 'detour', 'm'
-    )
-    exposure = Budget(
-        game, network.edge_exposure, stated['exposure_budget'], stated['least_exposure'],
-        'exposure', 'loss x m',
+    budgets = (
+        Budget(game, network.lengths, stated['length_budget'], stated['shortest_length'],
+               'detour', 'm'),
+        Budget(game, network.edge_exposure, stated['exposure_budget'], stated['least_exposure'],
+               'exposure', 'loss x m'),
     )
     prices = stated['length_price'], stated['exposure_price']
-    certificate = certify(game, p, q, (length, exposure), prices)
-    leaving = sums(network.tails, p, game.node_count)
-    edge_entropy = float(entr(p).sum())
-    return Strategy(
-        game=game,
-        edge_probability=p,
-        visit_probability=frozen_array(game.visits(p), np.float64),
-        ambush_probability=q,
-        value=certificate.value,
-        lower_bound=certificate.bound,
-        gap=certificate.value - certificate.bound,
-        edge_entropy=edge_entropy,
-        # -sum p_ij ln(p_ij / x_i), with x_i as the sum of the p_ij.
-        route_entropy=edge_entropy - float(entr(leaving).sum()),
-        expected_length=length.mean(p),
-        shortest_length=length.least,
-        length_budget=length.limit,
-        length_price=prices[0],
-        expected_exposure=exposure.mean(p),
-        least_exposure=exposure.least,
-        exposure_budget=exposure.limit,
-        exposure_price=prices[1],
-        iterations=0,
-        law=None,
-        start=_start(content),
-        _sampler=RouteSampler(network, p),
-    )
+    return strategy_of(game, Outcome(p, q, prices, 0), budgets, _start(content))
 
 
 def _start(content: dict[str, np.ndarray]) -> Law | None:

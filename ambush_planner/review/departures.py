@@ -75,9 +75,7 @@ def source_findings(departures: Iterable[tuple[str, Metadata]]) -> list[str]:
     found, values = [], []
     for name, metadata in departures:
         source = metadata.route_entropy_source
-        if len(source) > 1:
-            values.append((tuple(source), name, metadata.id))
-        elif source[0].bit_length() < LEAST_BITS:
+        if len(source) == 1 and source[0].bit_length() < LEAST_BITS:
             found.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
         else:
             values.append((tuple(source), name, metadata.id))

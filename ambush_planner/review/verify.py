@@ -18,10 +18,9 @@ from typing import Any
 from ..core.errors import AmbushPlannerError
 from ..core.planner import PlanningOptions, PlanRequest, WarmStart
 from ..core.strategy import Strategy
-from ..recording import UnreadableRecording
+from ..recording import UnreadableRecording, read_departure
 from ..recording.bag_folder import BagFile, describe_file
 from ..recording.metadata import Metadata
-from ..recording.reader import departure_from, read_bytes
 from ..ros.conversions import occupancy_from_ros
 from ..ros.departure_record import planner_version, software_versions
 from ..worker.process import WorkerProcess
@@ -140,8 +139,7 @@ class Verifier:
         return check
 
     def _check(self, check: Verdict) -> None:
-        data = read_bytes(check.path)
-        recorded = departure_from(check.path, data)
+        recorded = read_departure(check.path)
         check.metadata, check.sha256 = recorded.metadata, recorded.sha256
         check.file = describe_file(check.path.name, recorded.content)
         case = Case(recorded)

@@ -1,0 +1,1 @@
+"""The node: parameters, conversions, transforms, requests, diagnostics."""

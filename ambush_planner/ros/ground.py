@@ -12,9 +12,10 @@ from scipy.spatial import cKDTree
 
 from ..core.arrays import FloatArray, IndexArray
 from ..core.corridors import Corridors
+from ..core.driven_path import Ends
 from ..core.judged import revalue
 from ..core.obstacles import ObstacleField
-from ..core.planner import Ends, Plan, Route, depart
+from ..core.planner import Plan, Route, depart
 from ..core.refitted import among_new_obstacles, with_end_at
 from ..core.risk_map import OccupancyOptions, RiskMap, risk_map_from_occupancy
 from .conditioned import Conditioned

@@ -1,5 +1,4 @@
-"""Who sees a vehicle: for each cell, the ground from which it can be seen, and the ground that is
-hidden from it.
+"""Who sees a vehicle: the ground from which each cell can be seen, and what is hidden from it.
 
 From each cell rays go out in evenly spaced directions (W. R. Franklin, C. K. Ray, *Higher isn't
 necessarily better: visibility algorithms and experiments*, 1994, algorithm R2, with a fixed
@@ -94,8 +93,11 @@ class Views:
 
 @dataclass(frozen=True)
 class Sample:
-    """A place on a ray between two cells: their offsets (row, column), ``share`` that the second
-    one has of it, its distance [cells], and its weight."""
+    """A place on a ray between two cells.
+
+    ``first`` and ``second`` are their offsets (row, column), ``share`` is what the second one has
+    of it; then come its distance [cells] and its weight.
+    """
 
     first: tuple[int, int]
     second: tuple[int, int]

@@ -24,6 +24,7 @@ PLOTS = 4.6
 DRAWN, BAND = '#1146b0', '#c9d8ee'
 # This part of the dots lies in the band.
 INSIDE = 0.99
+PERCENT = FuncFormatter(lambda share, _: f'{100.0 * share:.3g} %')
 PERCENTS = (0.0, 0.01, 0.05, 0.1, 0.25, 0.5, 0.75, 1.0)
 
 
@@ -49,7 +50,7 @@ def audit_figure(risk_map: RiskMap, audit: Audit) -> Figure:
         ax=[published, recorded],
         location='bottom',
         label='share of the departures that drive here',
-        format=FuncFormatter(percent),
+        format=PERCENT,
         shrink=0.5,
         aspect=50,
     )
@@ -58,11 +59,6 @@ def audit_figure(risk_map: RiskMap, audit: Audit) -> Figure:
     draw_order(order, audit)
     draw_learning(learning, audit)
     return figure
-
-
-def percent(share: float, _: int = 0) -> str:
-    """Return a share, 0..1, as ticks show it: 0.1 %, 5 %."""
-    return f'{100.0 * share:.3g} %'
 
 
 def draw_frequencies(axes: Axes, probability: np.ndarray, audit: Audit) -> None:
@@ -84,7 +80,7 @@ def draw_frequencies(axes: Axes, probability: np.ndarray, audit: Audit) -> None:
         # Roots spread the many small shares and keep 0.
         set_scale('function', functions=(lambda x: np.sqrt(np.maximum(x, 0.0)), np.square))
         axis.set_ticks([tick for tick in PERCENTS if tick <= 1.0])
-        axis.set_major_formatter(FuncFormatter(percent))
+        axis.set_major_formatter(PERCENT)
         limit(0.0, None)
     axes.set_xlim(0.0, largest)
     axes.set_ylim(0.0, min(1.0, max(float(high.max()), audit.passages.max() / n) * 1.15))
@@ -104,7 +100,7 @@ def draw_order(axes: Axes, audit: Audit) -> None:
     axes.plot(lags, centre, color='grey', linewidth=1.0)
     axes.plot(lags, order.by_lag, 'o-', color=DRAWN, label='recorded')
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.yaxis.set_major_formatter(FuncFormatter(percent))
+    axes.yaxis.set_major_formatter(PERCENT)
     axes.set_xlabel('departures apart (1: the next one)')
     axes.set_ylabel('ground that both cross')
     low, high = axes.get_ylim()

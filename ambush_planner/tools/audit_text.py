@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -76,8 +75,7 @@ class Outcome:
             return cli.Exit.FINDING
         if self.unreadable:
             return cli.Exit.UNREADABLE
-        told = self.audit and not self.audit.blind and not self.left_out
-        return cli.Exit.HOLDS if told else cli.Exit.TOO_FEW
+        return cli.Exit.HOLDS if self.audit and not self.left_out else cli.Exit.TOO_FEW
 
 
 def lines(found: Outcome) -> list[str]:
@@ -106,12 +104,8 @@ def lines(found: Outcome) -> list[str]:
 def title(found: Outcome) -> str:
     """Say how many departures, of how many strategies, and when they were."""
     strategies = f'{found.strategies} strateg{"ies" if found.strategies != 1 else "y"}'
-    return f'{how_many(found.departures)} of {strategies}, {span(found.departures)}'
-
-
-def how_many(departures: Sequence[Departure]) -> str:
-    """Return the number of departures, as text."""
-    return cli.count(len(departures), 'departure')
+    departures = cli.count(len(found.departures), 'departure')
+    return f'{departures} of {strategies}, {span(found.departures)}'
 
 
 def span(departures: Sequence[Departure]) -> str:
@@ -147,12 +141,6 @@ def table(audit: Audit) -> str:
 def findings(audit: Audit) -> list[str]:
     """Say what was found and what it means, or that nothing was."""
     rate = f'{100.0 * audit.false_alarm_rate:g} %'
-    if audit.blind and not audit.findings:
-        return [
-            f'UNTESTED: {audit.resamples + 1:,} resamples are too few to hold a rate of {rate}; '
-            'only what cannot be drawn at all would have been found. Audit fewer strategies at a '
-            'time, or raise --false-alarm-rate.'
-        ]
     if not audit.findings:
         return [
             'Nothing suspicious. Departures of this strategy, drawn as published, raise an alarm '
@@ -217,12 +205,11 @@ def learning_lines(audit: Audit) -> list[str]:
 def passages_csv(audit: Audit) -> str:
     """Every stretch that is published or was driven, with both frequencies. A secret."""
     stream = StringIO()
-    writer = csv.writer(stream, lineterminator='\n')
-    writer.writerow(('tail_x', 'tail_y', 'head_x', 'head_y', 'expected_passages', 'passages'))
-    for ends, expected, passages in zip(
-        audit.segments.reshape(-1, 4), audit.expected, audit.passages, strict=True
-    ):
-        writer.writerow((*(f'{x:.3f}' for x in ends), f'{expected:.6g}', int(passages)))
+    rows = np.column_stack((audit.segments.reshape(-1, 4), audit.expected, audit.passages))
+    np.savetxt(
+        stream, rows, ['%.3f'] * 4 + ['%.6g', '%d'], delimiter=',', comments='',
+        header='tail_x,tail_y,head_x,head_y,expected_passages,passages',
+    )
     return stream.getvalue()
 
 

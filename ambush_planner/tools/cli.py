@@ -1,7 +1,7 @@
 """What the commands share: one entry, options, output, exit codes, files that are written.
 
-Each command is a module with ``parser()`` and ``main(arguments)``. The program's own name chooses
-it (``ambush_verify``), or the first argument (``ambush verify``).
+Each command is a module with ``parser()`` and ``main(arguments)``, see ``command``. The program's
+own name chooses it (``ambush_verify``), or the first argument (``ambush verify``).
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ from __future__ import annotations
 import argparse
 import importlib
 import json
+import math
 import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum
+from errno import ENOTDIR
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from textwrap import fill
@@ -39,7 +42,7 @@ EXIT_CODES = (
     '4 not enough to tell. A finding goes before the others.'
 )
 WIDTH = 99
-_PATIENCE = 2.0  # s
+_PATIENCE, _REFRESHED = 2.0, 0.1  # s; of a bar
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # as shells report these signals
 _GREEN, _RED, _PLAIN = '\033[32m', '\033[31m', '\033[0m'
 _Item = TypeVar('_Item')
@@ -102,6 +105,22 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def number(least: float, most: float) -> Callable[[str], float]:
+    """Return what reads an argument that is a number from ``least`` to ``most``."""
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(
+                f'must be a number from {least:g} to {most:g}, got {text!r}'
+            )
+        return value
+
+    return read
+
+
 def add_output(parser: argparse.ArgumentParser, what: str) -> None:
     """Let a command write into a folder."""
     parser.add_argument(
@@ -118,21 +137,18 @@ class Console:
     def __init__(self, command: str, *, as_json: bool, quiet: bool) -> None:
         self._command, self._json, self._quiet = command, as_json, quiet
         self._colour = sys.stdout.isatty() and 'NO_COLOR' not in os.environ
+        self._begin = time.monotonic()
         self.result: dict[str, Any] = {}
 
     def line(self, text: str = '') -> None:
         """Print a line of the result."""
         if not (self._json or self._quiet):
-            print(text, flush=True)
+            print(_wrapped(text), flush=True)
 
     def item(self, text: str) -> None:
         """Print what belongs to the line before it, indented and wrapped."""
         self.line(fill(text, WIDTH, initial_indent=' ' * 7, subsequent_indent=' ' * 9,
                        break_long_words=False, break_on_hyphens=False))
-
-    def paragraph(self, text: str) -> None:
-        """Print a paragraph, wrapped."""
-        self.line(fill(text, WIDTH, break_long_words=False, break_on_hyphens=False))
 
     def marked(self, mark: str, good: bool) -> str:
         """Return a word in green or red where a terminal shows it."""
@@ -142,11 +158,25 @@ class Console:
     def say(self, text: str) -> None:
         """Tell the progress."""
         if not self._quiet:
-            print(text, file=sys.stderr, flush=True)
+            self._tell(text)
+
+    @property
+    def seconds(self) -> float:
+        """How long the command has been running."""
+        return time.monotonic() - self._begin
+
+    def step(self, text: str) -> None:
+        """Tell what comes next, with the time so far."""
+        self.say(f'{self.seconds:5.1f} s  {text}')
 
     def error(self, text: object) -> None:
         """Tell what is wrong, on standard error, also when quiet."""
-        print(f'ambush_{self._command}: {text}', file=sys.stderr, flush=True)
+        self._tell(f'ambush_{self._command}: {text}')
+
+    def _tell(self, text: str) -> None:
+        # In a log each message is a line, to be searched for.
+        shown_text = _wrapped(text) if sys.stderr.isatty() else text
+        print(shown_text, file=sys.stderr, flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items, with a bar from two seconds on where a terminal shows it."""
@@ -157,36 +187,42 @@ class Console:
 
     def bar(self, what: str) -> Callable[[float], None]:
         """Return what shows how much is done, 0..1, from two seconds on."""
-        begin, told, shown_bar = time.monotonic(), 0.0, sys.stderr.isatty() and not self._quiet
+        begin, told = time.monotonic(), 0.0
 
         def show(share: float) -> None:
             nonlocal told
             now = time.monotonic() - begin
-            if told and share >= 1.0 and shown_bar:
+            if told and share >= 1.0:
                 print('\r' + ' ' * WIDTH + '\r', end='', file=sys.stderr, flush=True)
-            elif now > max(_PATIENCE, told + (0.1 if shown_bar else 10.0)):
+            elif now > max(_PATIENCE, told + _REFRESHED):
                 told = now
-                if shown_bar:
-                    text = f'\r[{"#" * int(30 * share):30}] {share:4.0%} {what}'
-                    print(text, end='', file=sys.stderr, flush=True)
-                else:
-                    self.say(f'{what}: {share:.0%}')
+                text = f'\r[{"#" * int(30 * share):30}] {share:4.0%} {what}'
+                print(text, end='', file=sys.stderr, flush=True)
 
-        return show
+        return show if sys.stderr.isatty() and not self._quiet else lambda share: None
 
-    def finish(self) -> None:
-        """Print the result as JSON where that was asked for."""
+    def finish(self, code: Exit) -> None:
+        """Print the verdict and the result as JSON where that was asked for."""
         if self._json:
-            print(json.dumps(self.result, indent=1, default=str), flush=True)
+            result = {'verdict': code.name.lower(), **self.result}
+            print(json.dumps(result, indent=1, default=str), flush=True)
         sys.stdout.flush()
 
 
+Work = Callable[[argparse.Namespace, Console], Exit]
+
+
+def command(parser: Callable[[], argparse.ArgumentParser], work: Work) -> Callable[..., int]:
+    """Return the ``main(arguments)`` of a command."""
+    return partial(run, parser, work)
+
+
 def run(
-    parser: argparse.ArgumentParser,
-    work: Callable[[argparse.Namespace, Console], int],
+    make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     arguments: Sequence[str] | None = None,
 ) -> int:
     """Parse the arguments, do the work, and return the exit code, with the reason told."""
+    parser = make_parser()
     _complete(parser)
     options = parser.parse_args(arguments)
     console = Console(
@@ -194,7 +230,7 @@ def run(
     )
     try:
         code = work(options, console)
-        console.finish()
+        console.finish(code)
         return int(code)
     except UsageError as error:
         parser.error(str(error))
@@ -229,7 +265,11 @@ def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
     ------
     UsageError
         A file of one of the ``names`` exists in the folder, and ``replace`` is False.
+    NotADirectoryError
+        The folder is a file.
     """
+    if os.path.lexists(folder) and not folder.is_dir():
+        raise NotADirectoryError(ENOTDIR, os.strerror(ENOTDIR), str(folder))
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing and not replace:
         raise UsageError(
@@ -246,6 +286,14 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
     make_private_folders(Path(os.path.abspath(folder)))
     for name, data in files.items():
         write_durably(folder / name, data)
+
+
+def _wrapped(text: str) -> str:
+    """Wrap lines that are too long for a terminal; names of files and Markdown rows stay whole."""
+    return '\n'.join(
+        fill(line, WIDTH, subsequent_indent='  ', break_long_words=False, break_on_hyphens=False)
+        if len(line) > WIDTH and line[0] != '|' else line for line in text.split('\n')
+    )
 
 
 def _entry_parser() -> argparse.ArgumentParser:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from types import TracebackType
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -13,11 +12,11 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..ros.conversions import occupancy_to_ros, pose_to_ros
+from ..ros.qos import LATCHED
 
 FRAME = 'map'
 # Discovery alone can take more than 3 s.
@@ -25,11 +24,6 @@ DISCOVERY_TIMEOUT = 30.0
 PLANNING_TIMEOUT = 90.0
 MESSAGE_TIMEOUT = 15.0
 STEP = 0.05
-LATCHED = QoSProfile(
-    depth=20,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
 
 
 class NoAnswer(Exception):
@@ -63,12 +57,7 @@ class DemoClient:
         self._new_route = self._node.create_client(Trigger, '/ambush_planner/new_route')
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
@@ -89,14 +78,13 @@ class DemoClient:
         resolution: float,
         start: tuple[float, float],
         goal: tuple[float, float],
-    ) -> OccupancyGrid:
-        """Publish map (cell values, row 0 lowest), start and goal; return the map's message.
+    ) -> None:
+        """Publish map (cell values, row 0 lowest), start and goal.
 
         Waits until the node has them; raises NoAnswer.
         """
         header = Header(frame_id=FRAME, stamp=self._node.get_clock().now().to_msg())
-        grid = occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), header)
-        self._map.publish(grid)
+        self._map.publish(occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), header))
         self._start.publish(PoseStamped(header=header, pose=pose_to_ros(*start)))
         self._goal.publish(PoseStamped(header=header, pose=pose_to_ros(*goal)))
         self._wait(
@@ -104,7 +92,6 @@ class DemoClient:
             MESSAGE_TIMEOUT,
             'the node did not take map, start and goal',
         )
-        return grid
 
     def depart(self) -> PathMessage:
         """Ask for a route and return it; raises NoAnswer with the node's reason if it says no."""
@@ -118,15 +105,6 @@ class DemoClient:
             lambda: len(self.paths) > known, MESSAGE_TIMEOUT, 'no path came after new_route'
         )
         return self.paths[-1]
-
-    def status_after(self, departures: int) -> dict[str, str]:
-        """Return the diagnostics once they count ``departures``; raises NoAnswer."""
-        self._wait(
-            lambda: self.status.get('departures') == str(departures),
-            MESSAGE_TIMEOUT,
-            f'the diagnostics did not come to count {departures} departures',
-        )
-        return self.status
 
     def _wait(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
         deadline = time.monotonic() + timeout

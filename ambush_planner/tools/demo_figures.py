@@ -10,13 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from ..core.arrays import FloatArray
 from ..core.risk_map import RiskMap
 from ..core.strategy import Strategy
 from .figures import (
     AMBUSHER,
     OBSTACLE,
     SECURED_DASHES,
-    FloatArray,
     draw_ends,
     draw_risk_map,
     draw_routes,
@@ -45,7 +45,10 @@ def routes_figure(
     secured_radius: float = 0.0,
 ) -> Figure:
     """Left: the routes (K, 2) of departures. Right: routes of planners that leave no choice."""
-    figure, (left, right) = _two_panels()
+    figure = Figure(figsize=(15.0, 9.6), dpi=DOTS_PER_INCH, layout='compressed')
+    # Room for the legend below.
+    figure.get_layout_engine().set(rect=(0.0, 0.045, 1.0, 0.955), w_pad=0.08)
+    left, right = figure.subplots(1, 2)
     loss = f'Whoever knows the strategy causes a mean loss of {strategy.value:.2f} at most'
     frame(left, risk_map, f'{len(routes)} departures of the random convoy\n{loss}')
     frame(
@@ -54,10 +57,24 @@ def routes_figure(
         'The same route every day\nWhoever has seen it waits where it hurts most',
     )
     draw_routes(left, routes)
-    lines = draw_fixed_routes(right, fixed)
+    handles: list[Line2D | Patch] = draw_fixed_routes(right, fixed)
+    dot = {'marker': 'o', 'markersize': 10, 'color': AMBUSHER, 'markeredgecolor': 'white'}
+    handles.append(
+        Line2D([], [], linestyle='none', label='ambush on a route that is known', **dot)
+    )
+    if secured_radius > 0.0:
+        handles.append(Line2D(
+            [], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
+            label='secured ground: nobody can wait here',
+        ))
+    handles.append(Patch(color=OBSTACLE, label='obstacle'))
+    network = strategy.network
+    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
     for axes in (left, right):
         risk = draw_risk_map(axes, risk_map)
-        _draw_ends(axes, strategy, secured_radius)
+        if secured_radius > 0.0:
+            draw_secured(axes, [start, *stops, goal], secured_radius)
+        draw_ends(axes, start, goal, stops)
     figure.colorbar(
         risk,
         ax=[left, right],
@@ -66,8 +83,7 @@ def routes_figure(
         shrink=0.4,
         aspect=40,
     )
-    ambush = _dot('ambush on a route that is known')
-    _legend(figure, [*lines, ambush, *_secured(secured_radius), _obstacles()])
+    figure.legend(handles=handles, loc='lower center', ncol=len(handles), handlelength=2.6)
     return figure
 
 
@@ -87,38 +103,3 @@ def draw_fixed_routes(axes: Axes, routes: Sequence[FixedRoute]) -> list[Line2D]:
             *route.worst_place, s=170, color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5
         )
     return lines
-
-
-def _two_panels() -> tuple[Figure, tuple[Axes, Axes]]:
-    figure = Figure(figsize=(15.0, 9.6), dpi=DOTS_PER_INCH, layout='compressed')
-    # Room for the legend below.
-    figure.get_layout_engine().set(rect=(0.0, 0.045, 1.0, 0.955), w_pad=0.08)
-    left, right = figure.subplots(1, 2)
-    return figure, (left, right)
-
-
-def _draw_ends(axes: Axes, strategy: Strategy, secured_radius: float) -> None:
-    network = strategy.network
-    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
-    if secured_radius > 0.0:
-        draw_secured(axes, [start, *stops, goal], secured_radius)
-    draw_ends(axes, start, goal, stops)
-
-
-def _legend(figure: Figure, handles: list[Line2D | Patch]) -> None:
-    figure.legend(handles=handles, loc='lower center', ncol=len(handles), handlelength=2.6)
-
-
-def _dot(label: str) -> Line2D:
-    look = {'marker': 'o', 'markersize': 10, 'color': AMBUSHER, 'markeredgecolor': 'white'}
-    return Line2D([], [], linestyle='none', label=label, **look)
-
-
-def _secured(radius: float) -> list[Line2D]:
-    label = 'secured ground: nobody can wait here'
-    line = Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES, label=label)
-    return [line] if radius > 0.0 else []
-
-
-def _obstacles() -> Patch:
-    return Patch(color=OBSTACLE, label='obstacle')

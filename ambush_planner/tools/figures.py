@@ -22,10 +22,9 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
+from ..core.arrays import FloatArray
 from ..core.network import Network
 from ..core.risk_map import RiskMap
-
-FloatArray = npt.NDArray[np.float64]
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import csv
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict, fields
-from io import BytesIO, StringIO
+from itertools import count
 from pathlib import Path
 from zipfile import BadZipFile
 
@@ -35,11 +34,6 @@ game., strategy.), and the defaults of the Python functions.
 A row without a strategy is a finding.
 --json: {"verdict", "table", "rows": [{...}]}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write table and picture and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -79,9 +73,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     network = build_network(
         risk_map, tuple(arguments.start), tuple(arguments.goal), options.network
     )
+    detours, slacks = arguments.detours or DETOURS, arguments.slacks or SLACKS
+    bar, solved = console.bar('budgets solved'), count(1)
     rows = frontier(
-        network, options.game, arguments.detours or DETOURS, arguments.slacks or SLACKS,
-        options.strategy, _show_progress,
+        network, options.game, detours, slacks, options.strategy,
+        lambda row: bar(next(solved) / (len(detours) + len(slacks))),
     )
     write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     failed = any(row.error for row in rows)
@@ -90,9 +86,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
         f'\n{cli.place(arguments.output)}, {picture.name}: {len(network.points)} nodes'
     )
     console.result = {
-        'verdict': 'finding' if failed else 'holds',
-        'table': cli.place(arguments.output),
-        'rows': [asdict(row) for row in rows],
+        'table': cli.place(arguments.output), 'rows': [asdict(row) for row in rows],
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
@@ -127,21 +121,16 @@ def write_frontier(
     path: Path, rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
 ) -> None:
     """Write the table (CSV), and beside it the picture (.png), mode 0600."""
-    text = StringIO()
-    writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
-    writer.writeheader()
-    for row in rows:
-        writer.writerow({
-            name: f'{value:.9g}' if isinstance(value, float) else value
-            for name, value in asdict(row).items()
-        })
-    picture = BytesIO()
-    frontier_figure(rows, max_detour, risk_slack).savefig(picture, format='png')
-    for file, content in (
-        (path, text.getvalue().encode()), (path.with_suffix('.png'), picture.getvalue())
-    ):
-        with open(file, 'wb', opener=private) as stream:
-            stream.write(content)
+    with open(path, 'w', encoding='utf-8', newline='', opener=private) as stream:
+        writer = csv.DictWriter(stream, COLUMNS, lineterminator='\n')
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({
+                name: f'{value:.9g}' if isinstance(value, float) else value
+                for name, value in asdict(row).items()
+            })
+    with open(path.with_suffix('.png'), 'wb', opener=private) as stream:
+        frontier_figure(rows, max_detour, risk_slack).savefig(stream, format='png')
 
 
 def table_text(rows: Sequence[FrontierRow]) -> str:
@@ -164,12 +153,4 @@ def table_text(rows: Sequence[FrontierRow]) -> str:
     )
 
 
-def _show_progress(row: FrontierRow) -> None:
-    """A line that is written over on a terminal, nothing elsewhere."""
-    if sys.stderr.isatty():
-        print(f'\r{row.swept} {getattr(row, row.swept):g}: value {row.value:.4g}    ',
-              end='\r', file=sys.stderr, flush=True)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

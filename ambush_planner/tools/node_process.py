@@ -9,7 +9,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -65,8 +64,7 @@ def _can_bind(port: int) -> bool:
 class NodeProcess:
     """Runs ``ambush_planner.ros.planner_node`` with the given parameters until the ``with`` ends.
 
-    What the node prints goes to ``log``. ``seconds_to_stop`` says, after the end, how long the
-    node took to stop.
+    What the node prints goes to ``log``.
 
     Raises
     ------
@@ -83,7 +81,6 @@ class NodeProcess:
         # A crash in native code leaves a traceback in the log.
         extra = {'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'}
         self._environment = {**os.environ, **extra}
-        self.seconds_to_stop = 0.0
 
     def __enter__(self) -> NodeProcess:
         with self._log.open('wb') as log:
@@ -120,15 +117,12 @@ class NodeProcess:
             raise NodeFailed(f'the node ended early, exit code {code}{self._last_words()}')
 
     def _stop(self) -> int:
-        begin = time.monotonic()
         self._process.send_signal(signal.SIGINT)
         try:
-            code = self._process.wait(STOP_TIMEOUT)
+            return self._process.wait(STOP_TIMEOUT)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            code = self._process.wait()
-        self.seconds_to_stop = time.monotonic() - begin
-        return code
+            return self._process.wait()
 
     def _last_words(self) -> str:
         lines = self._log.read_text(errors='replace').splitlines()[-LOG_LINES:]

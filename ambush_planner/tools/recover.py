@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
-import sys
-from collections.abc import Iterator, Sequence
-from itertools import chain, count
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ..recording.durable import make_private_folders, write_durably
 from ..recording.errors import UnreadableRecording, reading_from
-from ..recording.mcap_file import BadFile, Content, decode, encode, whole_part
+from ..recording.mcap_file import Content, encode, whole_part
 from ..recording.reader import is_session, natural_order, read_bytes
 from ..recording.repair import list_files
 from . import cli
@@ -28,12 +25,7 @@ broken in it as a copy of its bytes.
 --json: {"verdict", "files": [{"file", "saved", "messages", "metadata", "attachments", "lost"}]}
 """ + cli.EXIT_CODES.replace('1 a finding', '1 something was lost')
 # What the recorder and its crashes leave.
-_NAME = re.compile(r'(?P<stem>.+?)\.mcap(\.tmp)?')
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Recover a file or a folder and return the exit code."""
-    return cli.run(parser(), _work, arguments)
+_LEFT = '.mcap', '.mcap.tmp'
 
 
 def parser() -> argparse.ArgumentParser:
@@ -50,9 +42,11 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     source, output = options.recordings, options.output
     with reading_from(source):
         jobs = list(_jobs(source, output))
-    if source.is_dir():
-        for folder in dict.fromkeys(target.parent for _, target in jobs):
-            make_private_folders(folder)
+    if not jobs:
+        raise UnreadableRecording(source, 'there is no recording in this folder; name another one')
+    folders = {target.parent for _, target in jobs} if source.is_dir() else set()
+    for folder in folders:
+        make_private_folders(folder)
     codes, results = [], []
     for path, target in console.progress(jobs, 'recovered'):
         try:
@@ -65,14 +59,11 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
             result = {'file': cli.place(path), 'lost': str(error)}
             codes.append(cli.Exit.UNREADABLE)
         results.append(result)
-    if source.is_dir():
-        for folder in dict.fromkeys(target.parent for _, target in jobs):
-            list_files(folder)
-    code = next(
-        each for each in (cli.Exit.FINDING, cli.Exit.UNREADABLE, cli.Exit.HOLDS) if each in codes
-    )
-    console.result = {'verdict': code.name.lower(), 'files': results}
-    return code
+    for folder in folders:
+        list_files(folder)
+    console.result = {'files': results}
+    # Something lost goes before something that cannot be read.
+    return min(set(codes) - {cli.Exit.HOLDS}, default=cli.Exit.HOLDS)
 
 
 def _jobs(source: Path, output: Path | None) -> Iterator[tuple[Path, Path]]:
@@ -86,28 +77,17 @@ def _jobs(source: Path, output: Path | None) -> Iterator[tuple[Path, Path]]:
     base = output or source.resolve().with_name(f'{source.resolve().name}.recovered')
     _refuse_existing(base)
     inner = sorted((each for each in source.iterdir() if is_session(each)), key=natural_order)
-    taken: set[Path] = set()
     for folder in (source, *inner):
         target = base if folder is source else base / folder.name
         for path in sorted(folder.iterdir(), key=natural_order):
-            if _NAME.fullmatch(path.name) and path.is_file():
-                names = (f'{_stem(path)}{n}.mcap' for n in chain([''], (f'-{k}' for k in count(2))))
-                free = next(target / each for each in names if target / each not in taken)
-                taken.add(free)
-                yield path, free
-    if not taken:
-        raise UnreadableRecording(source, 'there is no recording in this folder; name another one')
+            if path.name.endswith(_LEFT) and path.is_file():
+                yield path, target / f'{_stem(path)}.mcap'
 
 
 def _recover(path: Path, target: Path, copies: bool) -> dict[str, Any]:
     """Save a file, and return what was saved and lost in numbers; never what it says."""
     data = read_bytes(path)
     content, fault = whole_part(data)
-    if not fault:
-        try:
-            decode(data)
-        except BadFile as error:
-            fault = str(error)
     saved = (copies or bool(fault)) and any(
         (content.messages, content.metadata, content.attachments)
     )
@@ -149,9 +129,9 @@ def _plain(content: Content) -> Content:
 
 
 def _stem(path: Path) -> str:
-    match = _NAME.fullmatch(path.name)
-    return match['stem'] if match else path.stem
+    """The name of the copy, without its end: that of a temporary file keeps its .tmp."""
+    temporary = path.stem.removesuffix('.mcap') + path.suffix
+    return temporary if path.suffix == '.tmp' else path.stem
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

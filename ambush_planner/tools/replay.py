@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import math
+import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import rclpy
@@ -19,15 +19,7 @@ from ..core.errors import AmbushPlannerError
 from ..recording import RecordedMessage, UnreadableRecording, read_departure, recordings_in
 from ..review.case import INPUT_TYPES
 from . import cli
-from .replay_player import (
-    CannotPublish,
-    Channel,
-    Player,
-    Stop,
-    check_channels,
-    qos_from_yaml,
-    sleep_until,
-)
+from .replay_player import Channel, Player, check_channels
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
@@ -50,6 +42,8 @@ _DISCOVERY_OF_INPUTS = 10.0  # s
 # A message is lost to a listener that lacks it when its publisher goes. A loaded machine may take
 # seconds; one that died without a word is forgotten by then.
 _LAST_RECEIPTS = 30.0  # s
+# A recording may state any times, and the system takes only so much at once.
+_LONGEST_SLEEP = 1e6  # s
 
 
 class NothingToPublish(AmbushPlannerError):
@@ -61,11 +55,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     own, topics, for_ros = _split(given)
 
-    def work(options: argparse.Namespace, console: cli.Console) -> int:
-        with Stop() as stop:
-            return _Replay(options, topics, console, stop).run(for_ros)
+    def work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+        # Shells start what is to run behind the prompt with SIGINT ignored.
+        ends = signal.SIGINT, signal.SIGTERM
+        before = [signal.signal(number, signal.default_int_handler) for number in ends]
+        try:
+            return _Replay(options, topics, console).run(for_ros)
+        finally:
+            for number, handler in zip(ends, before, strict=True):
+                signal.signal(number, handler)
 
-    return cli.run(parser(), work, own)
+    return cli.run(parser, work, own)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -75,7 +75,7 @@ def parser() -> argparse.ArgumentParser:
     )
     made.usage = '%(prog)s [options] FILE_OR_FOLDER [-- TOPIC ...] [--ros-args ...]'
     made.add_argument(
-        '-e', '--every', type=_not_negative, default=5.0, metavar='SECONDS',
+        '-e', '--every', type=cli.number(0.0, 1e9), default=5.0, metavar='SECONDS',
         help='from one departure to the next (default: %(default)s)',
     )
     made.add_argument(
@@ -83,7 +83,7 @@ def parser() -> argparse.ArgumentParser:
         help='only the one of this number, from 1; from the end if negative',
     )
     made.add_argument(
-        '-r', '--rate', type=_positive, default=1.0,
+        '-r', '--rate', type=cli.number(1e-9, 1e9), default=1.0,
         help='how many times as fast as it was recorded (default: %(default)s)',
     )
     made.add_argument(
@@ -103,15 +103,14 @@ class _Replay:
     """Publishers first, then message after message in time."""
 
     def __init__(
-        self, options: argparse.Namespace, topics: Sequence[str], console: cli.Console, stop: Stop
+        self, options: argparse.Namespace, topics: Sequence[str], console: cli.Console
     ) -> None:
-        self._options, self._topics = options, topics
-        self._console, self._going_on = console, stop.going_on
+        self._options, self._topics, self._console = options, topics, console
         self._unreadable: dict[Path, str] = {}
         self._published: Counter[str] = Counter()
 
-    def run(self, for_ros: Sequence[str]) -> int:
-        """Publish what was recorded, and return the exit code.
+    def run(self, for_ros: Sequence[str]) -> cli.Exit:
+        """Publish what was recorded, until Ctrl-C at the latest, and return the exit code.
 
         Raises
         ------
@@ -124,17 +123,17 @@ class _Replay:
         try:
             _init(for_ros)
             files = self._files()
-            if self._going_on():
-                node = Node(NODE_NAME, start_parameter_services=False)
-                self._play(node, files)
+            node = Node(NODE_NAME, start_parameter_services=False)
+            self._play(node, files)
+        except KeyboardInterrupt:
+            pass
         finally:
             if node is not None:
                 node.destroy_node()
             rclpy.try_shutdown()
         code = cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
         self._console.result = {
-            'verdict': code.name.lower(), 'published': dict(self._published),
-            'unreadable': list(self._unreadable.values()),
+            'published': dict(self._published), 'unreadable': list(self._unreadable.values()),
         }
         return code
 
@@ -147,11 +146,9 @@ class _Replay:
             paths = [paths[number - (number > 0)]]
         found = {}
         for path in self._console.progress(paths, 'read'):
-            if not self._going_on():
-                break
             if messages := self._messages(path):
                 found[path] = set(map(Channel.of, messages))
-        if not found and self._going_on():
+        if not found:
             raise NothingToPublish('none of the recordings can be read')
         return found
 
@@ -168,39 +165,37 @@ class _Replay:
 
     def _play(self, node: Node, files: dict[Path, set[Channel]]) -> None:
         channels = self._wanted(files)
-        _check_types(node, channels)
         player = Player(node)
         for channel in channels:
-            player.advertise(channel, channel.topic, channel.type, qos_from_yaml(channel.qos))
+            player.advertise(channel)
         self._console.say(f'{cli.count(len(files), "departure")}')
         longest, patience = _DISCOVERY, _PATIENCE
         if self._options.inputs_only:
             longest = patience = _DISCOVERY_OF_INPUTS
-        if unheard := player.wait_for_listeners(longest, patience, self._going_on):
+        if unheard := player.wait_for_listeners(longest, patience):
             self._console.say(f'nobody listens to {", ".join(unheard)}')
         while self._round(files, player) and self._options.loop:
             self._console.say('again from the beginning')
-        lacking = player.wait_until_received(_LAST_RECEIPTS, self._going_on)
-        if lacking and self._going_on():
+        if lacking := player.wait_until_received(_LAST_RECEIPTS):
             self._console.say(f'not everybody who listens has everything on {", ".join(lacking)}')
-        if self._options.keep and self._going_on():
+        if self._options.keep:
             self._console.say('all is published; Ctrl-C ends it')
-            sleep_until(math.inf, self._going_on)
+            while True:
+                signal.pause()
 
     def _round(self, files: Iterable[Path], player: Player) -> bool:
-        """Publish everything once; return False if it was cut short, or nothing is left."""
+        """Publish everything once; return False if nothing is left."""
         published, due = False, time.monotonic()
         for path in files:
             messages = [each for each in self._messages(path) if self._wants(Channel.of(each))]
             if not messages:
                 continue
-            if published and not sleep_until(due, self._going_on):
-                return False
+            if published:
+                _sleep_until(due)
             begin, first = time.monotonic(), messages[0].stamp_ns
             for each in messages:
                 at = begin + (each.stamp_ns - first) / 1e9 / self._options.rate
-                if not sleep_until(at, self._going_on):
-                    return False
+                _sleep_until(at)
                 player.publish(Channel.of(each), each.data)
                 self._published[each.topic] += 1
             published, due = True, max(begin + self._options.every, time.monotonic())
@@ -208,7 +203,7 @@ class _Replay:
         if not published:
             self._console.say('nothing was published')
         elif self._options.loop:
-            return sleep_until(due, self._going_on)
+            _sleep_until(due)
         return published
 
     def _wants(self, channel: Channel) -> bool:
@@ -254,42 +249,7 @@ def _init(for_ros: Sequence[str]) -> None:
         raise cli.UsageError(f'after --ros-args: {error}') from error
 
 
-def _check_types(node: Node, channels: Iterable[Channel]) -> None:
-    """Raise where a name would have two types: a node can publish only one."""
-    first: dict[str, Channel] = {}
-    for channel in channels:
-        name = node.resolve_topic_name(channel.topic)
-        other = first.setdefault(name, channel)
-        types = f'{other.type} and {channel.type}'
-        if other.type == channel.type:
-            continue
-        if other.topic != channel.topic:
-            raise cli.UsageError(
-                f'{other.topic} and {channel.topic} would both be {name}, as {types}'
-            )
-        raise CannotPublish(
-            f'{channel.topic} is recorded as {types}, and a node can publish only one of them; '
-            'name the other topics after --, or replay the files one by one'
-        )
-
-
-def _positive(text: str) -> float:
-    return _number(text, lambda number: 0.0 < number < math.inf, 'over 0')
-
-
-def _not_negative(text: str) -> float:
-    return _number(text, lambda number: 0.0 <= number < math.inf, 'from 0')
-
-
-def _number(text: str, good: Callable[[float], bool], what: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not good(number):
-        raise argparse.ArgumentTypeError(f'must be a number {what}, got {text!r}')
-    return number
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+def _sleep_until(end: float) -> None:
+    """Sleep until ``time.monotonic()`` is ``end``."""
+    while (left := end - time.monotonic()) > 0.0:
+        time.sleep(min(left, _LONGEST_SLEEP))

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -52,39 +49,15 @@ class Channel:
         return cls(recorded.topic, recorded.type, recorded.qos_text)
 
 
-class Stop:
-    """Raised like a flag by SIGINT and SIGTERM, which end nothing by themselves while it holds."""
-
-    def __init__(self) -> None:
-        self._stopped = False
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Stop:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            self._before[number] = signal.signal(number, self._on_signal)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def going_on(self) -> bool:
-        """Whether neither a signal nor the end of the context has come."""
-        return not self._stopped and rclpy.ok()
-
-    def _on_signal(self, *_: object) -> None:
-        self._stopped = True
-
-
 class Player:
-    """Publishers for what was recorded, by any key; kept to the end, as latched topics need."""
+    """Publishers for what was recorded; kept to the end, as latched topics need."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._publishers: dict[object, Publisher] = {}
+        self._publishers: dict[Channel, Publisher] = {}
 
-    def advertise(self, key: object, topic: str, type_: str, qos: QoSProfile) -> None:
-        """Make a publisher; ``type_`` is one of ``TYPES``, ``topic`` a valid name.
+    def advertise(self, channel: Channel) -> None:
+        """Make a publisher for a channel that ``check_channels`` took.
 
         Raises
         ------
@@ -92,21 +65,22 @@ class Player:
             The middleware refuses it.
         """
         try:
-            self._publishers[key] = self._node.create_publisher(TYPES[type_], topic, qos)
+            self._publishers[channel] = self._node.create_publisher(
+                TYPES[channel.type], channel.topic, qos_from_yaml(channel.qos)
+            )
         except (RuntimeError, TypeError, ValueError, ArithmeticError) as error:
             # RCLError, and what the binding to C++ raises on numbers that do not fit.
             reason = str(error).partition('\n')[0]
             raise CannotPublish(
-                f'{topic} cannot be published as {type_}: {reason}; name the others after --'
+                f'{channel.topic} cannot be published as {channel.type}: {reason}; name the '
+                'others after --'
             ) from error
 
-    def publish(self, key: object, data: bytes) -> None:
+    def publish(self, channel: Channel, data: bytes) -> None:
         """Publish a serialised message."""
-        self._publishers[key].publish(data)
+        self._publishers[channel].publish(data)
 
-    def wait_for_listeners(
-        self, seconds: float, patience: float, going_on: Callable[[], bool]
-    ) -> list[str]:
+    def wait_for_listeners(self, seconds: float, patience: float) -> list[str]:
         """Wait until somebody listens to each topic; return those that nobody listens to.
 
         Parameters
@@ -115,11 +89,9 @@ class Player:
             The longest wait [s].
         patience
             Where somebody listens to some topics, how long others are waited for [s].
-        going_on
-            Ends the wait when it is false.
         """
         end, before, changed = time.monotonic() + seconds, set(), time.monotonic()
-        while going_on() and (now := time.monotonic()) < end:
+        while (now := time.monotonic()) < end:
             unheard = self._unheard()
             if unheard != before:
                 before, changed = unheard, now
@@ -129,7 +101,7 @@ class Player:
             time.sleep(_STEP / 4)
         return sorted(self._unheard())
 
-    def wait_until_received(self, seconds: float, going_on: Callable[[], bool]) -> list[str]:
+    def wait_until_received(self, seconds: float) -> list[str]:
         """Wait until all reliable listeners have all; return the topics where one has not."""
         end = time.monotonic() + seconds
         waiting = [
@@ -137,23 +109,13 @@ class Player:
             for publisher in self._publishers.values()
             if publisher.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT
         ]
-        while waiting and going_on() and time.monotonic() < end:
+        while waiting and time.monotonic() < end:
             waiting = [p for p in waiting if not p.wait_for_all_acked(Duration(seconds=_STEP))]
         return sorted({publisher.topic_name for publisher in waiting})
 
     def _unheard(self) -> set[str]:
         publishers = self._publishers.values()
         return {p.topic_name for p in publishers if not p.get_subscription_count()}
-
-
-def sleep_until(end: float, going_on: Callable[[], bool]) -> bool:
-    """Sleep until ``time.monotonic()`` is ``end``; return False if it was cut short."""
-    while going_on():
-        left = end - time.monotonic()
-        if left <= 0.0:
-            return True
-        time.sleep(min(left, _STEP))
-    return False
 
 
 def qos_from_yaml(text: str) -> QoSProfile:
@@ -176,7 +138,7 @@ def qos_from_yaml(text: str) -> QoSProfile:
         profile = QoSProfile(
             **policies,
             depth=fields['depth'],
-            **{name: _duration(fields[name])
+            **{name: Duration(seconds=fields[name]['sec'], nanoseconds=fields[name]['nsec'])
                for name in ('deadline', 'lifespan', 'liveliness_lease_duration')},
             avoid_ros_namespace_conventions=fields['avoid_ros_namespace_conventions'],
         )
@@ -188,10 +150,6 @@ def qos_from_yaml(text: str) -> QoSProfile:
     if unknown or not 0 <= profile.depth < 2**31:
         raise ValueError('no publisher can have its quality-of-service profile')
     return profile
-
-
-def _duration(fields: dict[str, Any]) -> Duration:
-    return Duration(seconds=fields['sec'], nanoseconds=fields['nsec'])
 
 
 def check_channels(path: Path, channels: Iterable[Channel]) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,11 +24,6 @@ secret routes: it has mode 0600, a new folder 0700. It says "verified" only with
 plans and draws every departure again, as ambush_verify does.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the report and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -94,7 +87,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
         console.line(page_place)
         console.line('It shows secret routes; only this user can read it.')
     console.result = {
-        'verdict': written.code.name.lower(), 'page': page_place,
+        'page': page_place,
         'departures': sum(len(each.departures) for each in written.sections),
         'sections': len(written.sections), 'unreadable': written.unreadable,
         'verified': written.code == cli.Exit.HOLDS if options.verify else None,
@@ -102,5 +95,4 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     return written.code
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

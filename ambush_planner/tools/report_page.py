@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
+from types import MappingProxyType
 
 from ..review.verify import Verdict
 from . import report_words as words
-from .audit_text import how_many, span
+from .audit_text import span
+from .cli import count
 from .report_map import map_figure, script
 from .report_sections import Section
 
@@ -56,7 +58,7 @@ th, td { text-align: left; padding: 0.3rem 0.7rem 0.3rem 0; border-bottom: 1px s
   vertical-align: top; }
 thead th { border-bottom: 2px solid #888; }
 tbody th { font-weight: normal; }
-.better td, .better th { font-weight: bold; }
+.better tbody tr:first-child * { font-weight: bold; }
 .small td, .small th { font-size: 0.85rem; }
 @media print { body { font-size: 10.5pt; max-width: none; padding: 0; }
   h2, h3 { break-after: avoid; } tr { break-inside: avoid; }
@@ -119,8 +121,8 @@ def page(
     verdicts, faults
         What verifying the files one by one and together found; empty where it was not done.
     """
-    count = sum(len(section.departures) for section in sections)
-    title = f"Convoy routes: {count} departure{'s' * (count != 1)}"
+    departures = sum(len(section.departures) for section in sections)
+    title = f'Convoy routes: {count(departures, "departure")}'
     body = [
         _element('h1', title),
         f'<p class="secret"><strong>Secret.</strong> {escape(SECRET)}</p>',
@@ -157,8 +159,8 @@ def _verification(verdicts: Sequence[Verdict], faults: Sequence[str]) -> list[st
 
 def _section(section: Section, several: str) -> list[str]:
     strategy, records = section.strategy, section.departures
-    heading = (f'{several}: ' if several else '') + f'{how_many(records)}, {span(records)}'
-    parts = [_element('h2', heading)]
+    heading = f'{count(len(records), "departure")}, {span(records)}'
+    parts = [_element('h2', f'{several}: {heading}' if several else heading)]
     if any(record.parameters.seed >= 0 for record in records):
         parts.append(_warning(FIXED_SEED))
     if section.strategies > 1:
@@ -187,19 +189,11 @@ def _section(section: Section, several: str) -> list[str]:
 
 def _departures(section: Section) -> str:
     """The table of departures; those in colours have a dot of theirs."""
-    head, *rows = words.departures(section)
-    colours = section.colours()
-    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
-    lines = []
-    for number, (name, *cells) in enumerate(rows):
-        dot = f'&nbsp;<span style="color:{colours[number]}">●</span>' if number in colours else ''
-        data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
-        lines.append(f'<tr><th scope="row">{escape(name)}{dot}</th>{data}</tr>')
-    content = '\n'.join(lines)
-    return (
-        f'<div class="wide tall" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
-        f'<tbody>{content}</tbody></table></div>'
-    )
+    dots = {
+        row: f'&nbsp;<span style="color:{colour}">●</span>'
+        for row, colour in section.colours().items()
+    }
+    return _table(words.departures(section), 'tall', dots)
 
 
 def _element(tag: str, text: str) -> str:
@@ -215,18 +209,19 @@ def _tiles(tiles: Sequence[tuple[str, str]]) -> str:
     return f'<ul class="tiles">{"".join(items)}</ul>'
 
 
-def _table(rows: Sequence[Sequence[str]], first: str = '') -> str:
-    """A table with a head; ``first`` is the class of the first row below it."""
+def _table(
+    rows: Sequence[Sequence[str]], kind: str, marks: Mapping[int, str] = MappingProxyType({})
+) -> str:
+    """A table with a head; ``marks`` is the HTML behind the name of a row below it."""
     head, *body = rows
     heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
     lines = []
     for k, (name, *cells) in enumerate(body):
-        attribute = f' class="{first}"' if first and k == 0 else ''
         data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
-        lines.append(f'<tr{attribute}><th scope="row">{escape(name)}</th>{data}</tr>')
+        lines.append(f'<tr><th scope="row">{escape(name)}{marks.get(k, "")}</th>{data}</tr>')
     content = '\n'.join(lines)
     return (
-        f'<div class="wide"><table><thead><tr>{heads}</tr></thead>\n'
+        f'<div class="wide {kind}" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
         f'<tbody>{content}</tbody></table></div>'
     )
 

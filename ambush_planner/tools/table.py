@@ -8,9 +8,7 @@ import itertools
 import multiprocessing
 import os
 import signal
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -39,11 +37,6 @@ and options are the same are not solved again, rows with an error are.
 A pair without a strategy is a finding.
 --json: {"verdict", "table", "pairs", "solved", "failed", "seconds"}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the table and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -82,7 +75,6 @@ class Pair:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     """Make or complete the table; the exit code says whether each pair has a strategy."""
-    begin = time.monotonic()
     options = options_from(arguments.set)
     places = read_places(arguments.depots), read_places(arguments.customers)
     occupancy = read_map(arguments.map)
@@ -97,12 +89,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
             with _executor(arguments) as (executor, in_flight):
                 failed = _solve(missing, risk_map, options, executor, in_flight, table, bar)
         table.finish([pair.inputs for pair in pairs])
-    seconds = time.monotonic() - begin
-    console.line(f'{cli.place(arguments.output)}: {len(pairs)} pairs, {len(missing)} of them '
-                 f'solved now, {failed} without a strategy, in {seconds:.1f} s')
+    seconds = console.seconds
+    console.line(cli.place(arguments.output))
+    console.line(f'{len(pairs)} pairs, {len(missing)} of them solved now, {failed} without a '
+                 f'strategy, in {seconds:.1f} s')
     console.result = {
-        'verdict': 'finding' if failed else 'holds', 'table': cli.place(arguments.output),
-        'pairs': len(pairs), 'solved': len(missing), 'failed': failed, 'seconds': round(seconds, 1),
+        'table': cli.place(arguments.output), 'pairs': len(pairs), 'solved': len(missing),
+        'failed': failed, 'seconds': round(seconds, 1),
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
@@ -139,13 +132,11 @@ def _solve(
                 options.network, options.game, options.strategy)
         for pair in pairs
     )
-
-    done = [0]
+    solved = itertools.count(1)
 
     def keep(result: Solved) -> None:
         table.add(_row(pairs[result.index], result))
-        done[0] += 1
-        bar(done[0] / len(pairs))
+        bar(next(solved) / len(pairs))
 
     results = solve_many(
         problems, executor, answer=_measures, on_result=keep, in_flight=in_flight
@@ -208,5 +199,4 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

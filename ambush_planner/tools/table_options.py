@@ -42,14 +42,10 @@ def options_from(assignments: Sequence[str]) -> TableOptions:
             raise InvalidOption(f'{assignment!r}: must be NAME=VALUE')
         group, _, option = name.strip().partition('.')
         changes.setdefault(group, {})[option] = _value(options, group, option, text)
-    try:
-        made = {
-            group: dataclasses.replace(getattr(options, group), **values)
-            for group, values in changes.items()
-        }
-    except TypeError as error:
-        raise InvalidOption(f'{", ".join(assignments)}: {error}') from error
-    return dataclasses.replace(options, **made)
+    return dataclasses.replace(options, **{
+        group: dataclasses.replace(getattr(options, group), **values)
+        for group, values in changes.items()
+    })
 
 
 def _value(options: TableOptions, group: str, option: str, text: str) -> Any:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +35,6 @@ ambush_planner.terrain. The map's origin is its south-west corner.
 Beside MAP.yaml it writes MAP.pgm, in map_server's mode raw, and MAP.png, to look at.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the map and return the exit code."""
-    return cli.run(parser(), _work, arguments)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -90,26 +83,19 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
     ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))
     occupancy = OccupancyMap(ground.values, ground.resolution)
     pictures = [write_map(arguments.output, occupancy, _remark(elevation))]
-    pictures.append(_write_preview(arguments.output, elevation, ground))
+    pictures.append(arguments.output.with_suffix('.png'))
+    terrain_figure(elevation, ground).savefig(pictures[-1])
     console.line(_summary(ground))
     console.line(
         f'{cli.place(arguments.output)}, {", ".join(picture.name for picture in pictures)}'
     )
-    console.result = {
-        'verdict': 'holds', 'files': [cli.place(path) for path in (arguments.output, *pictures)],
-    }
+    console.result = {'files': [cli.place(path) for path in (arguments.output, *pictures)]}
     return cli.Exit.HOLDS
 
 
 def _remark(elevation: Elevation) -> str:
     place = f'; its lower left corner lies at {elevation.place}' if elevation.place else ''
     return f'Risk map from an elevation model{place}.'
-
-
-def _write_preview(path: Path, elevation: Elevation, ground: TerrainMap) -> Path:
-    picture = path.with_suffix('.png')
-    terrain_figure(elevation, ground).savefig(picture)
-    return picture
 
 
 def _summary(ground: TerrainMap) -> str:
@@ -125,5 +111,4 @@ def _summary(ground: TerrainMap) -> str:
     )
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import re
-import sys
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -57,11 +56,6 @@ Output: a line a departure, what does not hold below it; progress on standard er
 """ + cli.EXIT_CODES
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Verify recordings and return the exit code."""
-    return cli.run(parser(), _work, arguments)
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.reader_parser(
@@ -110,8 +104,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     code = _exit_code(verdicts, faults)
     _conclude(verdicts, faults, failed, console)
     console.result = {
-        'verdict': code.name.lower(), 'departures': [*map(_as_json, verdicts)],
-        'findings': faults, 'notes': notes, 'newest_sha256': verdicts[-1].sha256,
+        'departures': [*map(_as_json, verdicts)], 'findings': faults, 'notes': notes,
+        'newest_sha256': verdicts[-1].sha256,
     }
     return code
 
@@ -179,5 +173,4 @@ def _hash(text: str) -> str:
     return text.lower()
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)

@@ -1,9 +1,10 @@
 """``ambush_views``: what RViz and Foxglove show, set up for a map of any size.
 
-The files in config/ are those of the example map of 10 m x 8 m. Heights: the path is at 0, as it is
-driven; markers of lines lie below it and discs above, see ``ros.markers``. Foxglove draws lines
-that are not opaque after all else, the higher ones in front, and a map that is not opaque hides
-nothing below it.
+The two files beside this one, which are installed in share/ambush_planner/config, are those of the
+example map of 10 m x 8 m; others are made from them. Heights: the path is at 0, as it is driven;
+markers of lines lie below it and discs above, see ``ros.markers``. Foxglove draws lines that are
+not opaque after all else, the higher ones in front, and a map that is not opaque hides nothing
+below it.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from importlib import resources
+from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -39,32 +41,18 @@ ambush_planner_foxglove.json (Layouts, Import from file), with the whole map in 
 as the map wants them, start and goal, and a button that departs.
 --json: {"verdict", "files", "frame", "centre", "size"}
 """ + cli.EXIT_CODES
-_HEADER = """\
-# RViz of ROS 2 Jazzy, from above:
-#
-#   rviz2 -d $(ros2 pkg prefix --share ambush_planner)/config/ambush_planner.rviz
-#
-# "2D Pose Estimate" sets the start, "2D Goal Pose" the goal. Fixed Frame is the map's frame.
-# Made by ambush_views, which makes one for any map.
-#
-# Beside Nav2 start and goal need names of their own, as the launch file gives them: Nav2's
-# bt_navigator takes what comes on goal_pose as its own goal, and the robot drives its own plan, the
-# same every day; AMCL takes what comes on initialpose for where the robot is. For an RViz started
-# by hand add
-#
-#   --ros-args -r /goal_pose:=/ambush/goal_pose -r /start_pose:=/ambush/start_pose \
-#       -r /initialpose:=/ambush/initialpose
-#
-# or write the names into the file: ambush_views --inputs ambush.
-"""
 # Pixels of RViz' own window that are left for the map, beside its panels.
-_RVIZ_WINDOW, _RVIZ_VIEW = (1300, 850), (900, 700)
+_RVIZ_VIEW = 900, 700
 # Foxglove's 3D panel: as much of the width as its layout gives it, on a wide screen.
 _PANEL_ASPECT = 1.2
 # Of the larger side of the map.
-_LINE, _ARROW = 0.008, 0.05
+_LINE = 0.008
+_ARROW = {
+    'Shaft Length': 0.05, 'Shaft Radius': 0.005, 'Head Length': 0.025, 'Head Radius': 0.0125,
+}
 # RViz looks down from 500 m.
 _HIGHEST = 200.0
+_UPDATES = '_updates'
 
 
 @dataclass(frozen=True)
@@ -92,23 +80,51 @@ def scene_of(risk_map: RiskMap, **more: Any) -> Scene:
     corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
     turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
     low, high = (extreme((corners @ turn + (x, y)), axis=0) for extreme in (np.min, np.max))
-    (cx, cy), (sx, sy) = ((low + high) / 2).tolist(), (high - low).tolist()
-    return Scene((cx, cy), (sx, sy), **more)
+    return Scene(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), **more)
 
 
 def rviz_text(scene: Scene) -> str:
     """Return the file for ``rviz2 -d``."""
-    return _HEADER + yaml.safe_dump(_rviz(scene), sort_keys=False, width=100)
+    text = _template(RVIZ)
+    header = ''.join(takewhile(lambda line: line.startswith('#'), text.splitlines(True)))
+    found = _renamed(yaml.safe_load(text), scene)
+    shown, (width, height) = found['Visualization Manager'], scene.size
+    shown['Global Options']['Fixed Frame'] = scene.frame
+    zoom = min(_RVIZ_VIEW[0] / width, _RVIZ_VIEW[1] / height)
+    x, y = map(_short, scene.centre)
+    shown['Views']['Current'].update({'Scale': _short(zoom), 'X': x, 'Y': y})
+    for display in shown['Displays']:
+        if 'Line Width' in display:
+            display['Line Width'] = _short(_LINE * scene.scale)
+            display['Offset']['Z'] = _short(min(0.02 * scene.scale, _HIGHEST))
+        for name in _ARROW.keys() & display.keys():
+            display[name] = _short(_ARROW[name] * scene.scale)
+    return header + yaml.safe_dump(found, sort_keys=False, width=100)
 
 
 def foxglove_text(scene: Scene) -> str:
     """Return the layout for Foxglove and Lichtblick."""
-    return json.dumps(_foxglove(scene), indent=2) + '\n'
+    found = _renamed(json.loads(_template(FOXGLOVE)), scene)
+    panel = found['configById']['3D!planner']
+    panel['followTf'] = scene.frame
+    # From above the panel shows as much of the height as the camera is away.
+    away = 1.1 * max(scene.size[1], scene.size[0] / _PANEL_ASPECT)
+    panel['cameraState'].update({
+        'distance': _short(away), 'targetOffset': [*map(_short, scene.centre), 0],
+        'near': _short(0.01 * away), 'far': _short(10.0 * away),
+    })
+    size = _short(_ARROW['Shaft Length'] * scene.scale)
+    for topic in panel['topics'].values():
+        if 'lineWidth' in topic:
+            topic['lineWidth'] = _short(_LINE * scene.scale)
+        if 'arrowScale' in topic:
+            topic['arrowScale'] = [size, 0.2 * size, 0.2 * size]
+    return json.dumps(found, indent=2) + '\n'
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Write both files and return the exit code."""
-    return cli.run(parser(), _work, arguments)
+def _template(name: str) -> str:
+    """The file for the example map."""
+    return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
 def parser() -> argparse.ArgumentParser:
@@ -132,8 +148,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     for name in files:
         console.line(cli.place(folder / name))
     console.result = {
-        'verdict': 'holds', 'files': [cli.place(folder / name) for name in files],
-        'frame': scene.frame, 'centre': scene.centre, 'size': scene.size,
+        'files': [cli.place(folder / name) for name in files], 'frame': scene.frame,
+        'centre': scene.centre, 'size': scene.size,
     }
     return cli.Exit.HOLDS
 
@@ -166,178 +182,22 @@ def _recorded_topics(case: Any) -> dict[str, str]:
             **{name: inputs[role] for name, role in roles.items()}}
 
 
-def _rviz(scene: Scene) -> dict[str, Any]:
-    zoom = min(_RVIZ_VIEW[0] / scene.size[0], _RVIZ_VIEW[1] / scene.size[1])
-    width, height = _RVIZ_WINDOW
-    return {
-        'Panels': [
-            {'Class': 'rviz_common/Displays', 'Name': 'Displays', 'Help Height': 0,
-             'Tree Height': 400},
-            {'Class': 'rviz_common/Tool Properties', 'Name': 'Tool Properties'},
-            {'Class': 'rviz_common/Views', 'Name': 'Views'},
-        ],
-        'Visualization Manager': {
-            'Class': '',
-            'Displays': _rviz_displays(scene),
-            'Enabled': True,
-            'Global Options': {'Background Color': '48; 48; 48', 'Fixed Frame': scene.frame,
-                               'Frame Rate': 30},
-            'Name': 'root',
-            'Tools': _rviz_tools(scene),
-            'Transformation': {'Current': {'Class': 'rviz_default_plugins/TF'}},
-            'Value': True,
-            'Views': {'Current': {
-                'Class': 'rviz_default_plugins/TopDownOrtho', 'Name': 'Current View', 'Angle': 0,
-                'Scale': _short(zoom), 'X': _short(scene.centre[0]), 'Y': _short(scene.centre[1]),
-                'Target Frame': '<Fixed Frame>', 'Near Clip Distance': 0.01,
-                'Value': 'TopDownOrtho (rviz_default_plugins)',
-            }},
-        },
-        'Window Geometry': {'Height': height, 'Width': width},
-    }
-
-
-def _rviz_displays(scene: Scene) -> list[dict[str, Any]]:
-    topics, scale = scene.topics, scene.scale
-    titles = {
-        'network': 'Network', 'edge_probabilities': 'How likely each edge is driven',
-        'mean_direction': 'Mean direction', 'ambush_sites': 'Where the ambusher waits',
-        'stops': 'Stops',
-    }
-    length = _short(_ARROW * scale)
-    arrow = {
-        'Shape': 'Arrow', 'Shaft Length': length, 'Shaft Radius': _short(0.1 * length),
-        'Head Length': _short(0.5 * length), 'Head Radius': _short(0.25 * length),
-    }
-    pose = 'rviz_default_plugins/Pose'
-    estimate = {'Covariance': {'Value': False, 'Position': {'Value': False},
-                               'Orientation': {'Value': False}}}
-    return [
-        _display('Risk map', 'rviz_default_plugins/Map', topics['alpha_map'], **{
-            'Alpha': 1, 'Color Scheme': 'map', 'Draw Behind': True, 'Use Timestamp': False,
-            'Update Topic': _topic(f'{topics["alpha_map"]}_updates', 'Volatile', 5),
-        }),
-        *(_display(title, 'rviz_default_plugins/MarkerArray', topics[name],
-                   enabled=name != 'network', Namespaces={}) for name, title in titles.items()),
-        _display('Last departure', 'rviz_default_plugins/Path', topics['path'], **{
-            'Color': '25; 255; 0', 'Line Style': 'Billboards', 'Line Width': _short(_LINE * scale),
-            'Offset': {'X': 0, 'Y': 0, 'Z': _short(min(0.02 * scale, _HIGHEST))},
-            'Buffer Length': 1, 'Pose Style': 'None', 'Alpha': 1,
-        }),
-        _display('Start', pose, topics['start_pose'], 'Volatile', Color='25; 255; 0', **arrow),
-        _display('Start, by estimate', 'rviz_default_plugins/PoseWithCovariance',
-                 topics['initialpose'], 'Volatile', Color='25; 255; 0', **arrow, **estimate),
-        _display('Goal', pose, topics['goal_pose'], 'Volatile', Color='255; 80; 80', **arrow),
-    ]
-
-
-def _display(
-    name: str, kind: str, topic: str, durability: str = 'Transient Local', enabled: bool = True,
-    **more: Any,
-) -> dict[str, Any]:
-    return {'Class': kind, 'Name': name, 'Enabled': enabled, **more,
-            'Topic': _topic(topic, durability, 1), 'Value': enabled}
-
-
-def _topic(name: str, durability: str, depth: int) -> dict[str, Any]:
-    return {'Depth': depth, 'Durability Policy': durability, 'History Policy': 'Keep Last',
-            'Reliability Policy': 'Reliable', 'Value': name}
-
-
-def _rviz_tools(scene: Scene) -> list[dict[str, Any]]:
-    start, goal = (
-        _topic(scene.topics[name], 'Volatile', 5) for name in ('initialpose', 'goal_pose')
-    )
-    plain = ('MoveCamera', 'Select', 'FocusCamera', 'Measure')
-    return [
-        *({'Class': f'rviz_default_plugins/{name}'} for name in plain),
-        {'Class': 'rviz_default_plugins/SetInitialPose', 'Topic': start},
-        {'Class': 'rviz_default_plugins/SetGoal', 'Topic': goal},
-    ]
-
-
-def _foxglove(scene: Scene) -> dict[str, Any]:
-    name = scene.node.lstrip('/')
-    panels = {
-        '3D!planner': _scene_panel(scene),
-        'CallService!new_route': {
-            'serviceName': f'{scene.node}/new_route', 'requestPayload': '{}',
-            'layout': 'vertical', 'buttonText': 'New route',
-            'buttonTooltip': 'A departure: draws a route and publishes it on /path',
-            'editingMode': False, 'timeoutSeconds': 65, 'foxglovePanelTitle': 'Depart',
-        },
-        'DiagnosticStatusPanel!planner': {
-            'topicToRender': '/diagnostics', 'selectedHardwareId': '',
-            'selectedName': name,
-        },
-        'StateTransitions!planner': {
-            'isSynced': True, 'paths': [_value(name, key) for key in ('state', 'code')],
-        },
-        'Plot!value': {
-            'paths': [{**_value(name, key), 'enabled': True} for key in ('value', 'lower_bound')],
-            'xAxisVal': 'timestamp', 'showXAxisLabels': True, 'showYAxisLabels': True,
-            'showLegend': True, 'legendDisplay': 'floating', 'showPlotValuesInLegend': True,
-            'isSynced': True, 'sidebarDimension': 240,
-            'foxglovePanelTitle': 'Value and lower bound',
-        },
-    }
-    # The button takes 30 % of the height: in less it is hidden below the panel's edge.
-    splits = (('row', 68), ('column', 30), ('column', 50), ('column', 45))
-    layout: Any = 'Plot!value'
-    for panel, (direction, percentage) in zip(
-        ('StateTransitions!planner', 'DiagnosticStatusPanel!planner', 'CallService!new_route',
-         '3D!planner'), reversed(splits), strict=True,
-    ):
-        layout = {'first': panel, 'second': layout, 'direction': direction,
-                  'splitPercentage': percentage}
-    return {'configById': panels, 'globalVariables': {}, 'userNodes': {},
-            'playbackConfig': {'speed': 1}, 'layout': layout}
-
-
-def _scene_panel(scene: Scene) -> dict[str, Any]:
-    """The 3D panel. From above it shows as much of the height as it is away."""
-    topics, scale = scene.topics, scene.scale
-    away = 1.1 * max(scene.size[1], scene.size[0] / _PANEL_ASPECT)
-    size = _short(_ARROW * scale)
-    arrow = {'visible': True, 'type': 'arrow', 'arrowScale': [size, 0.2 * size, 0.2 * size]}
-    # Not quite opaque, a line is drawn after map and discs, which would cover it.
-    green, red = '#19ff00fa', '#ff5050ff'
-    shown = {name: {'visible': name != 'network'} for name in MARKERS} | {
-        # Opaque, it would hide the lines below it.
-        'alpha_map': {'visible': True, 'colorMode': 'map', 'alpha': 0.8},
-        'path': {'visible': True, 'type': 'line', 'lineWidth': _short(_LINE * scale),
-                 'gradient': [green, green]},
-        'start_pose': {**arrow, 'color': green},
-        'initialpose': {**arrow, 'color': green, 'showCovariance': False},
-        'goal_pose': {**arrow, 'color': red},
-    }
-    return {
-        'cameraState': {
-            'perspective': False, 'distance': _short(away), 'phi': 0, 'thetaOffset': 0,
-            'target': [0, 0, 0], 'targetOffset': [*map(_short, scene.centre), 0],
-            'targetOrientation': [0, 0, 0, 1], 'fovy': 45,
-            'near': _short(0.01 * away), 'far': _short(10.0 * away),
-        },
-        'followMode': 'follow-none', 'followTf': scene.frame,
-        'scene': {}, 'transforms': {}, 'layers': {}, 'imageMode': {},
-        'topics': {topics[name]: settings for name, settings in shown.items()},
-        'publish': {
-            'type': 'pose', 'poseTopic': topics['goal_pose'], 'pointTopic': '/clicked_point',
-            'poseEstimateTopic': topics['initialpose'], 'poseEstimateXDeviation': 0.5,
-            'poseEstimateYDeviation': 0.5, 'poseEstimateThetaDeviation': 0.26179939,
-        },
-    }
-
-
-def _value(name: str, key: str) -> dict[str, str]:
-    """One value of the diagnostics of the planner called ``name``, as Foxglove writes it."""
-    path = f'/diagnostics.status[:]{{name=="{name}"}}.values[:]{{key=="{key}"}}.value'
-    return {'label': key.replace('_', ' '), 'value': path, 'timestampMethod': 'receiveTime'}
+def _renamed(value: Any, scene: Scene) -> Any:
+    """A part of a template with the scene's names for topics and node."""
+    if isinstance(value, dict):
+        return {_renamed(key, scene): _renamed(each, scene) for key, each in value.items()}
+    if isinstance(value, list):
+        return [_renamed(each, scene) for each in value]
+    if not isinstance(value, str):
+        return value
+    topic, updates = value.removesuffix(_UPDATES), value.endswith(_UPDATES) * _UPDATES
+    if (name := topic.removeprefix('/')) in scene.topics and topic != name:
+        return scene.topics[name] + updates
+    return value.replace('ambush_planner', scene.node.lstrip('/'))
 
 
 def _short(number: float) -> float:
     return float(f'{number:.4g}')
 
 
-if __name__ == '__main__':
-    sys.exit(main())
+main = cli.command(parser, _work)
