@@ -29,6 +29,7 @@ from ambush_planner import (
     BudgetInfeasible,
     GameOptions,
     InvalidOption,
+    Network,
     NetworkOptions,
     NoRoute,
     RiskMap,
@@ -391,3 +392,19 @@ def test_options_that_do_not_go_together_are_named():
         StrategyOptions("simplex", max_exposure=2.0)
     with pytest.raises(InvalidOption, match="simplex takes one ambusher"):
         solve(paper_example(), GameOptions(ambushers=2), StrategyOptions("simplex"))
+
+
+def test_a_budget_of_nothing():
+    # Open ground without a loss: the least exposed route has none, and so the budget is 0.
+    alpha = np.full((15, 20), 9.0)
+    alpha[5:10] = 0.0
+    alpha[6:9, 9:11] = 3.0
+    risk_map = RiskMap(alpha, np.zeros(alpha.shape, bool), 4.0)
+    network = build_network(risk_map, (6.0, 30.0), (74.0, 30.0), NetworkOptions(spacing=4.0))
+    strategy = solve(network, GameOptions(ambush_radius=4.0), StrategyOptions(max_exposure=1.5))
+    assert strategy.least_exposure == strategy.expected_exposure == 0.0
+    # Both ends at one place: no length at all.
+    points = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 1.0], [0.0, 0.0]])
+    edges = [(0, 3), (0, 1), (1, 2), (1, 3), (2, 3)]
+    network = Network(points, np.array([0.0, 0.0, 2.0, 0.0]), np.array(edges), 0, 3)
+    assert solve(network).expected_length == 0.0

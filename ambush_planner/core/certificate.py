@@ -89,7 +89,9 @@ class Budget:
     def room(self) -> float:
         """What the limit leaves over the best playable route's cost, > 0."""
         best = float(self._behind[self.game.network.source])
-        return max(self.limit - best, LEAST_ROOM * best, np.finfo(float).tiny)
+        # Where the best route costs nothing the others' costs are the measure.
+        scale = best or float(self.cost.max(initial=0.0))
+        return max(self.limit - best, LEAST_ROOM * scale, np.finfo(float).tiny)
 
     @cached_property
     def excess(self) -> FloatArray:

@@ -160,8 +160,8 @@ def _gaps(verdicts: Iterable[Verdict]) -> list[str]:
         if verdict.number:
             numbers.setdefault(verdict.path.parent, set()).add(verdict.number)
     return [
-        f'{cli.place(folder)}: departures {before + 1} to {after - 1} have no recording; recording '
-        'was off, it failed, or they are missing'
+        f'{cli.place(folder)}: no recording of departures after {before} and before {after}; '
+        'recording was off, it failed, or the files are missing'
         for folder, found in numbers.items()
         for before, after in pairwise(sorted(found)) if after > before + 1
     ]
