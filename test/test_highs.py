@@ -66,6 +66,6 @@ def test_where_highs_is_in_trouble_other_tolerances_are_tried(monkeypatch):
         status = highs.OPTIMAL if done else highs.NUMERICAL_TROUBLE
         return SimpleNamespace(status=status, x=np.zeros(3), nit=1, message="")
 
-    monkeypatch.setattr(highs, "linprog", linprog)
+    monkeypatch.setattr("scipy.optimize.linprog", linprog)
     assert run(program(), "interior_point", math.inf).status == highs.OPTIMAL
     assert tried == [(True, t) for t in highs.OPTIMALITY] + [(False, 1e-11), (False, 1e-8)]
