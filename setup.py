@@ -12,8 +12,7 @@ package_name = 'ambush_planner'
 data_files = [
     ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
     (f'share/{package_name}', ['package.xml']),
-    (f'share/{package_name}/config',
-     sorted([*glob('config/*'), *glob(f'{package_name}/tools/{package_name}*')])),
+    (f'share/{package_name}/config', sorted(glob('config/*'))),
     (f'share/{package_name}/launch', sorted(glob('launch/*'))),
     (f'share/{package_name}/msg_examples', sorted(glob('msg_examples/*.yaml'))),
 ]

@@ -31,12 +31,14 @@ WITH_ZERO = (0.0, *PLAIN)
 NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)
 
 
+HUNT = int(os.environ.get("HUNT", "1"))
+
+
 def examples(count: int) -> settings:
     """Hypothesis' settings for ``count`` examples in CI."""
-    hunt = os.environ.get("HUNT")
     return settings(
-        max_examples=count * int(hunt or 1),
-        derandomize=hunt is None,
+        max_examples=count * HUNT,
+        derandomize="HUNT" not in os.environ,
         database=None,
         deadline=None,
         suppress_health_check=[HealthCheck.too_slow],

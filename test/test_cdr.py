@@ -78,7 +78,7 @@ def test_the_same_message_as_from_objects(count, coloured, frame, namespace):
 
 
 def test_many_points():
-    points, colours = drawn(60_000)
+    points, colours = drawn(20_000)
     message = deserialize_message(marker_array(some_marker(), points, colours), MarkerArray)
     assert message == plainly(some_marker(), points, colours)
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from games import HUNT
 from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
 from ambush_planner.core.planner import DriveOptions, PlanningOptions, depart, departure_paths, plan
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
-DRAWS = 2000
+DRAWS = 2000 * HUNT
 # Without a reach lines are looked at more closely, which takes longer.
-DRAWS_WITHOUT = 600
+DRAWS_WITHOUT = 600 * HUNT
 # Without a reach, whoever comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 

@@ -35,7 +35,7 @@ from ambush_planner.ros.parameters import PARAMETERS
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'
 NAV2 = ROOT / 'config' / 'nav2.yaml'
-RVIZ = ROOT / 'ambush_planner' / 'tools' / 'ambush_planner.rviz'
+RVIZ = ROOT / 'config' / 'ambush_planner.rviz'
 TREE = ElementTree.parse(FILE).getroot()
 DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
 OWN_NAMES = {name: f'ambush/{name}' for name in ('goal_pose', 'start_pose', 'initialpose')}

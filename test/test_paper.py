@@ -54,7 +54,7 @@ def results(done):
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "ambush_planner.paper.command", *arguments]
+    command = [sys.executable, "-m", "ambush_planner.tools.cli", "paper", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=115, check=False)
 
 

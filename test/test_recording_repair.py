@@ -174,7 +174,7 @@ def test_a_name_that_yaml_cannot_hold_is_no_hindrance(session):
 def test_whatever_bits_have_changed_the_folder_is_a_bag_afterwards(session):
     generator = random.Random(3)
     whole = (session / f'{session.name}_0.mcap').read_bytes()
-    for _ in range(40):
+    for _ in range(20):
         # One that was just renamed when the power went, one that was not yet: broken anywhere.
         for name in ('3.mcap', '3b.mcap.tmp'):
             data = bytearray(whole)

@@ -21,7 +21,7 @@ from rclpy.qos import (
 from ros_harness import FRAME, stage, wait_until, whole_graph
 from ros_yaml import EXAMPLES
 
-VIEWS = Path(__file__).resolve().parent.parent / 'ambush_planner' / 'tools'
+VIEWS = Path(__file__).resolve().parent.parent / 'config'
 DISPLAYS = {
     'rviz_default_plugins/Map': 'nav_msgs/msg/OccupancyGrid',
     'rviz_default_plugins/MarkerArray': 'visualization_msgs/msg/MarkerArray',

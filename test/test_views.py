@@ -27,7 +27,7 @@ from ambush_planner.tools.views import (
     scene_of,
 )
 
-TEMPLATES = Path(__file__).resolve().parent.parent / 'ambush_planner' / 'tools'
+CONFIG = Path(__file__).resolve().parent.parent / 'config'
 # Width and height [m], and origin: the example, a depot, a country, a tall one, a rotated one.
 GROUNDS = {
     'example': (10.0, 8.0, (0.0, 0.0, 0.0)),
@@ -63,8 +63,8 @@ def test_the_installed_files_are_those_of_the_example():
     size = info['width'] * info['resolution'], info['height'] * info['resolution']
     assert size == GROUNDS['example'][:2]
     example = scene(*GROUNDS['example'])
-    assert (TEMPLATES / RVIZ).read_text() == rviz_text(example)
-    assert (TEMPLATES / FOXGLOVE).read_text() == foxglove_text(example)
+    assert (CONFIG / RVIZ).read_text() == rviz_text(example)
+    assert (CONFIG / FOXGLOVE).read_text() == foxglove_text(example)
 
 
 @pytest.mark.parametrize('ground', GROUNDS)

@@ -47,6 +47,8 @@ class ManyRoutes:
         The edges of positive probability, by tail.
     choice : (M,) float
         p_ij / x_i: how likely the edge is taken by a route that stands at its tail; 0 if unused.
+    surprise : (M,) float
+        -ln of that [nats]; 0 if unused.
     entropy : float
         Of the drawn route [nats].
 
@@ -70,7 +72,8 @@ class ManyRoutes:
         tails = network.tails[self.used]
         out = sums(network.tails, p, count)
         self.choice: FloatArray = p / np.where(out > 0.0, out, 1.0)[network.tails]
-        self.entropy = float(-(p[self.used] @ np.log(self.choice[self.used])))
+        self.surprise: FloatArray = -np.log(np.where(p > 0.0, self.choice, 1.0))
+        self.entropy = float(p @ self.surprise)
         self._first = np.searchsorted(tails, np.arange(count + 1))
         self._ends = self._ends_of_choices(tails, count)
 

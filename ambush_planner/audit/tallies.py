@@ -67,7 +67,7 @@ class Tallies:
             cells, number = np.unique(cell, return_counts=True)
             self.passages[sets].reshape(-1)[cells] += number.astype(np.uint16)
         surprise = np.bincount(
-            steps.route // n, weights=-np.log(many.choice[steps.edge]), minlength=count
+            steps.route // n, weights=many.surprise[steps.edge], minlength=count
         )
         self.surprise[sets] += surprise - n * many.entropy
         inner = self._ground.inner[k][steps.edge]
@@ -76,8 +76,9 @@ class Tallies:
         self.known[members, sets] = known.reshape(count, n).T
         words = self._ground_bits.shape[1]
         crossed = np.zeros((steps.count, 16 * words), bool)
-        for ends in (many.network.tails, many.network.heads):
-            crossed[steps.route, self._ground.of_node[k][ends[steps.edge]]] = True
+        square = self._ground.of_node[k]
+        crossed[:, square[many.network.source]] = True
+        crossed[steps.route, square[many.network.heads[steps.edge]]] = True
         bits = np.packbits(crossed, axis=1).view(np.uint16).reshape(count, n, words)
         self._ground_bits[members, :, sets] = bits.transpose(1, 2, 0)
 

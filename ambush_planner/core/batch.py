@@ -133,15 +133,12 @@ class _Batch:
     def __len__(self) -> int:
         return len(self._pending) + len(self._failed)
 
-    def send(self, index: int, problem: Problem) -> None:
-        """Hand over a problem, with its map if few have it yet."""
+    def send(self, index: int, problem: Problem, with_map: bool = False) -> None:
+        """Hand over a problem, with its map if that is asked for or few have it yet."""
         parcel = self._parcels.get(id(problem.risk_map))
         if parcel is None:
             parcel = self._parcels[id(problem.risk_map)] = _Parcel(problem.risk_map)
-        with_map = parcel.copies < self._first_copies
-        self._submit(index, problem, parcel, with_map)
-
-    def _submit(self, index: int, problem: Problem, parcel: _Parcel, with_map: bool) -> None:
+        with_map = with_map or parcel.copies < self._first_copies
         parcel.copies += with_map
         content = parcel.content if with_map else None
         rest = (problem.start_xy, problem.goal_xy, problem.network, problem.game, problem.strategy)
@@ -166,7 +163,7 @@ class _Batch:
             error = _error_of(future)
             found = None if error else future.result()
             if isinstance(found, _NeedsMap):
-                self._submit(index, problem, self._parcels[id(problem.risk_map)], True)
+                self.send(index, problem, with_map=True)
             else:
                 results.append(Solved(index, found, error))
         return results

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import BoolArray, IndexArray, frozen_array
-from .game import Game
+from .arrays import IndexArray, frozen_array
+from .discs import near_ends
 from .judged import budgets_in
 from .least_risk import least_value
 from .strategy import Strategy
@@ -49,8 +49,7 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     decisive = (q > COUNTS * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
     sites = np.flatnonzero(decisive)
     distance = NEAR * float(np.median(network.lengths[game.playable]))
-    ends = (network.source, *network.stops, network.target)
-    near = np.any([_within(game, node, distance) for node in ends], axis=0)
+    near = near_ends(network, distance)
     secured = strategy.value
     if near[sites].any():
         game = game.without_sites(near)
@@ -63,9 +62,3 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
         strategy.value,
         secured,
     )
-
-
-def _within(game: Game, node: int, distance: float) -> BoolArray:
-    """Nodes (N,) within ``distance`` [m] of ``node``."""
-    offset = game.network.points - game.network.points[node]
-    return np.asarray(np.hypot(*offset.T) <= distance)

@@ -88,6 +88,11 @@ class NetworkOptions:
 MAX_CANDIDATES = 20_000_000
 # Of the lattice, to tell how much of it is free: to some 2 % of it.
 _TRIED = 4096
+# What is raised where an end is off the map, and where it is blocked; else it is a stop.
+REFUSED: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
+    "start": (StartOutsideMap, StartBlocked),
+    "goal": (GoalOutsideMap, GoalBlocked),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,24 +174,22 @@ def lay_roads(
 ) -> Roads:
     """Lay the nodes and join them; raises as ``build_network``."""
     field = ObstacleField(risk_map, options.clear_of_edge)
-    start, goal = _position(start_xy, "start"), _position(goal_xy, "goal")
-    given = [_position(xy, _stop_name(k)) for k, xy in enumerate(stops, start=1)]
-    asked = np.stack([start, *given, goal])
-    _check_ends(risk_map, field, asked, options)
+    asked = _asked(risk_map, field, [start_xy, *stops, goal_xy], options)
     # Different places only, start and goal last.
-    places = list(dict.fromkeys(map(tuple, np.stack([goal, start, *given[::-1]]).tolist())))[::-1]
+    places = list(dict.fromkeys([asked[-1], *asked[:1], *asked[-2:0:-1]]))[::-1]
     ends = np.array(places)
     uv_ends = risk_map.to_map_axes(ends)
     ground = Ground(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
-    begin = places.index((float(start[0]), float(start[1])))
+    begin = places.index(asked[0])
     uv, pairs = joined(ground, np.empty((0, 2)))
     if apart := _apart(pairs, len(uv), len(ends), begin):
         uv, pairs = _through_passages(ground, begin, apart)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
-    visits = tuple(first + places.index((x, y)) for x, y in asked.tolist())
-    return Roads(points, _losses(risk_map, uv, len(ends)), pairs, visits)
+    alpha = risk_map.alpha[risk_map.cells(uv)]
+    alpha[first:] = 0.0
+    return Roads(points, alpha, pairs, tuple(first + places.index(place) for place in asked))
 
 
 def _apart(pairs: IndexArray, count: int, ends: int, begin: int) -> list[int]:
@@ -284,65 +287,48 @@ def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
     return rows * columns * float(free.mean())
 
 
-def _stop_name(number: int) -> str:
-    return f"stop {number}"
+def _asked(
+    risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike], options: NetworkOptions
+) -> list[tuple[float, float]]:
+    """Start, stops and goal as positions, if all can be driven from one to the next."""
+    last = len(given) - 1
+    names = ["start", *(f"stop {k}" for k in range(1, last)), "goal"]
+    # The ends first: what is wrong with them concerns everybody.
+    for k in (0, last, *range(1, last)):
+        _check_position(risk_map, field, given[k], names[k], options)
+    asked = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
+    for (one, a), (other, b) in pairwise(zip(names, asked, strict=True)):
+        if a == b:
+            raise InvalidNetwork(f"{one} and {other} are the same position, {a}")
+    return asked
 
 
-def _errors_of(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
-    """What is raised where a position is off the map, and where it is blocked."""
-    of_ends = {
-        "start": (StartOutsideMap, StartBlocked), "goal": (GoalOutsideMap, GoalBlocked),
-    }
-    return of_ends.get(name, (StopOutsideMap, StopBlocked))
-
-
-def _position(xy: npt.ArrayLike, name: str) -> FloatArray:
-    _, error = _errors_of(name)
+def _check_position(
+    risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str, options: NetworkOptions
+) -> None:
+    off_map, blocked = REFUSED.get(name, (StopOutsideMap, StopBlocked))
     try:
         position = np.asarray(xy, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise error(f"{name} must be a position (x, y): {cause}") from cause
+        raise blocked(f"{name} must be a position (x, y): {cause}") from cause
     if position.shape != (2,):
-        raise error(f"{name} must be a position (x, y), got shape {position.shape}")
+        raise blocked(f"{name} must be a position (x, y), got shape {position.shape}")
     if not np.isfinite(position).all():
-        raise error(f"{name} must be finite, got ({position[0]}, {position[1]})")
-    return position
-
-
-def _check_ends(
-    risk_map: RiskMap,
-    field: ObstacleField,
-    ends: FloatArray,
-    options: NetworkOptions,
-) -> None:
-    width, height = risk_map.size
+        raise blocked(f"{name} must be finite, got ({position[0]}, {position[1]})")
+    where = f"{name} ({position[0]:.3f}, {position[1]:.3f})"
+    uv = risk_map.to_map_axes(position)
+    if not risk_map.contains(uv):
+        width, height = risk_map.size
+        raise off_map(
+            f"{where} is outside the map, which is {width:g} m x {height:g} m from "
+            f"(x, y, yaw) {risk_map.origin}"
+        )
     clearance = options.clearance
-    uv = risk_map.to_map_axes(ends)
-    names = ["start", *map(_stop_name, range(1, len(ends) - 1)), "goal"]
-    # The ends first: what is wrong with them concerns everybody.
-    for k in sorted(range(len(ends)), key=lambda k: 0 < k < len(ends) - 1):
-        name = names[k]
-        off_map, blocked = _errors_of(name)
-        where = f"{name} ({ends[k, 0]:.3f}, {ends[k, 1]:.3f})"
-        if not risk_map.contains(uv[k]):
-            raise off_map(
-                f"{where} is outside the map, which is {width:g} m x {height:g} m from "
-                f"(x, y, yaw) {risk_map.origin}"
-            )
-        if not field.clear_points(uv[k : k + 1], clearance)[0]:
-            edge = " or of the map's edge" if options.clear_of_edge else ""
-            near = f" or within the clearance {clearance:g} m of one{edge}" if clearance else ""
-            lower = ", or lower the clearance" if clearance else ""
-            raise blocked(
-                f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
-                "unless they are given a loss"
-            )
-    for (one, a), (other, b) in pairwise(zip(names, ends.tolist(), strict=True)):
-        if a == b:
-            raise InvalidNetwork(f"{one} and {other} are the same position, {tuple(a)}")
-
-
-def _losses(risk_map: RiskMap, uv: FloatArray, ends: int) -> FloatArray:
-    alpha = risk_map.alpha[risk_map.cells(uv)]
-    alpha[-ends:] = 0.0
-    return alpha
+    if not field.clear_points(uv[None], clearance)[0]:
+        edge = " or of the map's edge" if options.clear_of_edge else ""
+        near = f" or within the clearance {clearance:g} m of one{edge}" if clearance else ""
+        lower = ", or lower the clearance" if clearance else ""
+        raise blocked(
+            f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
+            "unless they are given a loss"
+        )

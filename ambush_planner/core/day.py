@@ -151,7 +151,7 @@ def day_effect(
     parts = [beside.flow(middle, others[k:k + size]) for k in range(0, days, size)]
     chance, flow = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
     if not chance.sum() > 0.0:
-        raise NotDistinct(_not_distinct(middle, n, 0, days))
+        raise middle.not_distinct(n, 0, days)
     p = flow.sum(axis=0) / chance.sum()
     game = strategy.game
     visits, losses = game.visits(p), game.site_losses(p)
@@ -224,7 +224,17 @@ class Middle:
         """Raise ``NotDistinct`` where ``found`` of ``tried`` days of ``n`` routes are too few."""
         hopeless = not found and tried >= _PATIENCE and self.most(n) < n
         if hopeless or tried >= tries * (found + 1):
-            raise NotDistinct(_not_distinct(self, n, found, tried))
+            raise self.not_distinct(n, found, tried)
+
+    def not_distinct(self, n: int, found: int, tried: int) -> NotDistinct:
+        """The error of ``n`` routes that were apart in ``found`` of ``tried`` tries."""
+        most = self.most(n)
+        there = f'no more than {most} can be' if most < n else 'routes that are, are too rare'
+        return NotDistinct(
+            f'{n} routes were apart over the middle {100.0 * self.distinct:g} % of the way in '
+            f'{found} of {tried} tries: {there}; plan fewer convoys, or a smaller share to be '
+            'distinct in'
+        )
 
     def most(self, n: int) -> int:
         """How many routes of the strategy can be apart at once, counted up to ``n``: a flow."""
@@ -284,13 +294,3 @@ class _Beside:
             for tail, head in network.edges[self._edges].tolist()
         ]
         return float(behind[network.source].sum()), p
-
-
-def _not_distinct(middle: Middle, n: int, found: int, tried: int) -> str:
-    most = middle.most(n)
-    there = f'no more than {most} can be' if most < n else 'routes that are, are too rare'
-    return (
-        f'{n} routes were apart over the middle {100.0 * middle.distinct:g} % of the way in '
-        f'{found} of {tried} tries: {there}; plan fewer convoys, or a smaller share to be '
-        'distinct in'
-    )

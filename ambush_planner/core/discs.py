@@ -19,6 +19,13 @@ def inside(offset: FloatArray, radius: float) -> BoolArray:
     return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) <= radius)
 
 
+def near_ends(network: Network, radius: float) -> BoolArray:
+    """Nodes (N,) within ``radius`` [m] of the source, a stop or the target."""
+    ends = (network.source, *network.stops, network.target)
+    near = [inside(network.points - network.points[end], radius) for end in ends]
+    return np.asarray(np.any(near, axis=0))
+
+
 def entering_edges(network: Network, sites: IndexArray, radius: float) -> csr_matrix:
     """(S, M) 0/1: edges whose tail lies outside a site's disc and whose segment meets it.
 

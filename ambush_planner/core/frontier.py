@@ -68,7 +68,8 @@ def frontier(
     tasks = [("max_detour", replace(options, max_detour=detour)) for detour in detours]
     tasks += [("risk_slack", replace(options, risk_slack=slack)) for slack in slacks]
     # A law for looser budgets is the better one to start from.
-    order = sorted(range(len(tasks)), key=lambda k: _looseness(tasks[k][1]), reverse=True)
+    looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
+    order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
     solved: dict[StrategyOptions, FrontierRow] = {}
     law: Law | None = None
@@ -81,10 +82,6 @@ def frontier(
         if on_row is not None:
             on_row(rows[k])
     return tuple(rows[k] for k in range(len(tasks)))
-
-
-def _looseness(options: StrategyOptions) -> tuple[float, float]:
-    return options.max_detour, options.risk_slack
 
 
 def _row(

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from .arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
-from .discs import entering_edges, inside
+from .discs import entering_edges, near_ends
 from .errors import InvalidOption, NoRoute
 from .network import Network
 from .options import check_at_least, check_flag, check_whole
@@ -207,8 +207,4 @@ def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     radius = max(options.secured_radius, options.ambush_radius)
     if radius == 0.0:
         return np.ones(len(network.points), dtype=bool)
-    near = [
-        inside(network.points - network.points[end], radius)
-        for end in (network.source, *network.stops, network.target)
-    ]
-    return ~np.any(near, axis=0)
+    return ~near_ends(network, radius)

@@ -34,8 +34,8 @@ CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)
-class LinearProgram:
-    """minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``, v = (p, z') >= 0.
+class LinearProgram(highs.Program):
+    """The program in v = (p, z').
 
     p are the expected uses of the playable edges ``edge`` (m,), z' is the value in units of
     ``unit``. Rows of ``inequalities``: one a site, ``sum p into j - z' unit / alpha_j <= 0``, and
@@ -43,11 +43,6 @@ class LinearProgram:
     """
 
     edge: IndexArray
-    cost: FloatArray
-    inequalities: csr_matrix
-    limits: FloatArray
-    equalities: csr_matrix
-    rhs: FloatArray
     unit: float
 
 
@@ -71,12 +66,12 @@ def linear_program(
     rows_of_a, node = conservation(game)
     nothing = csr_matrix((len(node), 1))
     return LinearProgram(
-        edge,
         cost,
         inequalities.tocsr(),
         limits,
         hstack((rows_of_a, nothing)).tocsr(),
         np.where(node == network.source, 1.0, 0.0),
+        edge,
         unit,
     )
 
@@ -182,10 +177,7 @@ def _with_ambusher(
 
 
 def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
-    flat = highs.Program(
-        program.cost, program.inequalities, program.limits, program.equalities, program.rhs
-    )
-    result = highs.run(flat, solver, deadline)
+    result = highs.run(program, solver, deadline)
     if result.status == highs.INFEASIBLE:
         raise BudgetInfeasible(f"{solver}: no strategy fits the length budget; raise max_detour")
     return result

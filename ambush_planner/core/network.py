@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import FloatArray, IndexArray, frozen_array
+from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidNetwork
 
 
@@ -219,7 +219,7 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
     return edges
 
 
-def _refuse_edges(edges: IndexArray, bad: npt.NDArray[np.bool_], what: str) -> None:
+def _refuse_edges(edges: IndexArray, bad: BoolArray, what: str) -> None:
     if bad.any():
         k = int(np.argmax(bad))
         raise InvalidNetwork(

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
-from .arrays import BoolArray, FloatArray
+from .arrays import BoolArray, FloatArray, IndexArray
 from .risk_map import RiskMap
 
 # Cells are closed squares: what comes as near as this to a face or a corner touches it. In units
@@ -64,11 +63,11 @@ class ObstacleField:
         blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
         return blocked
 
-    def _cell(self, uv: FloatArray) -> npt.NDArray[np.int64]:
+    def _cell(self, uv: FloatArray) -> IndexArray:
         rows, columns = self._shape
         return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
 
-    def _count(self, low: npt.NDArray[np.int64], high: npt.NDArray[np.int64]) -> FloatArray:
+    def _count(self, low: IndexArray, high: IndexArray) -> FloatArray:
         """Count the obstacle cells in boxes of cells, corners included (summed-area table)."""
         (c0, r0), (c1, r1) = low.T, high.T + 1
         sums = self._sums
@@ -76,12 +75,7 @@ class ObstacleField:
         return counts
 
     def _hits(
-        self,
-        a: FloatArray,
-        b: FloatArray,
-        low: npt.NDArray[np.int64],
-        high: npt.NDArray[np.int64],
-        reach: float,
+        self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray, reach: float
     ) -> BoolArray:
         """Test each segment against every obstacle cell of its box, in chunks."""
         hit = np.zeros(len(a), dtype=bool)
@@ -99,11 +93,8 @@ class ObstacleField:
         return hit
 
     def _pairs(
-        self,
-        low: npt.NDArray[np.int64],
-        high: npt.NDArray[np.int64],
-        sizes: npt.NDArray[np.int64],
-    ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+        self, low: IndexArray, high: IndexArray, sizes: IndexArray
+    ) -> tuple[IndexArray, IndexArray]:
         """List (segment, (column, row)) for every obstacle cell in every segment's box."""
         segment = np.repeat(np.arange(len(low)), sizes)
         offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -114,9 +105,7 @@ class ObstacleField:
         return segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
 
 
-def _pieces(
-    a: FloatArray, b: FloatArray
-) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray]:
+def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
     """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
     length = np.hypot(*(b - a).T)
     count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
@@ -129,7 +118,7 @@ def _pieces(
     return segment, start, start + step
 
 
-def _touch(a: FloatArray, b: FloatArray, cell: npt.NDArray[np.int64], reach: float) -> BoolArray:
+def _touch(a: FloatArray, b: FloatArray, cell: IndexArray, reach: float) -> BoolArray:
     """Tell which segments come within ``reach`` of their closed unit cell (units of a cell)."""
     centre = cell + 0.5
     hit = _cross(a - centre, b - centre)
@@ -172,8 +161,8 @@ def nearest_free_cell(
     """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
 
     A cell is free if its centre keeps the clearance from obstacles, and from the map's edge with
-    ``clear_of_edge``. Where none is within
-    ``tolerance`` [m] of ``xy``, or ``xy`` is not on the map, it comes back as it is.
+    ``clear_of_edge``. Where none is within ``tolerance`` [m] of ``xy``, or ``xy`` is not on the
+    map, it comes back as it is.
     """
     if tolerance == 0.0:
         return xy

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 
-from .arrays import FloatArray, frozen_array
+from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidOption, InvalidRiskMap
 
 
@@ -43,7 +43,7 @@ class RiskMap:
     """
 
     alpha: FloatArray
-    obstacles: npt.NDArray[np.bool_]
+    obstacles: BoolArray
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -85,13 +85,13 @@ class RiskMap:
         """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
         return to_world(self.origin, uv)
 
-    def contains(self, uv: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+    def contains(self, uv: npt.ArrayLike) -> BoolArray:
         """Tell which positions in map axes (..., 2) lie on the map or its outer edge."""
         uv = np.asarray(uv, dtype=np.float64)
-        inside: npt.NDArray[np.bool_] = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
+        inside: BoolArray = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
         return inside
 
-    def cells(self, uv: npt.ArrayLike) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
         """Return (rows, columns) of the cells that hold positions in map axes (..., 2).
 
         Positions must be on the map; the upper and right border belong to the last cells.
@@ -127,7 +127,7 @@ def _check_place(resolution: float, origin: tuple[float, ...]) -> None:
         raise InvalidRiskMap(f"origin must be three finite numbers (x, y, yaw), got {origin}")
 
 
-def _check_layers(alpha: FloatArray, obstacles: npt.NDArray[np.bool_]) -> None:
+def _check_layers(alpha: FloatArray, obstacles: BoolArray) -> None:
     if alpha.ndim != 2 or alpha.size == 0:
         raise InvalidRiskMap(f"alpha must be a non-empty (H, W) array, got shape {alpha.shape}")
     if obstacles.shape != alpha.shape:

@@ -21,7 +21,7 @@ from .construction import NetworkOptions, Roads, lay_roads
 from .cut import solve_by_cut
 from .errors import InvalidNetwork, InvalidOption, TimeLimit
 from .flow_program import at_most_one
-from .game import Game, GameOptions, make_game
+from .game import Game, make_game
 from .network import Network
 from .paths import distances_from
 from .planner import (
@@ -138,6 +138,10 @@ class _Ambusher:
     costs: FloatArray
     paid: float
 
+    def bounds(self, legs: IndexArray) -> FloatArray:
+        """A lower bound (K,) for each order, by the ends of its ``legs`` (2, K, L)."""
+        return self.costs[tuple(legs)].sum(axis=1) - self.paid
+
 
 class _OrderSearch:
     """The order of least value, by bounds.
@@ -150,6 +154,7 @@ class _OrderSearch:
 
     def __init__(self, risk_map: RiskMap, roads: Roads, options: PlanningOptions) -> None:
         self._map, self._roads, self._options = risk_map, roads, options
+        self._game = replace(options.game, ambush_radius=reach(risk_map, options))
         self._deadline = time.monotonic() + options.strategy.time_limit
         self._ends = sorted(set(roads.visits))
         at = {node: k for k, node in enumerate(self._ends)}
@@ -162,7 +167,9 @@ class _OrderSearch:
         """The strategy, its order of stops, and how that was found."""
         count = len(self._visits) - 2
         few = count <= MOST_STOPS
-        orders = _all_orders(count) if few else self._short_order(count)[None]
+        orders = self._short_order(count)[None]
+        if few:
+            orders = np.array(list(permutations(range(count))), dtype=np.int64)
         visits = self._visits[np.pad(orders + 1, ((0, 0), (1, 1)), constant_values=(0, count + 1))]
         legs = np.stack((visits[:, :-1], visits[:, 1:]))
         driven = (legs[0] != legs[1]).all(axis=1)
@@ -183,12 +190,11 @@ class _OrderSearch:
     ) -> tuple[Strategy, tuple[int, ...], str]:
         """Solve the order that promises most, until none is left that could be better."""
         slack = self._options.strategy.risk_slack
-        first = make_game(
-            with_cover(self._network(orders[0]), self._map, self._options), self._game_options()
-        )
+        network = with_cover(self._network(orders[0]), self._map, self._options)
+        first = make_game(network, self._game)
         bounds = np.zeros(len(orders))
         for known in self._of_pairs(first):
-            bounds = np.maximum(bounds, known.costs[tuple(legs)].sum(axis=1) - known.paid)
+            bounds = np.maximum(bounds, known.bounds(legs))
         left = np.ones(len(orders), dtype=bool)
         best: tuple[Strategy, tuple[int, ...]] | None = None
         while left.any():
@@ -209,7 +215,7 @@ class _OrderSearch:
             known = self._ambusher(
                 strategy.game, strategy.ambush_probability, strategy.length_price, limit
             )
-            bounds = np.maximum(bounds, known.costs[tuple(legs)].sum(axis=1) - known.paid)
+            bounds = np.maximum(bounds, known.bounds(legs))
         assert best is not None  # the shortest order fits its budget
         return *best, 'best'
 
@@ -231,7 +237,7 @@ class _OrderSearch:
     def _of_pairs(self, game: Game) -> Iterable[_Ambusher]:
         """The ambushers of the minimum cuts between two ends: with a reach, they are only tried."""
         k = game.ambushers
-        options = replace(self._game_options(), ambush_radius=0.0, ambushers=1)
+        options = replace(self._game, ambush_radius=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
             cut = solve_by_cut(make_game(self._roads.network(pair), options))
             q = np.zeros(game.node_count)
@@ -253,9 +259,6 @@ class _OrderSearch:
         rows = [distances_from(edges, weights, count, end)[self._ends] for end in self._ends]
         return np.array(rows)
 
-    def _game_options(self) -> GameOptions:
-        return replace(self._options.game, ambush_radius=reach(self._map, self._options))
-
     def _short_order(self, count: int) -> IndexArray:
         """A short order of many stops: each put where it adds least, then parts turned round."""
         far = self._lengths[np.ix_(self._visits, self._visits)]
@@ -273,8 +276,3 @@ class _OrderSearch:
                     tour[i : j + 1] = tour[i : j + 1][::-1]
                     shorter = True
         return np.array(tour[1:-1]) - 1
-
-
-def _all_orders(count: int) -> IndexArray:
-    """All orders (count!, count) of so many stops."""
-    return np.array(list(permutations(range(count))), dtype=np.int64)

@@ -289,10 +289,10 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
 
 
 def _wrapped(text: str) -> str:
-    """Wrap lines that are too long for a terminal; names of files stay whole."""
+    """Wrap lines that are too long for a terminal; names of files and Markdown rows stay whole."""
     return '\n'.join(
         fill(line, WIDTH, subsequent_indent='  ', break_long_words=False, break_on_hyphens=False)
-        if len(line) > WIDTH else line for line in text.split('\n')
+        if len(line) > WIDTH and line[0] != '|' else line for line in text.split('\n')
     )
 
 

@@ -56,11 +56,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     own, topics, for_ros = _split(given)
 
     def work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        # Shells start what is to run behind the prompt with SIGINT ignored.
+        ends = signal.SIGINT, signal.SIGTERM
+        before = [signal.signal(number, signal.default_int_handler) for number in ends]
         try:
             return _Replay(options, topics, console).run(for_ros)
         finally:
-            signal.signal(signal.SIGTERM, before)
+            for number, handler in zip(ends, before, strict=True):
+                signal.signal(number, handler)
 
     return cli.run(parser, work, own)
 

@@ -90,8 +90,9 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
                 failed = _solve(missing, risk_map, options, executor, in_flight, table, bar)
         table.finish([pair.inputs for pair in pairs])
     seconds = console.seconds
-    console.line(f'{cli.place(arguments.output)}: {len(pairs)} pairs, {len(missing)} of them '
-                 f'solved now, {failed} without a strategy, in {seconds:.1f} s')
+    console.line(cli.place(arguments.output))
+    console.line(f'{len(pairs)} pairs, {len(missing)} of them solved now, {failed} without a '
+                 f'strategy, in {seconds:.1f} s')
     console.result = {
         'table': cli.place(arguments.output), 'pairs': len(pairs), 'solved': len(missing),
         'failed': failed, 'seconds': round(seconds, 1),
