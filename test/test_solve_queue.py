@@ -103,7 +103,7 @@ def test_errors_of_the_planner_come_through(queue):
 
 
 def test_an_error_that_the_planner_does_not_know_tells_where_but_no_values(queue):
-    odd = replace(request(), start_xy='nowhere near')
+    odd = replace(request(), resolution='nowhere near')
     with pytest.raises(Unexpected) as caught:
         submit(queue, 'key', odd).result(TIMEOUT)
     assert str(caught.value).startswith('internal error (')
