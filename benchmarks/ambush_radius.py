@@ -46,8 +46,8 @@ def solve_mesh(make_map: Callable[[int], RiskMap], across: int, radius: float) -
         values.append(solve(network, game).value)
         seconds.append(time.process_time() - started)
         print(
-            f"{make_map.__name__:6s} {across:4d} across  radius {reach:4g} m  "
-            f"value {values[-1]:.4f}  {seconds[-1]:7.2f} s",
+            f'{make_map.__name__:6s} {across:4d} across  radius {reach:4g} m  '
+            f'value {values[-1]:.4f}  {seconds[-1]:7.2f} s',
             file=sys.stderr,
         )
     return Mesh(across, len(network.points), (values[0], values[1]), (seconds[0], seconds[1]))
@@ -55,17 +55,17 @@ def solve_mesh(make_map: Callable[[int], RiskMap], across: int, radius: float) -
 
 def mesh_table(meshes: list[Mesh], radius: float) -> str:
     """A row a mesh; in bold the value over the one on the coarsest mesh."""
-    head = ("across", "spacing", "nodes", "radius 0", f"radius {radius:g} m", "processor seconds")
+    head = ('across', 'spacing', 'nodes', 'radius 0', f'radius {radius:g} m', 'processor seconds')
     return table(head, [_row(mesh, meshes[0]) for mesh in meshes])
 
 
 def _row(mesh: Mesh, coarsest: Mesh) -> list[str]:
     values = [
-        f"**{value / first:.3f}** ({value:.4f})"
+        f'**{value / first:.3f}** ({value:.4f})'
         for value, first in zip(mesh.values, coarsest.values, strict=True)
     ]
-    seconds = " / ".join(f"{s:.2g}" for s in mesh.seconds)
-    return [str(mesh.across), f"{SIDE / mesh.across:.2f} m", str(mesh.nodes), *values, seconds]
+    seconds = ' / '.join(f'{s:.2g}' for s in mesh.seconds)
+    return [str(mesh.across), f'{SIDE / mesh.across:.2f} m', str(mesh.nodes), *values, seconds]
 
 
 def summary(meshes: list[Mesh]) -> str:
@@ -86,28 +86,28 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument(
-        "--sizes", type=int, nargs="+", default=[14, 20, 28, 36, 44], metavar="N",
-        help="lattice nodes across the map, coarse to fine",
+        '--sizes', type=int, nargs='+', default=[14, 20, 28, 36, 44], metavar='N',
+        help='lattice nodes across the map, coarse to fine',
     )
     parser.add_argument(
-        "--radius", type=float, default=0.1 * SIDE, help="ambush radius of the second game [m]"
+        '--radius', type=float, default=0.1 * SIDE, help='ambush radius of the second game [m]'
     )
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `ambush_radius` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `ambush_radius` is replaced'
     )
     options = parser.parse_args()
     parts = [
-        f"Maps of {SIDE:g} m x {SIDE:g} m, {CELLS} cells across; nobody waits within "
-        f"{SECURED * options.radius:g} m of the ends. {conditions()}."
+        f'Maps of {SIDE:g} m x {SIDE:g} m, {CELLS} cells across; nobody waits within '
+        f'{SECURED * options.radius:g} m of the ends. {conditions()}.'
     ]
     for make_map in (hills, block):
         meshes = [solve_mesh(make_map, across, options.radius) for across in options.sizes]
-        parts.append(f"### Map `{make_map.__name__}`\n\n{mesh_table(meshes, options.radius)}")
+        parts.append(f'### Map `{make_map.__name__}`\n\n{mesh_table(meshes, options.radius)}')
         parts.append(summary(meshes))
-    text = "\n\n".join(parts)
+    text = '\n\n'.join(parts)
     print(text)
-    write_block(options.results, "ambush_radius", text)
+    write_block(options.results, 'ambush_radius', text)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     main()

@@ -60,13 +60,13 @@ def _along(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _hairpins(gone: FloatArray, yaw: FloatArray, spacing: float) -> int:
     """How many times the heading changes by more than ``HAIRPIN`` within a spacing."""
-    end = np.searchsorted(gone, gone + spacing, side="right")
+    end = np.searchsorted(gone, gone + spacing, side='right')
     sharp = [np.ptp(yaw[k : max(e, k + 2)]) > HAIRPIN for k, e in enumerate(end)]
     return int((np.diff(np.concatenate(([False], sharp)).astype(int)) > 0).sum())
 
 
 def _near_itself(points: FloatArray, fine: FloatArray, spacing: float) -> float:
-    near = cKDTree(points).query_pairs(NEAR_ITSELF * spacing, output_type="ndarray")
+    near = cKDTree(points).query_pairs(NEAR_ITSELF * spacing, output_type='ndarray')
     apart = np.abs(fine[near[:, 0]] - fine[near[:, 1]]) > 3.0 * NEAR_ITSELF * spacing
     return len(np.unique(near[apart])) / len(points)
 
@@ -132,6 +132,6 @@ def least_near_edge(strategy: Strategy, risk_map: RiskMap, spacing: float) -> fl
     balance = coo_array((change, (np.append(head, tail), np.tile(flows, 2))), (count, len(tail)))
     best = linprog(
         near * network.lengths, vstack((hits, long)).tocsr(),
-        np.append(np.full(count, value), length), balance.tocsr(), ends, method="highs",
+        np.append(np.full(count, value), length), balance.tocsr(), ends, method='highs',
     )
     return float(best.fun / length)

@@ -16,7 +16,7 @@ from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.tools import demo_ground as fault
 
 # Maps of the Nav2 project, beside the checkout where there is one.
-DEPOT = Path(__file__).resolve().parents[2] / "shared" / "data" / "nav2_depot"
+DEPOT = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'nav2_depot'
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ def depot() -> Ground:
     FileNotFoundError
         The maps are not there.
     """
-    occupied = 255 - read_pgm(DEPOT / "depot.pgm").astype(int)
-    mask = 255 - read_pgm(DEPOT / "depot_speed.pgm").astype(int)
+    occupied = 255 - read_pgm(DEPOT / 'depot.pgm').astype(int)
+    mask = 255 - read_pgm(DEPOT / 'depot_speed.pgm').astype(int)
     risk_map = RiskMap(1.0 + 9.0 * mask / 255.0, occupied > 0.19 * 255, 0.05)
     return Ground(risk_map, (2.0, 7.0), (28.0, 7.0))
 
@@ -52,8 +52,8 @@ def read_pgm(path: Path) -> npt.NDArray[np.uint8]:
     """Pixels (H, W) of a binary PGM file, its last row first, as maps have it."""
     content, words, at = path.read_bytes(), [], 0
     while len(words) < 4:
-        end = content.index(b"\n", at)
-        words += content[at:end].split(b"#")[0].split()
+        end = content.index(b'\n', at)
+        words += content[at:end].split(b'#')[0].split()
         at = end + 1
     width, height = int(words[1]), int(words[2])
     pixels = np.frombuffer(content, np.uint8, width * height, at)
@@ -100,7 +100,7 @@ def maze(rooms: int = 12, side: int = 14) -> Ground:
         if group[a] != group[b] or rng.random() < 0.33:
             group[group == group[b]] = group[a]
             _open(free, divmod(int(a), rooms), divmod(int(b), rooms), side)
-    alpha = 1.0 + 4.0 * gaussian_filter(rng.random(free.shape), 20.0, mode="nearest")
+    alpha = 1.0 + 4.0 * gaussian_filter(rng.random(free.shape), 20.0, mode='nearest')
     width = rooms * side * 0.05
     return Ground(RiskMap(alpha, ~free, 0.05), (0.35, 0.35), (width - 0.3, width - 0.3))
 
@@ -117,5 +117,5 @@ def _open(
 
 
 GROUNDS: dict[str, Callable[[], Ground]] = {
-    "terrain": terrain, "depot": depot, "city": city, "maze": maze
+    'terrain': terrain, 'depot': depot, 'city': city, 'maze': maze
 }

@@ -47,7 +47,7 @@ def measure(topic: str, build: Callable[[], bytes]) -> Row:
     colours = np.array([(c.r, c.g, c.b, c.a) for c in marker.colors]).reshape(-1, 4)
     made = deserialize_message(from_objects(marker, points, colours), MarkerArray)
     if made != deserialize_message(build(), MarkerArray):
-        raise RuntimeError(f"{topic}: the two ways make different messages")
+        raise RuntimeError(f'{topic}: the two ways make different messages')
     ours = median_ms(build)
     peers = median_ms(lambda: from_objects(marker, points, colours))
     return Row(topic, len(points), ours, peers)
@@ -74,20 +74,20 @@ def median_ms(run: Callable[[], bytes]) -> float:
 def results(rows: list[Row]) -> str:
     """A row a topic and one for all; in bold how many times faster."""
     total = Row(
-        "all four", sum(row.points for row in rows), sum(row.ours for row in rows),
+        'all four', sum(row.points for row in rows), sum(row.ours for row in rows),
         sum(row.peers for row in rows),
     )
-    head = ("topic", "times faster", "points", "from arrays [ms]", "from objects [ms]")
+    head = ('topic', 'times faster', 'points', 'from arrays [ms]', 'from objects [ms]')
     cells = [
-        [row.topic, f"**{row.peers / row.ours:.3g}x**", str(row.points), f"{row.ours:.3g}",
-         f"{row.peers:.3g}"]
+        [row.topic, f'**{row.peers / row.ours:.3g}x**', str(row.points), f'{row.ours:.3g}',
+         f'{row.peers:.3g}']
         for row in (*rows, total)
     ]
     slowest = max(rows, key=lambda row: row.ours)
-    verdict = "met" if slowest.ours < TARGET else "**missed**"
+    verdict = 'met' if slowest.ours < TARGET else '**missed**'
     return (
-        f"{table(head, cells)}\n\nTarget: each topic in less than {TARGET:g} ms; {verdict}: the "
-        f"slowest, {slowest.topic}, takes {slowest.ours:.3g} ms."
+        f'{table(head, cells)}\n\nTarget: each topic in less than {TARGET:g} ms; {verdict}: the '
+        f'slowest, {slowest.topic}, takes {slowest.ours:.3g} ms.'
     )
 
 
@@ -96,28 +96,28 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument(
-        "--across", type=int, default=152, metavar="N", help="lattice nodes across the map"
+        '--across', type=int, default=152, metavar='N', help='lattice nodes across the map'
     )
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `markers` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `markers` is replaced'
     )
     options = parser.parse_args()
     network = block_network(options.across)
     strategy = solve(network)
-    header = Header(frame_id="map")
+    header = Header(frame_id='map')
     rows = [
-        measure("network", lambda: markers.network_lines(network, header)),
-        measure("edge_probabilities", lambda: markers.edge_probabilities(strategy, header)),
-        measure("mean_direction", lambda: markers.mean_direction(strategy, header)),
-        measure("ambush_sites", lambda: markers.ambush_sites(strategy, header)),
+        measure('network', lambda: markers.network_lines(network, header)),
+        measure('edge_probabilities', lambda: markers.edge_probabilities(strategy, header)),
+        measure('mean_direction', lambda: markers.mean_direction(strategy, header)),
+        measure('ambush_sites', lambda: markers.ambush_sites(strategy, header)),
     ]
     text = (
         f"{len(network.points)} nodes, {len(network.edges)} edges, {rows[1].points // 2} of them "
         f"in use; medians of {REPEATS} runs. {conditions('ros-jazzy-rclpy')}.\n\n{results(rows)}"
     )
     print(text)
-    write_block(options.results, "markers", text)
+    write_block(options.results, 'markers', text)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     main()

@@ -33,14 +33,14 @@ from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.parameters import PARAMETERS
 
 Random = np.random.Generator
-GRID_UPDATE = message_type("map_msgs", "OccupancyGridUpdate")
+GRID_UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
 
 SIDE = 10.0  # of the map in force [m]
-_ODD = (float("nan"), float("inf"), -float("inf"), -0.0, 5e-324, 1e-30, 1e30, 1.8e308, -1.0)
-_NAMES = ("", "map", "/map", "odom", "mäp", "a" * 300, "line\nbreak", "%s%n", "\ufffe", "{0}", "🜨")
+_ODD = (float('nan'), float('inf'), -float('inf'), -0.0, 5e-324, 1e-30, 1e30, 1.8e308, -1.0)
+_NAMES = ('', 'map', '/map', 'odom', 'mäp', 'a' * 300, 'line\nbreak', '%s%n', '\ufffe', '{0}', '🜨')
 _LENGTHS = (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0xFFFFFFF8, 100_000_000)
 # Not the folder of the recordings, nor the clock: these are the operator's to get wrong.
-_PARAMETERS = [name for name in PARAMETERS if name != "recording.directory"]
+_PARAMETERS = [name for name in PARAMETERS if name != 'recording.directory']
 
 
 @dataclass(frozen=True)
@@ -69,33 +69,33 @@ def good_map() -> OccupancyGrid:
     """A map of ``SIDE`` with some risk and a block in the middle."""
     values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
     values[8:12, 8:12] = 100
-    return occupancy_to_ros(values, SIDE / 20, (0.0, 0.0, 0.0), Header(frame_id="map"))
+    return occupancy_to_ros(values, SIDE / 20, (0.0, 0.0, 0.0), Header(frame_id='map'))
 
 
 def good_pose(x: float, y: float) -> PoseStamped:
     """A pose on that map."""
-    return PoseStamped(header=Header(frame_id="map"), pose=pose_to_ros(x, y))
+    return PoseStamped(header=Header(frame_id='map'), pose=pose_to_ros(x, y))
 
 
 def _bytes_on_a_topic(rng: Random) -> Attack:
     kind, topic, make = _pick(rng, (
-        (OccupancyGrid, "/alpha_map", _map), (GRID_UPDATE, "/alpha_map_updates", _update),
-        (PoseStamped, "/start_pose", _pose_stamped),
-        (PoseStamped, "/goal_pose", _pose_stamped),
-        (PoseWithCovarianceStamped, "/initialpose", _estimate),
+        (OccupancyGrid, '/alpha_map', _map), (GRID_UPDATE, '/alpha_map_updates', _update),
+        (PoseStamped, '/start_pose', _pose_stamped),
+        (PoseStamped, '/goal_pose', _pose_stamped),
+        (PoseWithCovarianceStamped, '/initialpose', _estimate),
     ))
     if rng.random() < 0.1:
-        return Attack("random bytes", kind, topic, rng.bytes(int(rng.integers(0, 300))))
+        return Attack('random bytes', kind, topic, rng.bytes(int(rng.integers(0, 300))))
     made = make(rng)
     data = made if isinstance(made, bytes) else bytes(serialize_message(made))
     if rng.random() < 0.25:
-        return Attack("any numbers", kind, topic, data)
+        return Attack('any numbers', kind, topic, data)
     names = []
     for _ in range(rng.integers(1, 4)):
         mutate = _pick(rng, _MUTATIONS)
-        names.append(mutate.__name__.strip("_"))
+        names.append(mutate.__name__.strip('_'))
         data = mutate(rng, data)
-    return Attack(" + ".join(names), kind, topic, data)
+    return Attack(' + '.join(names), kind, topic, data)
 
 
 def _flip(rng: Random, data: bytes) -> bytes:
@@ -114,11 +114,11 @@ def _extend(rng: Random, data: bytes) -> bytes:
 
 
 def _absurd_length(rng: Random, data: bytes) -> bytes:
-    return _put(rng, data, 4, struct.pack("<I", _pick(rng, _LENGTHS)))
+    return _put(rng, data, 4, struct.pack('<I', _pick(rng, _LENGTHS)))
 
 
 def _odd_number(rng: Random, data: bytes) -> bytes:
-    return _put(rng, data, 8, struct.pack("<d", _pick(rng, _ODD)))
+    return _put(rng, data, 8, struct.pack('<d', _pick(rng, _ODD)))
 
 
 def _other_encoding(rng: Random, data: bytes) -> bytes:
@@ -157,7 +157,7 @@ def _map(rng: Random) -> OccupancyGrid:
     low, high = _pick(rng, ((0, 60), (0, 60), (-1, 101), (-128, 128)))
     made = occupancy_to_ros(
         rng.integers(low, high, shape, dtype=np.int8), SIDE / 20,
-        (0.0, 0.0, _pick(rng, (0.0, 0.0, 1.0))), Header(frame_id="map"))
+        (0.0, 0.0, _pick(rng, (0.0, 0.0, 1.0))), Header(frame_id='map'))
     if rng.random() < 0.3:
         made.header.frame_id = _pick(rng, _NAMES)
         made.info.resolution = abs(_number(rng, 1e30)) if rng.random() < 0.5 else 0.5
@@ -171,7 +171,7 @@ def _update(rng: Random) -> bytes:
     """Most of them lie within a map of ``SIDE``, some beside it, and few on the good one."""
     values = rng.integers(*_pick(rng, ((0, 60), (0, 101), (-128, 128))), rng.integers(0, 6, 2))
     x, y = rng.integers(-2, 20, 2).tolist() if rng.random() < 0.9 else (-(2**31), 2**31 - 1)
-    frame = "map" if rng.random() < 0.8 else _pick(rng, _NAMES)
+    frame = 'map' if rng.random() < 0.8 else _pick(rng, _NAMES)
     return grid_update(frame, x, y, values, (int(rng.integers(2**31)), int(rng.integers(2**32))))
 
 
@@ -197,29 +197,29 @@ def _estimate(rng: Random) -> PoseWithCovarianceStamped:
 
 def _request(rng: Random) -> Attack:
     kind, name = _pick(rng, (
-        (GetPlan, "get_plan"), (GetPlan, "get_plan"), (Trigger, "new_route"),
-        (Trigger, "replan"), (Trigger, "cancel"),
+        (GetPlan, 'get_plan'), (GetPlan, 'get_plan'), (Trigger, 'new_route'),
+        (Trigger, 'replan'), (Trigger, 'cancel'),
     ))
     request = kind.Request()
     if kind is GetPlan:
         tolerance = float(np.float32(_pick(rng, (0.0, 1.0, _number(rng, 3e38)))))
         request = kind.Request(
             start=_pose_stamped(rng), goal=_pose_stamped(rng), tolerance=tolerance)
-    return Attack("any request", kind, name, request)
+    return Attack('any request', kind, name, request)
 
 
 def _parameters(rng: Random) -> Attack:
     names = [_name(rng) for _ in range(rng.integers(0, 4))]
     kind, name, request = _pick(rng, (
-        (SetParametersAtomically, "set_parameters_atomically", _setting),
-        (SetParametersAtomically, "set_parameters_atomically", _setting),
-        (SetParameters, "set_parameters", _setting),
-        (GetParameters, "get_parameters", _naming),
-        (DescribeParameters, "describe_parameters", _naming),
-        (GetParameterTypes, "get_parameter_types", _naming),
-        (ListParameters, "list_parameters", _listing),
+        (SetParametersAtomically, 'set_parameters_atomically', _setting),
+        (SetParametersAtomically, 'set_parameters_atomically', _setting),
+        (SetParameters, 'set_parameters', _setting),
+        (GetParameters, 'get_parameters', _naming),
+        (DescribeParameters, 'describe_parameters', _naming),
+        (GetParameterTypes, 'get_parameter_types', _naming),
+        (ListParameters, 'list_parameters', _listing),
     ))
-    return Attack("any parameters", kind, name, request(rng, kind, names))
+    return Attack('any parameters', kind, name, request(rng, kind, names))
 
 
 def _setting(rng: Random, kind: type, names: list[str]) -> Any:
@@ -251,7 +251,7 @@ def _parameter(rng: Random, name: str) -> Parameter:
     value.bool_value = bool(rng.random() < 0.5)
     value.integer_value = _pick(rng, (-1, 0, 1, 2, 50, 100, 2**62, -(2**63)))
     # Long solves are another benchmark's.
-    odd = 2.0 if name == "max_planning_time" else _number(rng)
+    odd = 2.0 if name == 'max_planning_time' else _number(rng)
     value.double_value = _pick(rng, (0.0, 0.5, 1.0, 2.0, odd))
     value.string_value = _pick(rng, (*(PARAMETERS[name].choices if name in PARAMETERS else ()),
                                      *_NAMES))

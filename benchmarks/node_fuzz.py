@@ -38,7 +38,7 @@ from ambush_planner.ros.parameters import PARAMETERS
 
 # The node's solves are given up after this [s], so that one message costs no more.
 PLANNING_TIME = 2.0
-NODE = {"max_planning_time": PLANNING_TIME}
+NODE = {'max_planning_time': PLANNING_TIME}
 CHECK_EVERY = 100
 SHOWN = 5
 # Messages until the node has used all of itself, threads and libraries.
@@ -46,7 +46,7 @@ WARM_UP = 1000
 # Memory allocators do not give everything back at once.
 GROWTH_ALLOWED = 5.0  # %
 START, GOAL = (1.25, 5.25), (8.75, 5.25)
-UNKNOWN = re.compile(r"Traceback|internal error|^\S*Error at$", re.MULTILINE)
+UNKNOWN = re.compile(r'Traceback|internal error|^\S*Error at$', re.MULTILINE)
 
 
 @dataclass
@@ -73,19 +73,19 @@ def fuzz(rig: Rig, caller: Caller, seed: int, numbers: range) -> Outcome:
     try:
         for done, number in enumerate(numbers, 1):
             sent = attack(seed, number)
-            recent.append(f"--seed {seed} --first {number}: {sent.what} on {sent.target}")
+            recent.append(f'--seed {seed} --first {number}: {sent.what} on {sent.target}')
             send(caller, sent)
-            outcome.sent["requests" if sent.is_service else "messages on topics"] += 1
-            outcome.codes[caller.status.get("code", "none yet")] += 1
+            outcome.sent['requests' if sent.is_service else 'messages on topics'] += 1
+            outcome.codes[caller.status.get('code', 'none yet')] += 1
             if done % CHECK_EVERY == 0 or done == len(numbers):
                 check_good_inputs(caller)
             if done % every == 0:
                 outcome.memory[done] = resident(rig.process.pid)
-                say(f"{done} of {len(numbers)}: {outcome.memory[done]:.1f} MB")
+                say(f'{done} of {len(numbers)}: {outcome.memory[done]:.1f} MB')
     except Exception:
-        say("sent last:\n  " + "\n  ".join(recent))
+        say('sent last:\n  ' + '\n  '.join(recent))
         raise
-    outcome.departures = int(caller.status["departures"])
+    outcome.departures = int(caller.status['departures'])
     outcome.seconds = time.monotonic() - begin
     return outcome
 
@@ -102,12 +102,12 @@ def send(caller: Caller, sent: Attack) -> None:
 def check_good_inputs(caller: Caller) -> None:
     """With its defaults and good inputs the node finds a route, whatever came before."""
     values = {name: each.default for name, each in PARAMETERS.items()
-              if not each.fixed and not name.startswith("recording")}
-    if refused := caller.set_parameters({**values, "max_planning_time": PLANNING_TIME}):
-        raise WrongRoute(f"the defaults were refused: {refused}")
+              if not each.fixed and not name.startswith('recording')}
+    if refused := caller.set_parameters({**values, 'max_planning_time': PLANNING_TIME}):
+        raise WrongRoute(f'the defaults were refused: {refused}')
     start, goal = good_pose(*START), good_pose(*GOAL)
     caller.give(good_map(), start, goal)
-    caller.wait(lambda: finds_route(caller, start, goal), "a route as it should be")
+    caller.wait(lambda: finds_route(caller, start, goal), 'a route as it should be')
 
 
 def finds_route(caller: Caller, start: PoseStamped, goal: PoseStamped) -> bool:
@@ -129,11 +129,11 @@ def growth(memory: dict[int, float]) -> float:
 def results(outcome: Outcome, seed: int, unknown: int) -> str:
     """What was sent and what became of the node."""
     total = sum(outcome.sent.values())
-    kinds = ", ".join(f"{count} {kind}" for kind, count in sorted(outcome.sent.items()))
-    rows = [[str(count), f"{size:.1f}"] for count, size in outcome.memory.items()]
+    kinds = ', '.join(f'{count} {kind}' for kind, count in sorted(outcome.sent.items()))
+    rows = [[str(count), f'{size:.1f}'] for count, size in outcome.memory.items()]
     change = growth(outcome.memory)
-    codes = ", ".join(f"{code} {count}" for code, count in outcome.codes.most_common())
-    verdict = "met" if change <= GROWTH_ALLOWED and not unknown else "**missed**"
+    codes = ', '.join(f'{code} {count}' for code, count in outcome.codes.most_common())
+    verdict = 'met' if change <= GROWTH_ALLOWED and not unknown else '**missed**'
     return (
         f"{total} messages of seed {seed} ({kinds}) in {outcome.seconds:.0f} s. The node answered "
         f"after each, and planned well after every {CHECK_EVERY}; there were {outcome.departures} "
@@ -149,11 +149,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--messages", type=int, default=10_000, metavar="N", help="how many")
-    parser.add_argument("--seed", type=int, default=1, help="what they follow from")
-    parser.add_argument("--first", type=int, default=0, metavar="N", help="number of the first")
+    parser.add_argument('--messages', type=int, default=10_000, metavar='N', help='how many')
+    parser.add_argument('--seed', type=int, default=1, help='what they follow from')
+    parser.add_argument('--first', type=int, default=0, metavar='N', help='number of the first')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `node_fuzz` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `node_fuzz` is replaced'
     )
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.messages)
@@ -165,20 +165,20 @@ def main() -> int:
             try:
                 with Caller(rig.domain, rig.process.check) as caller:
                     outcome = fuzz(rig, caller, options.seed, numbers)
-                say(f"worker processes: {len(children(rig.process.pid))}")
+                say(f'worker processes: {len(children(rig.process.pid))}')
             finally:
                 found = UNKNOWN.findall(rig.log)
-                say(f"{len(found)} unknown errors in the log" + "".join(
-                    f"\n{rig.log[m.start():m.start() + 2000]}"
+                say(f'{len(found)} unknown errors in the log' + ''.join(
+                    f'\n{rig.log[m.start():m.start() + 2000]}'
                     for m in list(UNKNOWN.finditer(rig.log))[:SHOWN]))
     except (*FAILURES, WrongRoute) as error:
-        say(f"node_fuzz: {error}")
+        say(f'node_fuzz: {error}')
         return 1
     text = results(outcome, options.seed, len(found))
     print(text)
-    write_block(options.results, "node_fuzz", text)
+    write_block(options.results, 'node_fuzz', text)
     return int(bool(found) or growth(outcome.memory) > GROWTH_ALLOWED)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

@@ -59,7 +59,7 @@ class Found:
 
 def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]) -> Found:
     """Depart every ``PERIOD``; ``change`` is called before each with the time passed [s]."""
-    solved = {caller.status["solve_seconds"]}
+    solved = {caller.status['solve_seconds']}
     begin, maps, before = time.monotonic(), 0, resident(pid)
     times, nothing, used = [], [], processor_time(pid)
     for k in range(int(seconds / PERIOD)):
@@ -67,7 +67,7 @@ def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]
         maps += change(time.monotonic() - begin)
         times.append(stopwatch(caller.new_route))
         nothing.append(stopwatch(lambda: caller.call(Trigger, EMPTY)))
-        solved.add(caller.status["solve_seconds"])
+        solved.add(caller.status['solve_seconds'])
     used = (processor_time(pid) - used) / len(times)
     return Found(times, nothing, used, len(solved) - 1, maps, (before, resident(pid)))
 
@@ -75,7 +75,7 @@ def run(caller: Caller, pid: int, seconds: float, change: Callable[[float], int]
 def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
     """Publish the map once a second; each time an obstacle of 3 x 3 cells is somewhere else."""
     rng, published = np.random.default_rng(7), [0]
-    publisher = caller.publisher(OccupancyGrid, "/alpha_map")
+    publisher = caller.publisher(OccupancyGrid, '/alpha_map')
 
     def change(passed: float) -> int:
         if passed < published[0]:
@@ -94,7 +94,7 @@ def changing_map(caller: Caller, values: np.ndarray) -> Callable[[float], int]:
 def moving_goal(caller: Caller, goal: PoseStamped) -> Callable[[float], int]:
     """Publish a goal up to a metre from the planned one, within the tolerance."""
     rng = np.random.default_rng(8)
-    publisher = caller.publisher(PoseStamped, "/goal_pose")
+    publisher = caller.publisher(PoseStamped, '/goal_pose')
 
     def change(_: float) -> int:
         x, y = rng.uniform(-0.7, 0.7, 2)
@@ -107,7 +107,7 @@ def moving_goal(caller: Caller, goal: PoseStamped) -> Callable[[float], int]:
 def measure(seconds: float, cells: int, nodes: int) -> dict[str, Found]:
     """Both cases, on one node."""
     grid, size = field(cells, RESOLUTION), cells * RESOLUTION
-    parameters = {"network.target_nodes": nodes, "recording.enabled": False}
+    parameters = {'network.target_nodes': nodes, 'recording.enabled': False}
     start, goal = pose(size / 20, size / 2), pose(size * 19 / 20, size / 2)
     with (
         scratch() as folder,
@@ -116,15 +116,15 @@ def measure(seconds: float, cells: int, nodes: int) -> dict[str, Found]:
         Caller(rig.domain, rig.process.check) as caller,
     ):
         caller.give(grid, start, goal)
-        say("the first solve")
+        say('the first solve')
         caller.new_route()
         found = {}
         for name, change in (
-            (f"the goal moves within the tolerance, every {PERIOD:g} s", moving_goal(caller, goal)),
-            (f"an obstacle of {SIDE} x {SIDE} cells jumps, once a second",
+            (f'the goal moves within the tolerance, every {PERIOD:g} s', moving_goal(caller, goal)),
+            (f'an obstacle of {SIDE} x {SIDE} cells jumps, once a second',
              changing_map(caller, occupancy_from_ros(grid)[0])),
         ):
-            say(f"{name}, for {seconds:g} s")
+            say(f'{name}, for {seconds:g} s')
             found[name] = run(caller, rig.process.pid, seconds, change)
         return found
 
@@ -136,18 +136,18 @@ def result(found: dict[str, Found], cells: int, nodes: int) -> tuple[str, bool]:
         median, seldom, largest = percentiles(each.times)
         every.append(median < MEDIAN and seldom < SELDOM)
         rows.append([
-            name, str(len(each.times)), f"{median:.3g} / {seldom:.3g} / {largest:.3g}",
-            " / ".join(f"{value:.3g}" for value in percentiles(each.nothing)),
-            f"{each.processor:.3g}",
-            f"< {MEDIAN:g} / {SELDOM:g}", "yes" if every[-1] else "**no**", str(each.maps),
-            str(each.solves), f"{each.memory[0]:.0f} -> {each.memory[1]:.0f}",
+            name, str(len(each.times)), f'{median:.3g} / {seldom:.3g} / {largest:.3g}',
+            ' / '.join(f'{value:.3g}' for value in percentiles(each.nothing)),
+            f'{each.processor:.3g}',
+            f'< {MEDIAN:g} / {SELDOM:g}', 'yes' if every[-1] else '**no**', str(each.maps),
+            str(each.solves), f'{each.memory[0]:.0f} -> {each.memory[1]:.0f}',
         ])
-    head = ("meanwhile", "departures", "`new_route` answered: median / 99 % / largest [ms]",
-            "a service that does nothing, of another process",
-            "node's processor time for each [ms]", "target", "met", "maps", "solves", "memory [MB]")
+    head = ('meanwhile', 'departures', '`new_route` answered: median / 99 % / largest [ms]',
+            'a service that does nothing, of another process',
+            "node's processor time for each [ms]", 'target', 'met', 'maps', 'solves', 'memory [MB]')
     text = (
-        f"A map of {cells} x {cells} cells, published whole each time, {nodes} nodes; a departure "
-        f"every {PERIOD:g} s.\n\n{table(head, rows)}"
+        f'A map of {cells} x {cells} cells, published whole each time, {nodes} nodes; a departure '
+        f'every {PERIOD:g} s.\n\n{table(head, rows)}'
     )
     return text, all(every)
 
@@ -156,24 +156,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each case")
-    parser.add_argument("--cells", type=int, default=4000, metavar="N", help="of the map's sides")
-    parser.add_argument("--nodes", type=int, default=10_000, metavar="N", help="of the network")
+    parser.add_argument('--seconds', type=float, default=60.0, help='of each case')
+    parser.add_argument('--cells', type=int, default=4000, metavar='N', help="of the map's sides")
+    parser.add_argument('--nodes', type=int, default=10_000, metavar='N', help='of the network')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `node_ground` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `node_ground` is replaced'
     )
     options = parser.parse_args()
     try:
         found = measure(options.seconds, options.cells, options.nodes)
         text, met = result(found, options.cells, options.nodes)
     except FAILURES as error:
-        say(f"node_ground: {error}")
+        say(f'node_ground: {error}')
         return 2
     text = f"{conditions('ros-jazzy-rclpy')}.\n\n{text}"
     print(text)
-    write_block(options.results, "node_ground", text)
+    write_block(options.results, 'node_ground', text)
     return int(not met)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

@@ -23,37 +23,37 @@ CELLS = 2000
 BESIDE, MAP, PATH = 50.0, 50.0, 25.0
 # Of an answer that has arrived, with recording on and 20 departures a second.
 ANSWERS = {
-    "`new_route`: answer arrived": (3.0, 10.0),
-    "`get_plan`: answer with the path arrived": (12.0, 30.0),
+    '`new_route`: answer arrived': (3.0, 10.0),
+    '`get_plan`: answer with the path arrived': (12.0, 30.0),
 }
 
 
 def spread(samples: Sequence[float]) -> str:
     """Median / 99th percentile / largest."""
-    return " / ".join(f"{value:.3g}" for value in percentiles(samples))
+    return ' / '.join(f'{value:.3g}' for value in percentiles(samples))
 
 
 def verdict(*met: bool) -> str:
     """A cell."""
-    return "yes" if all(met) else "**no**"
+    return 'yes' if all(met) else '**no**'
 
 
 def beside_results(beside: Beside) -> tuple[str, bool]:
     """The node's answers during a solve, and whether the target is met."""
     met = {name: percentiles(times)[1] < BESIDE for name, times in beside.during.items()}
     rows = [
-        [name, f"**{percentiles(times)[1] / percentiles(beside.idle[name])[1]:.2f}x**",
+        [name, f'**{percentiles(times)[1] / percentiles(beside.idle[name])[1]:.2f}x**',
          spread(times), spread(beside.idle[name]), verdict(met[name])]
         for name, times in beside.during.items()
     ]
-    head = ("median / 99 % / largest [ms]", "99 %, during : idle", "during the solve", "idle",
-            f"99 % < {BESIDE:g} ms")
+    head = ('median / 99 % / largest [ms]', '99 %, during : idle', 'during the solve', 'idle',
+            f'99 % < {BESIDE:g} ms')
     count = len(next(iter(beside.during.values())))
     text = (
-        "### Beside a solve of minutes (simplex, 40 000 nodes)\n\n"
-        f"{count} questions of each kind in turns, one every {1e3 * PERIOD:g} ms, in the first "
-        f"{beside.seconds:.0f} s of the solve. `cancel` ended it in {beside.cancel:.3g} ms.\n\n"
-        f"{table(head, rows)}"
+        '### Beside a solve of minutes (simplex, 40 000 nodes)\n\n'
+        f'{count} questions of each kind in turns, one every {1e3 * PERIOD:g} ms, in the first '
+        f'{beside.seconds:.0f} s of the solve. `cancel` ended it in {beside.cancel:.3g} ms.\n\n'
+        f'{table(head, rows)}'
     )
     return text, all(met.values())
 
@@ -62,9 +62,9 @@ def map_results(times: Sequence[float]) -> tuple[str, bool]:
     """The map's callback, and whether the target is met."""
     met = max(times) < MAP
     text = (
-        f"### A map of {CELLS} x {CELLS} cells\n\nCallback, reading the message included: median "
-        f"{statistics.median(times):.3g} ms, largest {max(times):.3g} ms of {len(times)} "
-        f"different maps. Target < {MAP:g} ms for each: {verdict(met)}."
+        f'### A map of {CELLS} x {CELLS} cells\n\nCallback, reading the message included: median '
+        f'{statistics.median(times):.3g} ms, largest {max(times):.3g} ms of {len(times)} '
+        f'different maps. Target < {MAP:g} ms for each: {verdict(met)}.'
     )
     return text, met
 
@@ -75,24 +75,24 @@ def departure_results(
     """Times of departures, and whether the targets are met."""
     rows, every = [], []
     for each in found:
-        pace = f"every {1e3 * each.period:g} ms" if each.period else "back to back"
+        pace = f'every {1e3 * each.period:g} ms' if each.period else 'back to back'
         for name, times in each.times.items():
             median, seldom, _ = percentiles(times)
             target, judged = ANSWERS.get(name), each.period > 0.0
             met = not target or not judged or (median < target[0] and seldom < target[1])
-            if name.endswith("`path` received"):
+            if name.endswith('`path` received'):
                 met = median < PATH
             every.append(met)
-            shown = f"< {target[0]:g} / {target[1]:g}" if target and judged else ""
+            shown = f'< {target[0]:g} / {target[1]:g}' if target and judged else ''
             nothing = statistics.median(each.times[NOTHING])
-            rows.append([name, "on" if each.recording else "off", pace, spread(times),
-                         f"{median / nothing:.1f}", shown, verdict(met) if shown else ""])
+            rows.append([name, 'on' if each.recording else 'off', pace, spread(times),
+                         f'{median / nothing:.1f}', shown, verdict(met) if shown else ''])
     poses = statistics.median(sum((each.poses for each in found), []))
-    head = ("departure", "recording", "calls", "median / 99 % / largest [ms]",
-            "median, times the empty service's", "target", "met")
+    head = ('departure', 'recording', 'calls', 'median / 99 % / largest [ms]',
+            "median, times the empty service's", 'target', 'met')
     text = (
-        f"### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls a row; paths of "
-        f"{poses:.0f} poses (median).\n\n{table(head, rows)}"
+        f'### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls a row; paths of '
+        f'{poses:.0f} poses (median).\n\n{table(head, rows)}'
     )
     return text, all(every)
 
@@ -102,13 +102,13 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     parser.add_argument(
-        "--samples", type=int, default=300, metavar="N", help="questions of each kind and state"
+        '--samples', type=int, default=300, metavar='N', help='questions of each kind and state'
     )
-    parser.add_argument("--calls", type=int, default=500, metavar="N", help="departures a row")
-    parser.add_argument("--nodes", type=int, default=10_000, metavar="N", help="of the network")
-    parser.add_argument("--maps", type=int, default=20, metavar="N", help="large maps")
+    parser.add_argument('--calls', type=int, default=500, metavar='N', help='departures a row')
+    parser.add_argument('--nodes', type=int, default=10_000, metavar='N', help='of the network')
+    parser.add_argument('--maps', type=int, default=20, metavar='N', help='large maps')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `node_latency` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `node_latency` is replaced'
     )
     options = parser.parse_args()
     try:
@@ -122,13 +122,13 @@ def main() -> int:
             departure_results(found, options.calls, options.nodes),
         )
     except FAILURES as error:
-        say(f"node_latency: {error}")
+        say(f'node_latency: {error}')
         return 2
-    text = "\n\n".join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
+    text = '\n\n'.join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
     print(text)
-    write_block(options.results, "node_latency", text)
+    write_block(options.results, 'node_latency', text)
     return int(not all(met for _, met in parts))
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

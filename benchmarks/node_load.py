@@ -73,7 +73,7 @@ class Together:
 def client_processes(count: int) -> Iterator[Executor]:
     """Processes that begin together, each with one call of ``ask`` at a time."""
     # No fork: it would copy the middleware's state without its threads.
-    spawn = multiprocessing.get_context("spawn")
+    spawn = multiprocessing.get_context('spawn')
     with ProcessPoolExecutor(count, spawn, Together.meet_at, (spawn.Barrier(count),)) as pool:
         yield pool
 
@@ -82,10 +82,10 @@ def ask(domain: int, service: str, depth: int, calls: int) -> tuple[int, int, fl
     """What a client does; how many calls were answered, how many well, and in what time."""
     together = Together.barrier
     request: Any = Trigger.Request()
-    if service == "get_plan":
+    if service == 'get_plan':
         request = GetPlan.Request(start=START, goal=GOAL)
     with Caller(domain, lambda: None) as caller:
-        kind = GetPlan if service == "get_plan" else Trigger
+        kind = GetPlan if service == 'get_plan' else Trigger
         client = caller.client(kind, service, depth)
         together.wait(TIMEOUT)
         begin = time.monotonic()
@@ -111,13 +111,13 @@ def run_round(
     rig: Rig, what: str, service: str, depth: int, calls: int, clients: int, pool: Executor
 ) -> Round:
     """Let the clients call at the same time, add up what they got."""
-    say(f"{what}, clients of depth {depth}")
+    say(f'{what}, clients of depth {depth}')
     share = calls // clients
     asked = [pool.submit(ask, rig.domain, service, depth, share) for _ in range(clients)]
     try:
         found = [each.result() for each in asked]
     except BrokenExecutor as error:
-        raise NodeSilent("a client ended early") from error
+        raise NodeSilent('a client ended early') from error
     answered, good = (sum(each[k] for each in found) for k in (0, 1))
     rig.process.check()
     seconds, memory = max(each[2] for each in found), resident(rig.process.pid)
@@ -129,11 +129,11 @@ def load(rig: Rig, calls: int, clients: int) -> list[Round]:
     with client_processes(clients) as pool, Caller(rig.domain, rig.process.check) as caller:
         caller.give(field(CELLS, RESOLUTION), START, GOAL)
         deep = max(DEPTHS)
-        what = "`new_route`, nothing solved yet"
-        rounds = [run_round(rig, what, "new_route", deep, calls, clients, pool)]
-        for service in ("new_route", "get_plan"):
+        what = '`new_route`, nothing solved yet'
+        rounds = [run_round(rig, what, 'new_route', deep, calls, clients, pool)]
+        for service in ('new_route', 'get_plan'):
             for depth in DEPTHS:
-                what = f"`{service}`, strategy known"
+                what = f'`{service}`, strategy known'
                 rounds.append(run_round(rig, what, service, depth, calls, clients, pool))
         caller.ask_parameter()
         caller.new_route()
@@ -145,12 +145,12 @@ def results(
 ) -> tuple[str, bool]:
     """A row a round, and whether the target is met."""
     rows = [
-        [each.what, str(each.depth), f"**{each.answered / each.calls:.1%}**",
-         str(each.calls - each.answered), str(each.answered - each.good), f"{each.seconds:.2f}",
-         f"{each.memory:.1f}"]
+        [each.what, str(each.depth), f'**{each.answered / each.calls:.1%}**',
+         str(each.calls - each.answered), str(each.answered - each.good), f'{each.seconds:.2f}',
+         f'{each.memory:.1f}']
         for each in rounds
     ]
-    head = ("calls", "clients keep", "answered", "missing", "refused", "seconds", "node [MB]")
+    head = ('calls', 'clients keep', 'answered', 'missing', 'refused', 'seconds', 'node [MB]')
     met = all(each.good == each.calls for each in rounds if each.depth == max(DEPTHS))
     text = (
         f"{rounds[0].calls} calls a row at once, {clients} client processes; recording on. "
@@ -165,27 +165,27 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--calls", type=int, default=1000, metavar="N", help="calls a row")
-    parser.add_argument("--clients", type=int, default=4, metavar="N", help="client processes")
+    parser.add_argument('--calls', type=int, default=1000, metavar='N', help='calls a row')
+    parser.add_argument('--clients', type=int, default=4, metavar='N', help='client processes')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `node_load` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `node_load` is replaced'
     )
     options = parser.parse_args()
     try:
-        with scratch() as folder, running_node(folder, {"network.spacing": 1.0}) as rig:
+        with scratch() as folder, running_node(folder, {'network.spacing': 1.0}) as rig:
             with Caller(rig.domain, rig.process.check) as caller:
                 caller.ask_parameter()
             memory = resident(rig.process.pid)
             rounds = load(rig, options.calls, options.clients)
             processes = len(children(rig.process.pid))
     except FAILURES as error:
-        say(f"node_load: {error}")
+        say(f'node_load: {error}')
         return 2
     text, met = results(rounds, options.clients, memory, processes)
     print(text)
-    write_block(options.results, "node_load", text)
+    write_block(options.results, 'node_load', text)
     return int(not met)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

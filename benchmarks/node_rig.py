@@ -35,15 +35,15 @@ from std_srvs.srv import Trigger
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain
 
-FRAME = "map"
-PLANNER = "/ambush_planner"
+FRAME = 'map'
+PLANNER = '/ambush_planner'
 # Discovery alone can take more than 3 s.
 TIMEOUT = 30.0
 # The node's own limit for a solve is 60 s.
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 MEGABYTE = 2.0**20
-EMPTY = "empty"
+EMPTY = 'empty'
 EMPTY_SERVICE = f"""
 import rclpy
 from std_srvs.srv import Trigger
@@ -52,7 +52,7 @@ node = rclpy.create_node("empty")
 node.create_service(Trigger, "{PLANNER}/{EMPTY}", lambda _, answer: answer)
 rclpy.spin(node)
 """
-TESTS = Path(__file__).resolve().parent.parent / "test"
+TESTS = Path(__file__).resolve().parent.parent / 'test'
 
 
 class NodeSilent(Exception):
@@ -74,12 +74,12 @@ class Rig:
     @property
     def log(self) -> str:
         """What the node has printed so far."""
-        return (self.folder / "node.log").read_text(errors="replace")
+        return (self.folder / 'node.log').read_text(errors='replace')
 
     @property
     def recordings(self) -> Path:
         """Where it records."""
-        return self.folder / "recordings"
+        return self.folder / 'recordings'
 
 
 FAILURES = (NodeFailed, NodeSilent, Refused)
@@ -88,42 +88,42 @@ FAILURES = (NodeFailed, NodeSilent, Refused)
 @contextmanager
 def scratch() -> Iterator[Path]:
     """A temporary folder, in which the processes started from here log, too."""
-    with tempfile.TemporaryDirectory(prefix="ambush_planner_") as name:
-        os.environ["ROS_LOG_DIR"] = str(Path(name, "log"))
+    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name:
+        os.environ['ROS_LOG_DIR'] = str(Path(name, 'log'))
         yield Path(name)
 
 
 def give_nodes_map_updates(folder: Path) -> None:
     """Let nodes started from now on have ``map_msgs``, or a stand-in where there is none."""
-    if importlib.util.find_spec("map_msgs") is not None:
+    if importlib.util.find_spec('map_msgs') is not None:
         return
-    package = folder / "standins" / "map_msgs"
+    package = folder / 'standins' / 'map_msgs'
     package.mkdir(parents=True)
-    (package / "__init__.py").touch()
-    (package / "msg.py").write_text(
+    (package / '__init__.py').touch()
+    (package / 'msg.py').write_text(
         "from standin_types import standin\n"
         "OccupancyGridUpdate = standin('map_msgs', 'OccupancyGridUpdate')\n"
     )
-    added = (str(package.parent), str(TESTS), os.environ.get("PYTHONPATH", ""))
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, added))
+    added = (str(package.parent), str(TESTS), os.environ.get('PYTHONPATH', ''))
+    os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, added))
 
 
 @contextmanager
 def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig]:
     """Start a node that records and logs in a folder, and stop it in the end; see NodeProcess."""
     # Read by the middleware in this process, and inherited by the node's.
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     domain = free_domain()
-    where = {"recording.directory": str(folder / "recordings")}
-    with NodeProcess({**where, **parameters}, domain, folder / "node.log") as process:
+    where = {'recording.directory': str(folder / 'recordings')}
+    with NodeProcess({**where, **parameters}, domain, folder / 'node.log') as process:
         yield Rig(process, domain, folder)
 
 
 @contextmanager
 def empty_service(domain: int) -> Iterator[None]:
     """Serve, from a process of its own, a Trigger that does nothing: what ROS itself takes."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
-    process = subprocess.Popen([sys.executable, "-c", EMPTY_SERVICE], env=environment)
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+    process = subprocess.Popen([sys.executable, '-c', EMPTY_SERVICE], env=environment)
     try:
         yield
     finally:
@@ -157,7 +157,7 @@ class Caller:
     def __enter__(self) -> Caller:
         self._context = Context()
         rclpy.init(args=[], context=self._context, domain_id=self._domain)
-        self.node = rclpy.create_node("caller", context=self._context)
+        self.node = rclpy.create_node('caller', context=self._context)
         self._executor = StampingExecutor(context=self._context)
         self._executor.add_node(self.node)
         return self
@@ -179,28 +179,28 @@ class Caller:
 
     def watch_status(self) -> None:
         """Keep the diagnostics from now on."""
-        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_status, 10)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
 
     def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe to a latched topic of the planner, and wait until it is there."""
         self.node.create_subscription(kind, topic, callback, LATCHED)
-        self.wait(lambda: self.node.count_publishers(topic), f"a publisher of {topic}")
+        self.wait(lambda: self.node.count_publishers(topic), f'a publisher of {topic}')
 
     def publisher(self, kind: type, topic: str) -> Any:
         """A publisher that the planner listens to."""
         if topic not in self._publishers:
             qos = LATCHED if kind is OccupancyGrid else 1
             made = self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
-            self.wait(made.get_subscription_count, f"a subscription of {topic}")
+            self.wait(made.get_subscription_count, f'a subscription of {topic}')
         return self._publishers[topic]
 
     def client(self, kind: type, name: str, depth: int = 10) -> Any:
         """A client of a service of the planner, which has been found."""
         if (name, depth) not in self._clients:
-            service, qos = f"{PLANNER}/{name}", QoSProfile(depth=depth)
+            service, qos = f'{PLANNER}/{name}', QoSProfile(depth=depth)
             made = self.node.create_client(kind, service, qos_profile=qos)
             self._clients[name, depth] = made
-            self.wait(made.service_is_ready, f"the service {name}")
+            self.wait(made.service_is_ready, f'the service {name}')
         return self._clients[name, depth]
 
     def send(self, kind: type, name: str, request: Any = None) -> Future:
@@ -210,45 +210,45 @@ class Caller:
     def call(self, kind: type, name: str, request: Any = None) -> Any:
         """Call a service of the planner; the answer. Raises NodeSilent."""
         future = self.send(kind, name, request)
-        self.wait(future.done, f"an answer of {name}", ANSWER_TIMEOUT)
+        self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
     def new_route(self) -> None:
         """Depart between the latest start and goal. Raises Refused."""
-        self.trigger("new_route")
+        self.trigger('new_route')
 
     def trigger(self, name: str) -> None:
         """Call a Trigger that has to succeed. Raises Refused."""
         answer = self.call(Trigger, name)
         if not answer.success:
-            raise Refused(f"{name}: {answer.message}{self._others()}")
+            raise Refused(f'{name}: {answer.message}{self._others()}')
 
     def get_plan(self, start: PoseStamped, goal: PoseStamped) -> PathMessage:
         """Depart between two poses. Raises Refused."""
-        path = self.call(GetPlan, "get_plan", GetPlan.Request(start=start, goal=goal)).plan
+        path = self.call(GetPlan, 'get_plan', GetPlan.Request(start=start, goal=goal)).plan
         if not path.poses:
-            raise Refused(f"get_plan: no path{self._others()}")
+            raise Refused(f'get_plan: no path{self._others()}')
         return path
 
-    def ask_parameter(self, name: str = "strategy.solver") -> None:
+    def ask_parameter(self, name: str = 'strategy.solver') -> None:
         """The smallest thing that a node can be asked."""
-        self.call(GetParameters, "get_parameters", GetParameters.Request(names=[name]))
+        self.call(GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
 
     def set_parameters(self, values: Mapping[str, Any]) -> str:
         """Set parameters together; empty, or why they were refused."""
         request = SetParametersAtomically.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
-        result = self.call(SetParametersAtomically, "set_parameters_atomically", request).result
-        return "" if result.successful else result.reason or "no reason"
+        result = self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
+        return '' if result.successful else result.reason or 'no reason'
 
     def give(self, grid: OccupancyGrid, start: PoseStamped, goal: PoseStamped) -> None:
         """Publish the inputs, and wait until the node has some of each."""
-        self.publisher(OccupancyGrid, "/alpha_map").publish(grid)
-        self.publisher(PoseStamped, "/start_pose").publish(start)
-        self.publisher(PoseStamped, "/goal_pose").publish(goal)
+        self.publisher(OccupancyGrid, '/alpha_map').publish(grid)
+        self.publisher(PoseStamped, '/start_pose').publish(start)
+        self.publisher(PoseStamped, '/goal_pose').publish(goal)
         if not self.status:
             self.watch_status()
-        self.wait(lambda: self.status.get("state") == "ready", "map, start and goal to be taken")
+        self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal to be taken')
 
     def idle_until(self, moment: float) -> None:
         """Take what comes until ``time.monotonic()`` is ``moment``."""
@@ -264,13 +264,13 @@ class Caller:
         while not done():
             self._check()
             if time.monotonic() > deadline:
-                raise NodeSilent(f"not within {timeout:g} s: {what}{self._others()}")
+                raise NodeSilent(f'not within {timeout:g} s: {what}{self._others()}')
             self._executor.spin_once(timeout_sec=0.05)
 
     def _others(self) -> str:
         """Say so if a planner of somebody else has come into the domain: it answers, too."""
-        count = self.node.get_node_names().count(PLANNER.strip("/"))
-        return f"; there are {count} planners in ROS domain {self._domain}" if count != 1 else ""
+        count = self.node.get_node_names().count(PLANNER.strip('/'))
+        return f'; there are {count} planners in ROS domain {self._domain}' if count != 1 else ''
 
     def _on_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -290,26 +290,26 @@ def pose(x: float, y: float, yaw: float = 0.0) -> PoseStamped:
 
 def resident(pid: int) -> float:
     """Memory of a process that is in RAM [MB]."""
-    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / MEGABYTE
+    pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
+    return pages * os.sysconf('SC_PAGE_SIZE') / MEGABYTE
 
 
 def processor_time(pid: int) -> float:
     """What a process has used of the processors so far, all its threads together [ms]."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
+    return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
 
 
 def children(pid: int) -> list[int]:
     """Processes that a process has started and not yet waited for."""
-    lists = Path(f"/proc/{pid}/task").glob("*/children")
+    lists = Path(f'/proc/{pid}/task').glob('*/children')
     return [int(child) for each in lists for child in each.read_text().split()]
 
 
 def shared_memory(pid: int) -> set[Path]:
     """Files of shared memory that a process uses."""
-    lines = Path(f"/proc/{pid}/maps").read_text().splitlines()
-    return {Path(line.split()[5]) for line in lines if " /dev/shm/" in line}
+    lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
+    return {Path(line.split()[5]) for line in lines if ' /dev/shm/' in line}
 
 
 def percentiles(samples: Sequence[float]) -> tuple[float, float, float]:

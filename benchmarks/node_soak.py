@@ -53,7 +53,7 @@ WARM_UP = 60.0  # s
 WINDOW = 0.05  # share of the run in which its memory is taken, at either end
 GROWTH_ALLOWED = 5.0  # %
 LONG_ENOUGH = 600.0  # s
-SHARED = Path("/dev/shm")
+SHARED = Path('/dev/shm')
 VERIFIED = 60  # recordings
 
 
@@ -87,24 +87,24 @@ def soak(rig: Rig, caller: Caller, seconds: float, period: float) -> Journal:
         journal.note(trouble(caller.new_route))
         journal.answers.append(1e3 * (time.perf_counter() - asked))
         journal.departures += 1
-        journal.solves.add((caller.status["solve_seconds"], caller.status["value"]))
+        journal.solves.add((caller.status['solve_seconds'], caller.status['value']))
         journal.memory.append((time.monotonic() - begin, resident(rig.process.pid)))
         if (k + 1) % max(1, int(seconds / period / 20)) == 0:
-            say(f"{journal.memory[-1][0]:.0f} s: {journal.departures} departures, "
-                f"{journal.memory[-1][1]:.1f} MB, {len(journal.failures)} failed")
+            say(f'{journal.memory[-1][0]:.0f} s: {journal.departures} departures, '
+                f'{journal.memory[-1][1]:.1f} MB, {len(journal.failures)} failed')
     return journal
 
 
 def events(caller: Caller, journal: Journal, k: int) -> None:
     """What else happens at the ``k``-th departure."""
-    caller.publisher(OccupancyGrid, "/alpha_map").publish(grid(k))
+    caller.publisher(OccupancyGrid, '/alpha_map').publish(grid(k))
     if k % NEW_GOAL == NEW_GOAL - 1:
-        caller.publisher(PoseStamped, "/goal_pose").publish(goal(k))
+        caller.publisher(PoseStamped, '/goal_pose').publish(goal(k))
     if k % OTHER_PLAN == OTHER_PLAN - 1:
         journal.note(trouble(lambda: caller.get_plan(goal(k), START)))
         journal.departures += 1
     if k % REPLAN == REPLAN - 1:
-        journal.note(trouble(lambda: caller.trigger("replan")))
+        journal.note(trouble(lambda: caller.trigger('replan')))
 
 
 def trouble(call: Callable[[], object]) -> str:
@@ -113,7 +113,7 @@ def trouble(call: Callable[[], object]) -> str:
         call()
     except (NodeSilent, Refused) as error:
         return str(error)
-    return ""
+    return ''
 
 
 def grid(k: int) -> OccupancyGrid:
@@ -123,7 +123,7 @@ def grid(k: int) -> OccupancyGrid:
     row, column = np.random.default_rng(k).integers((0, 20), (CELLS - SIDE, 95))
     values = np.array(whole.data, dtype=np.int8).reshape(CELLS, CELLS)
     values[row:row + SIDE, column:column + SIDE] = 100
-    whole.data = array("b", values.tobytes())
+    whole.data = array('b', values.tobytes())
     return whole
 
 
@@ -137,20 +137,20 @@ def leftovers(rig: Rig, memory: Sequence[Path], workers: Sequence[int]) -> Itera
     for path in memory:
         # Fast DDS shares some with whatever else runs on the machine.
         if path.exists() and not used_by_others(path):
-            yield f"shared memory {path.name}"
+            yield f'shared memory {path.name}'
     for pid in workers:
-        if Path(f"/proc/{pid}").exists():
-            yield f"process {pid}"
+        if Path(f'/proc/{pid}').exists():
+            yield f'process {pid}'
     for folder in rig.recordings.iterdir():
         there = {path.name for path in folder.iterdir()} - {FILE_NAME}
         listed = set(listed_files(folder) or ())
-        yield from (f"unlisted {name}" for name in sorted(there - listed))
-        yield from (f"listed, but missing {name}" for name in sorted(listed - there))
+        yield from (f'unlisted {name}' for name in sorted(there - listed))
+        yield from (f'listed, but missing {name}' for name in sorted(listed - there))
 
 
 def used_by_others(path: Path) -> bool:
     """Whether a process that lives has this shared memory."""
-    pids = (int(folder.name) for folder in Path("/proc").glob("[0-9]*"))
+    pids = (int(folder.name) for folder in Path('/proc').glob('[0-9]*'))
     return any(path in used for used in map(shared_memory_if_alive, pids))
 
 
@@ -169,7 +169,7 @@ def verified(folder: Path) -> tuple[int, list[str]]:
     with Verifier() as verifier:
         verdicts = [verifier.verify(path) for path in some]
     return len(some), [
-        f"{each.path.name}: {problem}" for each in verdicts for problem in each.problems
+        f'{each.path.name}: {problem}' for each in verdicts for problem in each.problems
     ]
 
 
@@ -195,17 +195,17 @@ def results(
     met = not journal.failures and not left and not (judged and change >= GROWTH_ALLOWED)
     met = met and files[0] == journal.departures and not held[1]
     rows = [
-        ["**memory growth**", f"**{change:+.2f} %**" + ("" if judged else " (too short to tell)")],
-        ["memory after the warm-up, in the end, largest [MB]",
-         f"{before:.1f}, {after:.1f}, {max(size for _, size in journal.memory):.1f}"],
-        ["calls, failed", f"{journal.calls}, {len(journal.failures)}"],
-        ["departures, recordings", f"{journal.departures}, {files[0]} ({files[1]:.1f} MB)"],
-        ["strategies in force at a departure", str(len(journal.solves))],
-        ["recordings verified", f"{held[0]}: " + (", ".join(held[1][:9]) or "all hold")],
-        ["answer of `new_route` in the first and the last tenth, median / 99 % / largest [ms]",
-         "; ".join(" / ".join(f"{value:.3g}" for value in percentiles(part))
+        ['**memory growth**', f'**{change:+.2f} %**' + ('' if judged else ' (too short to tell)')],
+        ['memory after the warm-up, in the end, largest [MB]',
+         f'{before:.1f}, {after:.1f}, {max(size for _, size in journal.memory):.1f}'],
+        ['calls, failed', f'{journal.calls}, {len(journal.failures)}'],
+        ['departures, recordings', f'{journal.departures}, {files[0]} ({files[1]:.1f} MB)'],
+        ['strategies in force at a departure', str(len(journal.solves))],
+        ['recordings verified', f'{held[0]}: ' + (', '.join(held[1][:9]) or 'all hold')],
+        ['answer of `new_route` in the first and the last tenth, median / 99 % / largest [ms]',
+         '; '.join(' / '.join(f'{value:.3g}' for value in percentiles(part))
                    for part in (journal.answers[:tenth], journal.answers[-tenth:]))],
-        ["left behind", ", ".join(left) or "nothing"],
+        ['left behind', ', '.join(left) or 'nothing'],
     ]
     text = (
         f"A departure every {period:g} s for {seconds:.0f} s; a new goal every {NEW_GOAL} "
@@ -222,14 +222,14 @@ def run(seconds: float, period: float, spacing: float) -> tuple[str, bool]:
     """Start the node, soak it, stop it, look what it left."""
     with scratch() as folder:
         others = set(SHARED.iterdir())
-        with running_node(folder, {"network.spacing": spacing}) as rig:
+        with running_node(folder, {'network.spacing': spacing}) as rig:
             with Caller(rig.domain, rig.process.check) as caller:
                 journal = soak(rig, caller, seconds, period)
             memory = shared_memory(rig.process.pid) - others
             workers = children(rig.process.pid)
         left = list(leftovers(rig, sorted(memory), workers))
         held = verified(rig.recordings)
-        sizes = [path.stat().st_size for path in rig.recordings.rglob("*.mcap")]
+        sizes = [path.stat().st_size for path in rig.recordings.rglob('*.mcap')]
         return results(journal, period, (len(sizes), sum(sizes) / node_rig.MEGABYTE), left, held)
 
 
@@ -237,24 +237,24 @@ def main() -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--seconds", type=float, default=3600.0, help="how long")
-    parser.add_argument("--period", type=float, default=1.0, help="seconds between departures")
+    parser.add_argument('--seconds', type=float, default=3600.0, help='how long')
+    parser.add_argument('--period', type=float, default=1.0, help='seconds between departures')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `node_soak` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `node_soak` is replaced'
     )
-    parser.add_argument("--spacing", type=float, default=2.0, help="of the network's nodes [m]")
+    parser.add_argument('--spacing', type=float, default=2.0, help="of the network's nodes [m]")
     options = parser.parse_args()
     if not 0.0 < options.period <= options.seconds:
-        parser.error("--period must be over 0 and at most --seconds")
+        parser.error('--period must be over 0 and at most --seconds')
     try:
         text, met = run(options.seconds, options.period, options.spacing)
     except FAILURES as error:
-        say(f"node_soak: {error}")
+        say(f'node_soak: {error}')
         return 2
     print(text)
-    write_block(options.results, "node_soak", text)
+    write_block(options.results, 'node_soak', text)
     return int(not met)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     sys.exit(main())

@@ -39,14 +39,14 @@ from ambush_planner.tools.node_process import free_domain
 CELLS, RESOLUTION = 200, 0.5
 START, GOAL = pose(5.0, 50.0), pose(95.0, 50.0)
 # Routes on it are about 125 m long: about 500 poses.
-PATH = {"route.path_spacing": 0.25}
+PATH = {'route.path_spacing': 0.25}
 QUICK = {
-    "strategy.solver": "max_entropy", "network.spacing": 5.0, "max_planning_time": 60.0,
+    'strategy.solver': 'max_entropy', 'network.spacing': 5.0, 'max_planning_time': 60.0,
 }
 # The paper's simplex method needs minutes for 40 000 nodes.
-SLOW = {"strategy.solver": "simplex", "network.spacing": 0.5, "max_planning_time": 3600.0}
+SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5, 'max_planning_time': 3600.0}
 
-NOTHING = "a service that does nothing, of another process: answer arrived"
+NOTHING = 'a service that does nothing, of another process: answer arrived'
 
 Samples = dict[str, list[float]]
 
@@ -80,32 +80,32 @@ def beside_a_solve(samples: int, period: float) -> Beside:
     ):
         caller.give(field(CELLS, RESOLUTION), START, GOAL)
         caller.new_route()
-        say("questions to an idle node")
+        say('questions to an idle node')
         idle = questions(caller, samples, period)
         caller.set_parameters(SLOW)
-        answer = caller.send(Trigger, "new_route")
-        caller.wait(lambda: caller.status["state"] == "solving", "the solve to begin")
+        answer = caller.send(Trigger, 'new_route')
+        caller.wait(lambda: caller.status['state'] == 'solving', 'the solve to begin')
         caller.set_parameters(QUICK)
         begin = time.monotonic()
-        say("the same questions during a solve")
+        say('the same questions during a solve')
         during = questions(caller, samples, period)
-        if answer.done() or caller.status["state"] != "solving":
-            raise NodeSilent("the solve ended before the questions; ask fewer")
+        if answer.done() or caller.status['state'] != 'solving':
+            raise NodeSilent('the solve ended before the questions; ask fewer')
         seconds = time.monotonic() - begin
-        cancel = stopwatch(lambda: caller.call(Trigger, "cancel"))
-        caller.wait(answer.done, "the answer of the solve that was cancelled")
+        cancel = stopwatch(lambda: caller.call(Trigger, 'cancel'))
+        caller.wait(answer.done, 'the answer of the solve that was cancelled')
     return Beside(idle, during, seconds, cancel)
 
 
 def questions(caller: Caller, samples: int, period: float) -> Samples:
     """Times of each question, which take turns."""
     asked: Mapping[str, Callable[[], object]] = {
-        "service `get_parameters`": caller.ask_parameter,
-        "service `describe_parameters`": lambda: caller.call(
-            DescribeParameters, "describe_parameters",
-            DescribeParameters.Request(names=["map.alpha_min"])),
-        "service `get_plan`, strategy known": lambda: caller.get_plan(START, GOAL),
-        "bad map to its diagnostics": bad_maps(caller),
+        'service `get_parameters`': caller.ask_parameter,
+        'service `describe_parameters`': lambda: caller.call(
+            DescribeParameters, 'describe_parameters',
+            DescribeParameters.Request(names=['map.alpha_min'])),
+        'service `get_plan`, strategy known': lambda: caller.get_plan(START, GOAL),
+        'bad map to its diagnostics': bad_maps(caller),
     }
     times: Samples = {name: [] for name in asked}
     begin = time.monotonic()
@@ -118,15 +118,15 @@ def questions(caller: Caller, samples: int, period: float) -> Samples:
 
 def bad_maps(caller: Caller) -> Callable[[], None]:
     """Each call publishes another map that cannot be, and waits until the node says why."""
-    publisher = caller.publisher(OccupancyGrid, "/alpha_map")
+    publisher = caller.publisher(OccupancyGrid, '/alpha_map')
     widths = iter(range(1, 1_000_000))
 
     def ask() -> None:
         bad = OccupancyGrid(header=Header(frame_id=FRAME))
         bad.info.width = next(widths)
         publisher.publish(bad)
-        told = f"width {bad.info.width},"
-        caller.wait(lambda: told in caller.status["message"], "diagnostics of a bad map")
+        told = f'width {bad.info.width},'
+        caller.wait(lambda: told in caller.status['message'], 'diagnostics of a bad map')
 
     return ask
 
@@ -136,7 +136,7 @@ def large_maps(count: int, cells: int) -> list[float]:
     rng, times = np.random.default_rng(1), []
     with node_here() as node:
         (callback,) = (each.callback for each in node.subscriptions
-                       if each.topic_name == "/alpha_map")
+                       if each.topic_name == '/alpha_map')
         for _ in range(count):
             values = rng.integers(0, 101, (cells, cells), dtype=np.int8)
             grid = occupancy_to_ros(values, 0.05, (0.0, 0.0, 0.0), Header(frame_id=FRAME))
@@ -150,7 +150,7 @@ def node_here() -> Iterator[PlannerNode]:
     """A planner node in this process, not spinning."""
     context = Context()
     rclpy.init(args=[], context=context, domain_id=free_domain())
-    off = Parameter("recording.enabled", value=False)
+    off = Parameter('recording.enabled', value=False)
     node = PlannerNode(context=context, parameter_overrides=[off])
     try:
         yield node
@@ -163,7 +163,7 @@ def departures(
     calls: int, recording: bool, nodes: int, periods: tuple[float, ...]
 ) -> list[Departures]:
     """Departures on a known strategy; with period 0 each follows the one before at once."""
-    parameters = {"network.target_nodes": nodes, **PATH, "recording.enabled": recording}
+    parameters = {'network.target_nodes': nodes, **PATH, 'recording.enabled': recording}
     with scratch() as folder, running_node(folder, parameters) as rig:
         with Caller(rig.domain, rig.process.check) as caller:
             caller.give(field(CELLS, RESOLUTION), START, GOAL)
@@ -174,26 +174,26 @@ def departures(
 
 def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> Departures:
     """The caller that has the path's topic, too, is busy with the path when the answer comes."""
-    say(f"{calls} departures of each kind, recording {recording}, every {period:g} s")
+    say(f'{calls} departures of each kind, recording {recording}, every {period:g} s')
     times: Samples = {}
     with Caller(rig.domain, rig.process.check) as caller:
         _, times[NOTHING] = arrivals(caller, calls, period, lambda: caller.call(Trigger, EMPTY))
-        read, times["`new_route`: answer arrived"] = arrivals(
+        read, times['`new_route`: answer arrived'] = arrivals(
             caller, calls, period, caller.new_route)
-        times["`new_route`: answer read by Python"] = read
+        times['`new_route`: answer read by Python'] = read
     with Caller(rig.domain, rig.process.check) as caller:
         # Not the paths themselves: with hundreds of them Python's garbage collector takes 0.2 s.
         received: list[tuple[float, int]] = []
-        caller.subscribe(PathMessage, "/path", lambda path: received.append(
+        caller.subscribe(PathMessage, '/path', lambda path: received.append(
             (time.perf_counter(), len(path.poses))))
-        caller.wait(lambda: received, "the latest path")
+        caller.wait(lambda: received, 'the latest path')
         answers, paths = routes_and_paths(caller, calls, period, received)
-    times["`new_route`: answer, where `path` is received, too"] = answers
-    times["`new_route`: `path` received"] = paths
+    times['`new_route`: answer, where `path` is received, too'] = answers
+    times['`new_route`: `path` received'] = paths
     with Caller(rig.domain, rig.process.check) as caller:
-        read, times["`get_plan`: answer with the path arrived"] = arrivals(
+        read, times['`get_plan`: answer with the path arrived'] = arrivals(
             caller, calls, period, lambda: caller.get_plan(START, GOAL))
-        times["`get_plan`: answer with the path read by Python"] = read
+        times['`get_plan`: answer with the path read by Python'] = read
     return Departures(recording, period, times, [count for _, count in received])
 
 
@@ -222,7 +222,7 @@ def routes_and_paths(
         known, begin = len(received), time.perf_counter()
         caller.new_route()
         answered = time.perf_counter()
-        caller.wait(lambda: len(received) > known, "a path")
+        caller.wait(lambda: len(received) > known, 'a path')
         paths.append(1e3 * (received[-1][0] - begin))
         answers.append(1e3 * (answered - begin))
 

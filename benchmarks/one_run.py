@@ -24,7 +24,7 @@ from ambush_planner.core.cut import solve_by_cut
 from ambush_planner.core.game import make_game
 
 # With this our side loads what it loads at its first use.
-WARM_UP = "block:12"
+WARM_UP = 'block:12'
 
 
 def build(given: Problem, file: Path) -> Callable[[], Answer]:
@@ -33,7 +33,7 @@ def build(given: Problem, file: Path) -> Callable[[], Answer]:
     def run() -> Answer:
         started = time.process_time()
         network = given.network()
-        return {"seconds": time.process_time() - started} | _size(network)
+        return {'seconds': time.process_time() - started} | _size(network)
 
     return run
 
@@ -45,7 +45,7 @@ def value(given: Problem, file: Path) -> Callable[[], Answer]:
     def run() -> Answer:
         started = time.process_time()
         found = solve_by_cut(game)
-        return {"seconds": time.process_time() - started, "value": found.value}
+        return {'seconds': time.process_time() - started, 'value': found.value}
 
     return run
 
@@ -63,7 +63,7 @@ def strategy(given: Problem, file: Path) -> Callable[[], Answer]:
                 file, edges=np.flatnonzero(found.edge_probability > 0.0), value=found.value,
                 length=found.expected_length, budget=found.length_budget,
             )
-        return answer | _size(network) | {"seconds": seconds}
+        return answer | _size(network) | {'seconds': seconds}
 
     return run
 
@@ -75,7 +75,7 @@ def whole(given: Problem, file: Path) -> Callable[[], Answer]:
         started = time.process_time()
         network = given.network()
         answer, _ = _solved(network, given)
-        return answer | _size(network) | {"seconds": time.process_time() - started}
+        return answer | _size(network) | {'seconds': time.process_time() - started}
 
     return run
 
@@ -86,37 +86,37 @@ def _solved(network: Network, given: Problem) -> tuple[Answer, Strategy | None]:
     except TimeLimit as error:  # rounding stood in the way
         if error.strategy is None:
             raise
-        return {"status": "gap not closed", "failed": True, "gap": error.strategy.gap}, None
+        return {'status': 'gap not closed', 'failed': True, 'gap': error.strategy.gap}, None
     return {
-        "value": found.value,
-        "gap": found.gap,
-        "route_entropy": found.route_entropy,
-        "length": found.expected_length / found.shortest_length,
-        "price": found.length_price,
-        "iterations": found.iterations,
-        "acyclic_edges": int((found.edge_probability > 0.0).sum()),
+        'value': found.value,
+        'gap': found.gap,
+        'route_entropy': found.route_entropy,
+        'length': found.expected_length / found.shortest_length,
+        'price': found.length_price,
+        'iterations': found.iterations,
+        'acyclic_edges': int((found.edge_probability > 0.0).sum()),
     }, found
 
 
 def _size(network: Network) -> Answer:
-    return {"nodes": len(network.points), "edges": len(network.edges)}
+    return {'nodes': len(network.points), 'edges': len(network.edges)}
 
 
 def simplex(given: Problem, file: Path) -> Callable[[], Answer]:
     """The value with the length budget by HiGHS' dual simplex method."""
     with np.load(file) as left:
-        return highs(given.network(), float(left["budget"]), "simplex")
+        return highs(given.network(), float(left['budget']), 'simplex')
 
 
 def interior_point(given: Problem, file: Path) -> Callable[[], Answer]:
     """The value without a length budget by HiGHS' interior point method without crossover."""
-    return highs(given.network(), np.inf, "ipx")
+    return highs(given.network(), np.inf, 'ipx')
 
 
 def conic(given: Problem, file: Path) -> Callable[[], Answer]:
     """The route-entropy problem by Clarabel, within what the strategy used."""
     with np.load(file) as left:
-        entropy = EntropyProblem(left["edges"], float(left["value"]), float(left["length"]))
+        entropy = EntropyProblem(left['edges'], float(left['value']), float(left['length']))
     return clarabel_entropy(given.network(), entropy)
 
 
@@ -129,19 +129,19 @@ def measure(run: Callable[[], Answer], long_enough: float) -> Answer:
     times: list[float] = []
     while not times or sum(times) < long_enough:
         answer = run()
-        times.append(answer["seconds"])
-    return answer | {"seconds": statistics.median(times)}
+        times.append(answer['seconds'])
+    return answer | {'seconds': statistics.median(times)}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     tasks = {task.__name__: task for task in TASKS}
-    parser.add_argument("task", choices=tasks, help="what is measured")
-    parser.add_argument("problem", help="such as block:200, of problems.py")
-    parser.add_argument("file", type=Path, help=".npz in which `strategy` leaves its problem")
-    parser.add_argument("--limit", type=int, default=0, help="seconds after which it ends")
+    parser.add_argument('task', choices=tasks, help='what is measured')
+    parser.add_argument('problem', help='such as block:200, of problems.py')
+    parser.add_argument('file', type=Path, help='.npz in which `strategy` leaves its problem')
+    parser.add_argument('--limit', type=int, default=0, help='seconds after which it ends')
     parser.add_argument(
-        "--repeat-for", type=float, default=0.5, help="seconds for which a short run is repeated"
+        '--repeat-for', type=float, default=0.5, help='seconds for which a short run is repeated'
     )
     arguments = parser.parse_args()
     task = tasks[arguments.task]
@@ -153,8 +153,8 @@ def main() -> None:
     answer = measure(prepared, arguments.repeat_for)
     signal.setitimer(signal.ITIMER_PROF, 0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    print(json.dumps(answer | {"peak": peak}))
+    print(json.dumps(answer | {'peak': peak}))
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     main()

@@ -25,7 +25,7 @@ from ambush_planner.core.linear_program import linear_program
 
 Answer = dict[str, Any]
 # What they call an answer that they stand by.
-SOLVED = ("Optimal", "Solved", "AlmostSolved")
+SOLVED = ('Optimal', 'Solved', 'AlmostSolved')
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +42,8 @@ class EntropyProblem:
 
 def _answer(status: str, seconds: float, iterations: int, **result: float) -> Answer:
     """The result only of a solver that stands by it; of another that it failed."""
-    answer = {"seconds": seconds, "iterations": iterations, "status": status}
-    return answer | (result if status in SOLVED else {"failed": True})
+    answer = {'seconds': seconds, 'iterations': iterations, 'status': status}
+    return answer | (result if status in SOLVED else {'failed': True})
 
 
 def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
@@ -68,10 +68,10 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
     def run() -> Answer:
         engine = highspy.Highs()
         for name, setting in (
-            ("output_flag", False),
-            ("threads", 1),
-            ("solver", solver),
-            ("run_crossover", "off"),
+            ('output_flag', False),
+            ('threads', 1),
+            ('solver', solver),
+            ('run_crossover', 'off'),
         ):
             engine.setOptionValue(name, setting)
         engine.passModel(model)
@@ -107,7 +107,7 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
     onward = np.flatnonzero(head != network.target)
     out = csr_matrix((ones, (place[tail], each)), shape=(n, m))
     into = csr_matrix((ones[onward], (place[head[onward]], onward)), shape=(n, m))
-    unit, nothing = identity(n, format="csr"), csr_matrix((n, m))
+    unit, nothing = identity(n, format='csr'), csr_matrix((n, m))
     source = csr_matrix((np.ones(1), ([0], [place[network.source]])), shape=(1, n))
     flow = bmat([
         [out, nothing, -unit],

@@ -27,11 +27,11 @@ class Problem:
 def problem(name: str) -> Problem:
     """``block:N`` and ``reach-block:N``, ``reach-hills:N`` N nodes across; ``terrain:D``,
     ``city:D`` with max_detour D."""
-    kind, _, number = name.partition(":")
-    if kind == "block":
+    kind, _, number = name.partition(':')
+    if kind == 'block':
         return Problem(lambda: block_network(int(number)), GameOptions(), StrategyOptions())
-    if kind.startswith("reach-"):
-        risk_map = {"block": block, "hills": hills}[kind.removeprefix("reach-")](100)
+    if kind.startswith('reach-'):
+        risk_map = {'block': block, 'hills': hills}[kind.removeprefix('reach-')](100)
         game = GameOptions(ambush_radius=REACH * SIDE / int(number))
         return Problem(lambda: network_across(risk_map, int(number)), game, StrategyOptions())
     return _on_ground(kind, StrategyOptions(max_detour=float(number)))
@@ -42,7 +42,7 @@ def _on_ground(name: str, options: StrategyOptions) -> Problem:
 
     place = GROUNDS[name]()
     lay, game = NetworkOptions(target_nodes=CITY_NODES), GameOptions()
-    if name == "terrain":
+    if name == 'terrain':
         lay = NetworkOptions(spacing=TERRAIN_SPACING)
         game = GameOptions(secured_radius=TERRAIN_SECURED)
     return Problem(

@@ -49,7 +49,7 @@ JUDGED, AGREES = 1500, 1e-5
 SLOW = 30.0
 # A strategy's routes that are looked at, for nodes that come twice.
 ROUTES = 20
-SITUATIONS = ("plain", "detour", "reach", "reach and detour", "several ambushers", "exposure")
+SITUATIONS = ('plain', 'detour', 'reach', 'reach and detour', 'several ambushers', 'exposure')
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +71,15 @@ class Tally:
     infeasible: int = 0
     failures: list[str] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
-    worst: tuple[float, str] = (0.0, "-")
-    difference: tuple[float, str] = (0.0, "-")
-    slowest: tuple[float, str] = (0.0, "-")
+    worst: tuple[float, str] = (0.0, '-')
+    difference: tuple[float, str] = (0.0, '-')
+    slowest: tuple[float, str] = (0.0, '-')
     seconds: list[float] = field(default_factory=list)
 
 
 @cache
 def ground(name: str) -> Ground:
-    if name == "hills":
+    if name == 'hills':
         return Ground(hills(100), (3.0, 50.0), (97.0, 50.0))
     return GROUNDS[name]()
 
@@ -87,12 +87,12 @@ def ground(name: str) -> Ground:
 def available() -> list[str]:
     """Grounds whose maps are there."""
     names = []
-    for name in ("terrain", "city", "maze", "depot", "hills"):
+    for name in ('terrain', 'city', 'maze', 'depot', 'hills'):
         try:
             ground(name)
             names.append(name)
         except FileNotFoundError as error:
-            print(f"without {name}: {error}", file=sys.stderr)
+            print(f'without {name}: {error}', file=sys.stderr)
     return names
 
 
@@ -103,14 +103,14 @@ def draw_case(seed: int, names: list[str]) -> Case | None:
     place = ground(name)
     start, goal = _ends(rng, place) if rng.random() < 0.5 else (place.start, place.goal)
     method = str(rng.choice(
-        ["uniform_delaunay"] * 6
-        + ["lattice_delaunay", "uniform_grid8", "random_delaunay", "gradient_delaunay"]
+        ['uniform_delaunay'] * 6
+        + ['lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay']
     ))
     nodes = int(math.exp(rng.uniform(math.log(500), math.log(5000))))
     options = NetworkOptions(method, target_nodes=nodes, seed=seed)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
+            warnings.simplefilter('ignore', UserWarning)
             network = build_network(place.risk_map, start, goal, options)
     except (NoRoute, StartBlocked, GoalBlocked):
         return None
@@ -133,11 +133,11 @@ def draw_case(seed: int, names: list[str]) -> Case | None:
         risk_slack=float(rng.choice([0.0, 0.001, 0.01, 0.01, 0.01, 0.05, 0.3])),
     )
     words = (
-        f"seed {seed}: {name}, {method}, {len(network.points)} nodes, "
-        f"reach {reach / spacing:.2g} spacings, secured {game.secured_radius / spacing:.2g}, "
-        f"threshold {game.alpha_threshold:.3g}, ambushers {game.ambushers}, "
-        f"detour {strategy.max_detour:.10g}, exposure {strategy.max_exposure:g}, "
-        f"slack {strategy.risk_slack:g}"
+        f'seed {seed}: {name}, {method}, {len(network.points)} nodes, '
+        f'reach {reach / spacing:.2g} spacings, secured {game.secured_radius / spacing:.2g}, '
+        f'threshold {game.alpha_threshold:.3g}, ambushers {game.ambushers}, '
+        f'detour {strategy.max_detour:.10g}, exposure {strategy.max_exposure:g}, '
+        f'slack {strategy.risk_slack:g}'
     )
     return Case(network, game, strategy, words)
 
@@ -179,11 +179,11 @@ def highs_value(strategy: Strategy) -> float:
     found = linprog(
         np.concatenate((np.zeros(m), [float(k)], np.ones(several))),
         vstack(rows), np.concatenate(limits),
-        hstack((balance, csr_matrix((n, 1 + several)))), supply, method="highs-ds",
-        options={"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10},
+        hstack((balance, csr_matrix((n, 1 + several)))), supply, method='highs-ds',
+        options={'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10},
     )
     if found.status != 0:
-        raise ArithmeticError(f"HiGHS: {found.message}")
+        raise ArithmeticError(f'HiGHS: {found.message}')
     return float(found.fun)
 
 
@@ -198,16 +198,16 @@ def play(case: Case, tally: Tally) -> None:
         return
     except TimeLimit as error:
         found = error.strategy
-        reached = f"{found.value:.6g} over {found.lower_bound:.6g}" if found else "nothing"
-        tally.failures.append(f"{case.words}: gap not closed: {reached}")
+        reached = f'{found.value:.6g} over {found.lower_bound:.6g}' if found else 'nothing'
+        tally.failures.append(f'{case.words}: gap not closed: {reached}')
         return
     except AmbushPlannerError as error:
-        tally.failures.append(f"{case.words}: {type(error).__name__}: {error}")
+        tally.failures.append(f'{case.words}: {type(error).__name__}: {error}')
         return
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        tally.failures.append(f"{case.words}: {error!r} at {Path(place.filename).name}, "
-                              f"line {place.lineno}")
+        tally.failures.append(f'{case.words}: {error!r} at {Path(place.filename).name}, '
+                              f'line {place.lineno}')
         return
     seconds = time.process_time() - begin
     tally.seconds.append(seconds)
@@ -216,7 +216,7 @@ def play(case: Case, tally: Tally) -> None:
     over = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     excess = over / (1.0 - over) - case.strategy.risk_slack
     tally.worst = max(tally.worst, (excess, case.words))
-    tally.failures += [f"{case.words}: {fault}" for fault in faults(case, strategy, tally)]
+    tally.failures += [f'{case.words}: {fault}' for fault in faults(case, strategy, tally)]
 
 
 def faults(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
@@ -224,16 +224,16 @@ def faults(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
     found = []
     value, bound = strategy.value, strategy.lower_bound
     if not bound <= value * (1.0 + 1e-9):
-        found.append(f"bound {bound:.12g} above value {value:.12g}")
+        found.append(f'bound {bound:.12g} above value {value:.12g}')
     if value > bound * (1.0 + case.strategy.risk_slack + 2.0 * CERTIFICATE_TOLERANCE):
-        found.append(f"value {value:.9g} over slack and bound {bound:.9g}")
+        found.append(f'value {value:.9g} over slack and bound {bound:.9g}')
     if strategy.expected_length > strategy.length_budget * (1.0 + 1e-6):
-        found.append("over the length budget")
+        found.append('over the length budget')
     if strategy.expected_exposure > strategy.exposure_budget * (1.0 + 1e-6):
-        found.append("over the exposure budget")
+        found.append('over the exposure budget')
     for route in strategy.sample_routes(ROUTES, np.random.default_rng(0)):
         if len(np.unique(route)) != len(route):
-            found.append("a route comes back to a node")
+            found.append('a route comes back to a node')
             break
     if len(case.network.points) <= JUDGED:
         tally.judged += 1
@@ -264,7 +264,7 @@ def _judged(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
         tally.difference, (max(bound - least - loose, 0.0) / max(least, 1e-12), case.words)
     )
     return [] if low and high and near else [
-        f"HiGHS has {least:.9g}, value {value:.9g}, bound {bound:.9g}"
+        f'HiGHS has {least:.9g}, value {value:.9g}, bound {bound:.9g}'
     ]
 
 
@@ -272,52 +272,52 @@ def situation(case: Case, strategy: Strategy) -> str:
     """Which of the kinds of game this is."""
     binds = strategy.length_price > 0.0
     if case.game.ambushers > 1:
-        return "several ambushers"
+        return 'several ambushers'
     if strategy.exposure_price > 0.0:
-        return "exposure"
+        return 'exposure'
     if case.game.ambush_radius > 0.0:
-        return "reach and detour" if binds else "reach"
-    return "detour" if binds else "plain"
+        return 'reach and detour' if binds else 'reach'
+    return 'detour' if binds else 'plain'
 
 
 def report(tally: Tally, first: int) -> str:
     """The tally as Markdown."""
     seconds = np.array(tally.seconds or [0.0])
-    kinds = ", ".join(f"{tally.kinds[kind]} {kind}" for kind in SITUATIONS)
+    kinds = ', '.join(f'{tally.kinds[kind]} {kind}' for kind in SITUATIONS)
     rows = [
-        ["games", f"{tally.games} (seeds from {first})"],
-        ["**failures**", f"**{len(tally.failures)}**"],
-        ["solved, by what raises the value", kinds],
-        ["refused: no route within threshold and budgets", str(tally.infeasible)],
-        ["values held against HiGHS", str(tally.judged)],
-        ["bound above HiGHS' value at most by, relative", f"{tally.difference[0]:.1e}"],
-        ["gap beyond the slack at most, relative", f"{tally.worst[0]:.1e}"],
-        ["processor seconds: median, 99 %, largest",
-         ", ".join(f"{s:.2f}" for s in (*np.quantile(seconds, [0.5, 0.99]), seconds.max()))],
-        ["slowest", tally.slowest[1]],
+        ['games', f'{tally.games} (seeds from {first})'],
+        ['**failures**', f'**{len(tally.failures)}**'],
+        ['solved, by what raises the value', kinds],
+        ['refused: no route within threshold and budgets', str(tally.infeasible)],
+        ['values held against HiGHS', str(tally.judged)],
+        ["bound above HiGHS' value at most by, relative", f'{tally.difference[0]:.1e}'],
+        ['gap beyond the slack at most, relative', f'{tally.worst[0]:.1e}'],
+        ['processor seconds: median, 99 %, largest',
+         ', '.join(f'{s:.2f}' for s in (*np.quantile(seconds, [0.5, 0.99]), seconds.max()))],
+        ['slowest', tally.slowest[1]],
     ]
     text = f"{table(('', ''), rows)}\n\n{conditions()}."
-    return text + "".join(f"\n* {failure}" for failure in tally.failures)
+    return text + ''.join(f'\n* {failure}' for failure in tally.failures)
 
 
 def show(case: Case, tally: Tally, failures: list[str], seconds: float, count: int) -> None:
     """Progress on standard error."""
     for failure in failures:
-        print(f"FAILURE {failure}", file=sys.stderr, flush=True)
+        print(f'FAILURE {failure}', file=sys.stderr, flush=True)
     if count == 1 or seconds > SLOW:
         print(f"{seconds:.1f} s, HiGHS' check included: {case.words}", file=sys.stderr)
     if tally.games % 10 == 0:
-        print(f"{tally.games} games, {len(tally.failures)} failures", file=sys.stderr, flush=True)
+        print(f'{tally.games} games, {len(tally.failures)} failures', file=sys.stderr, flush=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
-    parser.add_argument("--count", type=int, default=2000, help="number of games")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first one")
+    parser.add_argument('--count', type=int, default=2000, help='number of games')
+    parser.add_argument('--first', type=int, default=0, help='seed of the first one')
     parser.add_argument(
-        "--results", type=Path, default=RESULTS, help="file whose block `random_games` is replaced"
+        '--results', type=Path, default=RESULTS, help='file whose block `random_games` is replaced'
     )
     options = parser.parse_args()
     names, tally = available(), Tally()
@@ -331,9 +331,9 @@ def main() -> None:
             show(case, tally, tally.failures[told:], time.process_time() - begin, options.count)
     text = report(tally, options.first)
     print(text)
-    write_block(options.results, "random_games", text)
+    write_block(options.results, 'random_games', text)
     sys.exit(1 if tally.failures else 0)
 
 
-if __name__ == "__main__":
+if __name__ == '__main__':
     main()

@@ -21,7 +21,7 @@ def routes_with_probabilities(strategy):
             graph.add_edge(tail, head, choice=weight / out[tail])
     paths = networkx.all_simple_paths(graph, network.source, network.target)
     return {
-        tuple(path): math.prod(graph.edges[step]["choice"] for step in pairwise(path))
+        tuple(path): math.prod(graph.edges[step]['choice'] for step in pairwise(path))
         for path in paths
     }
 

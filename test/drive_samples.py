@@ -18,7 +18,7 @@ from ambush_planner import (
 from ambush_planner.core.corridors import make_corridors
 from ambush_planner.core.paths import shortest_path
 
-METHODS = ("uniform_delaunay", "lattice_delaunay", "uniform_grid8", "random_delaunay")
+METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay')
 
 
 def some_route(network, seed):

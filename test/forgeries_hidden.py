@@ -158,7 +158,7 @@ HIDDEN = [
     (NEW_ROUTE, comment, True, 'strategy.npz holds bytes beside its arrays'),
     (NEW_ROUTE, prefix, True, 'strategy.npz'),
     (NEW_ROUTE, other_types, True, 'edges must be of the shape'),
-    (NEW_ROUTE, second_qos, True, "quality of service"),
+    (NEW_ROUTE, second_qos, True, 'quality of service'),
     (NEW_ROUTE, disguise(library), False, 'the first difference is at HEADER'),
 ]
 # (which recording, what is done, what of the help names it)

@@ -20,25 +20,25 @@ from scipy.sparse import csr_matrix, hstack, identity, vstack
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
 METHODS = (
-    "uniform_delaunay",
-    "lattice_delaunay",
-    "uniform_grid8",
-    "random_delaunay",
-    "gradient_delaunay",
+    'uniform_delaunay',
+    'lattice_delaunay',
+    'uniform_grid8',
+    'random_delaunay',
+    'gradient_delaunay',
 )
 PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
 WITH_ZERO = (0.0, *PLAIN)
 NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)
 
 
-HUNT = int(os.environ.get("HUNT", "1"))
+HUNT = int(os.environ.get('HUNT', '1'))
 
 
 def examples(count: int) -> settings:
     """Hypothesis' settings for ``count`` examples in CI."""
     return settings(
         max_examples=count * HUNT,
-        derandomize="HUNT" not in os.environ,
+        derandomize='HUNT' not in os.environ,
         database=None,
         deadline=None,
         suppress_health_check=[HealthCheck.too_slow],
@@ -70,7 +70,7 @@ def random_map(seed: int, cells: int = 12, obstacles: float = 0.15, yaw: float =
     return RiskMap(alpha, rng.random((cells, cells)) < obstacles, 1.0, (3.0, -2.0, yaw))
 
 
-def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12) -> Network:
+def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12) -> Network:
     """A network over a random map; the first seed from ``seed`` on that has a route."""
     while True:
         risk_map = random_map(seed, cells, obstacles=0.08)
@@ -87,14 +87,14 @@ def terrain_network(seed: int, method: str = "uniform_delaunay", cells: int = 12
 def ground_network(seed: int, kind: str) -> Network:
     """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
     rng = np.random.default_rng(seed)
-    if kind == "terrain":
+    if kind == 'terrain':
         return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
     cells = 40
     alpha = random_map(seed, cells, 0.0).alpha
     rows, columns = np.mgrid[0:cells, 0:cells]
-    if kind == "city":
+    if kind == 'city':
         obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
-    elif kind == "depot":
+    elif kind == 'depot':
         # Rooms along three corridors, doors between the two, shelves in some rooms.
         wall, side = (rows % 13 == 4) | (rows % 13 == 12), columns % 10 == 9
         obstacles = wall | (side & (rows % 13 > 4))
@@ -129,7 +129,7 @@ def paper_example() -> Network:
 def quiet_network(*args) -> Network:
     """A network whose useless edges are dropped without a word."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+        warnings.simplefilter('ignore', UserWarning)
         return Network(*args)
 
 
@@ -137,11 +137,11 @@ def exact_value(network: Network) -> Fraction:
     """Value of the plain game in rational arithmetic: networkx' maximum flow, nodes split."""
     graph = networkx.DiGraph()
     for node, alpha in enumerate(network.alpha):
-        limit = {"capacity": 1 / Fraction(float(alpha))} if alpha > 0 else {}
-        graph.add_edge((node, "in"), (node, "out"), **limit)
+        limit = {'capacity': 1 / Fraction(float(alpha))} if alpha > 0 else {}
+        graph.add_edge((node, 'in'), (node, 'out'), **limit)
     for tail, head in network.edges.tolist():
-        graph.add_edge((tail, "out"), (head, "in"))
-    ends = (network.source, "in"), (network.target, "out")
+        graph.add_edge((tail, 'out'), (head, 'in'))
+    ends = (network.source, 'in'), (network.target, 'out')
     try:
         return 1 / networkx.maximum_flow_value(
             graph, *ends, flow_func=networkx.algorithms.flow.edmonds_karp
@@ -183,12 +183,12 @@ def program_value(
     supply = np.zeros(n)
     supply[network.source], supply[network.target] = 1.0, -1.0
     balance = hstack((tail - head, csr_matrix((n, n + 1))))
-    tolerances = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    tolerances = {'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10}
     cost = np.concatenate((np.zeros(m), [float(ambushers)], np.ones(n)))
     if ambushers == 1:
         cost[m + 1 :] = 2.0  # t alone does it
     found = linprog(
-        cost, vstack(rows).tocsr(), limits, balance.tocsr(), supply, method="highs-ds",
+        cost, vstack(rows).tocsr(), limits, balance.tocsr(), supply, method='highs-ds',
         options=tolerances,
     )
     assert found.status == 0, found.message

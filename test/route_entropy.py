@@ -24,7 +24,7 @@ def most_route_entropy(network, edges, rows, limits) -> float:
     linear.resize((linear.shape[0], 2 * m))
     visits = out[tail].tocsc()  # row k: x of the tail of edge k
     visits.resize((m, 2 * m))
-    cones = vstack([identity(2 * m, format="csr"), visits]).tocsr()
+    cones = vstack([identity(2 * m, format='csr'), visits]).tocsr()
     order = np.arange(3 * m).reshape(3, m)[[1, 0, 2]].T.ravel()  # (t, p, x) edge by edge
     matrix = vstack([linear, -cones[order]]).tocsc()
     right = np.concatenate([supply, limits, np.zeros(3 * m)])
@@ -37,7 +37,7 @@ def most_route_entropy(network, edges, rows, limits) -> float:
     found = clarabel.DefaultSolver(
         csc_matrix((2 * m, 2 * m)), cost, matrix, right, kinds, settings
     ).solve()
-    return float(-found.obj_val) if str(found.status) == "Solved" else np.nan
+    return float(-found.obj_val) if str(found.status) == 'Solved' else np.nan
 
 
 def route_entropy(network, p) -> float:

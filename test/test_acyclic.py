@@ -65,8 +65,8 @@ def test_every_edge_of_a_forward_part_lies_on_a_route_and_none_on_a_cycle(networ
         ) | {network.source, network.target}
 
 
-@pytest.mark.parametrize("method", ["uniform_delaunay", "uniform_grid8", "random_delaunay"])
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize('method', ['uniform_delaunay', 'uniform_grid8', 'random_delaunay'])
+@pytest.mark.parametrize('seed', [1, 2, 3])
 def test_on_two_way_networks_the_harmonic_order_keeps_every_edge_one_way(method, seed):
     """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
     network = terrain_network(seed, method, 14)
@@ -104,7 +104,7 @@ def test_the_potential_is_harmonic_from_0_to_1():
 
 def test_large_networks_are_ordered_by_progress(monkeypatch):
     game = make_game(terrain_network(4, cells=10), GameOptions())
-    monkeypatch.setattr(acyclic, "POTENTIAL_NODES", 10)
+    monkeypatch.setattr(acyclic, 'POTENTIAL_NODES', 10)
     assert np.array_equal(order_potential(game), progress(game))
     assert forward_part(game, rank_by(progress(game))) is not None
 

@@ -11,7 +11,7 @@ def test_a_frozen_array_is_a_private_copy():
     frozen = frozen_array(given, np.float64)
     given[0] = 9
     assert frozen.tolist() == [0.0, 1.0, 2.0] and frozen.dtype == np.float64
-    with pytest.raises(ValueError, match="read-only"):
+    with pytest.raises(ValueError, match='read-only'):
         frozen[0] = 1.0
 
 

@@ -24,12 +24,12 @@ from ambush_planner.core.routes import route_edges
 FALSE_ALARM = 1e-6
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def paper():
     return solve(paper_example())
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def terrain():
     return solve(terrain_network(3, cells=12))
 
@@ -41,7 +41,7 @@ def test_many_routes_have_the_law_of_the_walk(paper):
     count = 40_000
     steps = ManyRoutes(paper.network, paper.edge_probability).draw(count, np.random.default_rng(1))
     heads = paper.network.heads[steps.edge]
-    order = np.argsort(steps.route, kind="stable")
+    order = np.argsort(steps.route, kind='stable')
     walks = np.split(heads[order], np.flatnonzero(np.diff(steps.route[order])) + 1)
     seen = Counter((paper.network.source, *walk.tolist()) for walk in walks)
     expected = {route: count * q for route, q in routes_with_probabilities(paper).items()}
@@ -76,7 +76,7 @@ def test_many_routes_lead_from_source_to_target_on_used_edges(network, seed):
 
 def test_sets_of_draws_are_complete_whatever_the_memory_allows(paper, monkeypatch):
     many = ManyRoutes(paper.network, paper.edge_probability)
-    monkeypatch.setattr("ambush_planner.audit.draws.ROUTES_AT_ONCE", 10)
+    monkeypatch.setattr('ambush_planner.audit.draws.ROUTES_AT_ONCE', 10)
     parts = list(many.draw_sets(4, 7, np.random.default_rng(0)))
     assert [sets.stop - sets.start for sets, _ in parts] == [2, 2, 2, 1]
     assert [steps.count for _, steps in parts] == [8, 8, 8, 4]
@@ -86,7 +86,7 @@ def test_a_strategy_with_cycles_is_refused():
     network = Network([[0, 0], [1, 0], [1, 1], [2, 0]], [0, 1, 1, 0],
                       [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)
     p = np.array([1.0, 0.5, 0.5, 1.0])
-    with pytest.raises(NotAuditable, match="cycles"):
+    with pytest.raises(NotAuditable, match='cycles'):
         ManyRoutes(network, p)
 
 
@@ -117,15 +117,15 @@ def test_frequency_surprise_and_repeats_by_hand(paper):
         (passages[e] - n * p[e]) ** 2 / (n * p[e] * (1 - p[e]) + 1)
         for e in range(len(p)) if p[e] > 0.0
     )
-    assert result.tests["frequency"].observed == pytest.approx(frequency)
+    assert result.tests['frequency'].observed == pytest.approx(frequency)
     probability = routes_with_probabilities(paper)
     surprise = [-math.log(probability[tuple(route.tolist())]) for route in routes]
     assert result.mean_surprise == pytest.approx(np.mean(surprise))
-    assert result.tests["surprise"].observed == pytest.approx(
+    assert result.tests['surprise'].observed == pytest.approx(
         abs(sum(surprise) - n * paper.route_entropy)
     )
     same = sum(tuple(a.tolist()) == tuple(b.tolist()) for a, b in combinations(routes, 2))
-    assert result.tests["repeats"].observed == same
+    assert result.tests['repeats'].observed == same
     assert sorted(result.passages.tolist()) == sorted(passages[e] for e in np.flatnonzero(p))
     assert result.expected.sum() == pytest.approx(n * p.sum())
     assert result.different == len({tuple(route.tolist()) for route in routes})
@@ -137,9 +137,9 @@ def test_what_is_expected_by_chance_is_what_theory_says(paper):
     result = run(paper, drawn(paper, n, 4))
     p = paper.edge_probability
     pairs = n * (n - 1) / 2 * sum(q * q for q in routes_with_probabilities(paper).values())
-    assert result.tests["repeats"].expected == pytest.approx(pairs, rel=0.05)
+    assert result.tests['repeats'].expected == pytest.approx(pairs, rel=0.05)
     variance = n * p * (1 - p)
-    assert result.tests["frequency"].expected == pytest.approx(
+    assert result.tests['frequency'].expected == pytest.approx(
         (variance / (variance + 1)).sum(), rel=0.05
     )
 
@@ -152,11 +152,11 @@ def test_identical_pairs_are_counted(rows):
 
 
 def test_holms_method():
-    found = {"a": (0.0, 0.0, 0.004), "b": (0.0, 0.0, 0.0024), "c": (0.0, 0.0, 0.02),
-             "d": (0.0, 0.0, 0.0032)}
+    found = {'a': (0.0, 0.0, 0.004), 'b': (0.0, 0.0, 0.0024), 'c': (0.0, 0.0, 0.02),
+             'd': (0.0, 0.0, 0.0032)}
     judged = auditing._judged(found, 0.01)
-    assert {name for name, verdict in judged.items() if verdict.finding} == {"a", "b", "d"}
-    found["b"] = (0.0, 0.0, 0.0026)
+    assert {name for name, verdict in judged.items() if verdict.finding} == {'a', 'b', 'd'}
+    found['b'] = (0.0, 0.0, 0.0026)
     assert not any(verdict.finding for verdict in auditing._judged(found, 0.01).values())
 
 
@@ -201,17 +201,17 @@ def test_the_same_departures_give_the_same_audit(terrain):
 
 def test_impossible_steps_are_a_finding_of_their_own(paper):
     result = run(paper, [*drawn(paper, 8, 1), np.array([0, 1, 6, 7])])
-    assert result.impossible == 1 and result.findings[0] == "impossible"
+    assert result.impossible == 1 and result.findings[0] == 'impossible'
 
 
 def test_too_few_departures_and_rates_out_of_range_are_refused(paper):
-    with pytest.raises(NotAuditable, match="4 departures are too few"):
+    with pytest.raises(NotAuditable, match='4 departures are too few'):
         run(paper, drawn(paper, FEWEST_DEPARTURES - 1, 1))
     for rate in (0.0, -0.1, 0.0009, 0.9, math.nan):
-        with pytest.raises(InvalidOption, match="false alarm rate"):
+        with pytest.raises(InvalidOption, match='false alarm rate'):
             run(paper, drawn(paper, 6, 1), rate)
 
 
-@pytest.mark.parametrize("rate", [0.001, 0.01, 0.05, 0.5])
+@pytest.mark.parametrize('rate', [0.001, 0.01, 0.05, 0.5])
 def test_the_smallest_p_value_can_always_be_a_finding(rate):
     assert 1.0 / (auditing._resamples(rate, 1, 1) + 1) <= rate / len(TESTS)

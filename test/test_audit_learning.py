@@ -16,7 +16,7 @@ from ambush_planner.audit.learning import LEARNT, _until_pair, learning_from, re
 from ambush_planner.audit.tallies import LONGEST_LAG
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def terrain():
     return solve(terrain_network(3, cells=12))
 

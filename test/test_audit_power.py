@@ -19,7 +19,7 @@ RUNS = 60
 RATE = 0.05
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def terrain():
     return solve(terrain_network(5, cells=20))
 
@@ -48,10 +48,10 @@ def likeliest_route(strategy):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name, departures", [("paper", 5), ("paper", 24), ("terrain", 8)])
+@pytest.mark.parametrize('name, departures', [('paper', 5), ('paper', 24), ('terrain', 8)])
 def test_false_alarms_are_as_rare_as_stated(name, departures):
     """Each p-value is at most u with probability at most u, and any finding as rare as stated."""
-    strategy = solve(paper_example() if name == "paper" else terrain_network(3, cells=12))
+    strategy = solve(paper_example() if name == 'paper' else terrain_network(3, cells=12))
     sampler, rng = sampler_of(strategy), np.random.default_rng(departures)
     results = [
         run(strategy, [sampler.draw(rng) for _ in range(departures)], RATE) for _ in range(RUNS)
@@ -62,9 +62,9 @@ def test_false_alarms_are_as_rare_as_stated(name, departures):
         p_values = np.array([result.tests[test].p_value for result in results])
         for level in (0.01, 0.05, 0.2, 0.5):
             assert (p_values <= level).sum() <= binom.isf(FALSE_ALARM, RUNS, level)
-    if name == "terrain":
+    if name == 'terrain':
         # Where statistics take many values the rate is used up, not only kept.
-        for test in ("frequency", "surprise", "order"):
+        for test in ('frequency', 'surprise', 'order'):
             p_values = np.array([result.tests[test].p_value for result in results])
             assert (p_values <= 0.2).sum() >= binom.ppf(FALSE_ALARM, RUNS, 0.2)
 
@@ -72,37 +72,37 @@ def test_false_alarms_are_as_rare_as_stated(name, departures):
 def test_always_the_likeliest_route_is_found_from_the_fewest_departures_on(terrain):
     route = likeliest_route(terrain)
     result = run(terrain, [route] * 5)
-    assert set(result.findings) >= {"frequency", "repeats"}
+    assert set(result.findings) >= {'frequency', 'repeats'}
     assert result.different == 1
 
 
 def test_a_stuck_seed_is_found(terrain):
     sampler = sampler_of(terrain)
     routes = [sampler.draw(np.random.default_rng(7)) for _ in range(6)]
-    assert set(run(terrain, routes).findings) >= {"frequency", "repeats"}
+    assert set(run(terrain, routes).findings) >= {'frequency', 'repeats'}
 
 
 def test_a_repeated_route_every_fifth_departure_is_found(terrain):
     routes = drawn(sampler_of(terrain), 25, 1)
     for k in range(5, 25, 5):
         routes[k] = routes[0]
-    assert "repeats" in run(terrain, routes).findings
+    assert 'repeats' in run(terrain, routes).findings
 
 
 def test_a_few_routes_in_rotation_are_found(terrain):
     few = drawn(sampler_of(terrain), 3, 2)
     findings = run(terrain, [few[k % 3] for k in range(18)]).findings
-    assert set(findings) >= {"frequency", "order", "repeats"}
+    assert set(findings) >= {'frequency', 'order', 'repeats'}
 
 
-@pytest.mark.parametrize("power, sign", [(0.0, 1), (2.0, -1)])
+@pytest.mark.parametrize('power, sign', [(0.0, 1), (2.0, -1)])
 def test_wrong_weights_are_found(terrain, power, sign):
     """All choices alike (the weights forgotten), and choices that are too bold."""
     p = terrain.edge_probability
     choice = ManyRoutes(terrain.network, p).choice
     routes = drawn(sampler_of(terrain, np.where(p > 0.0, choice**power, 0.0)), 20, 3)
     result = run(terrain, routes)
-    assert "surprise" in result.findings
+    assert 'surprise' in result.findings
     assert np.sign(result.mean_surprise - terrain.route_entropy) == sign
 
 
@@ -113,7 +113,7 @@ def test_a_small_bias_is_found_with_many_departures(terrain):
     choice = ManyRoutes(network, p).choice
     weight = np.where(p > 0.0, choice * np.where(up, 1.5, 1.0), 0.0)
     routes = drawn(sampler_of(terrain, weight), 150, 4)
-    assert "frequency" in run(terrain, routes).findings
+    assert 'frequency' in run(terrain, routes).findings
 
 
 def two_roads():
@@ -152,16 +152,16 @@ def by_side(strategy, pattern, seed):
 
 
 @pytest.mark.parametrize(
-    "pattern", [[0, 1] * 15, [0] * 15 + [1] * 15, [0, 0, 1] * 10, [0, 1, 1, 0, 1] * 6],
-    ids=["alternating", "changed once", "every third", "every fifth"],
+    'pattern', [[0, 1] * 15, [0] * 15 + [1] * 15, [0, 0, 1] * 10, [0, 1, 1, 0, 1] * 6],
+    ids=['alternating', 'changed once', 'every third', 'every fifth'],
 )
 def test_patterns_of_roads_are_found_though_no_route_repeats(pattern):
     """Seen by the order alone: each lane of each road is still driven as often as published."""
     strategy = solve(two_roads())
     result = run(strategy, by_side(strategy, pattern, 5))
-    assert "order" in result.findings
+    assert 'order' in result.findings
     if pattern == [0, 1] * 15:
-        assert result.findings == ("order",)
+        assert result.findings == ('order',)
         assert result.order.by_lag[0] < result.order.mean < result.order.by_lag[1]
 
 

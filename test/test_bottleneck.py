@@ -50,7 +50,7 @@ def detour_network() -> Network:
     return Network(np.array(points, float), alpha, np.array(edges), 0, 12)
 
 
-@pytest.mark.parametrize("detour", [1.0, 1.05, 1.2, 2.0])
+@pytest.mark.parametrize('detour', [1.0, 1.05, 1.2, 2.0])
 def test_the_secured_value_holds_for_the_budget_that_applies(detour):
     """It is what solving without the sites near the ends gives within the same budget."""
     network = detour_network()

@@ -48,13 +48,13 @@ def wrong_ambushers(q):
     least, most = np.flatnonzero(q == 0.0)[0], int(q.argmax())
     at = np.arange(len(q))
     return (
-        (q * 1.001, "sum to 1"),
-        (q * 0.999, "sum to 1"),
-        (np.full_like(q, np.nan), "must be in"),
-        (np.where(at == most, np.nan, q), "must be in"),
-        (np.where(at == most, np.inf, q), "must be in"),
-        (np.where(at == least, -1e-3, q), "must be in"),
-        (np.zeros_like(q), "sum to 1"),
+        (q * 1.001, 'sum to 1'),
+        (q * 0.999, 'sum to 1'),
+        (np.full_like(q, np.nan), 'must be in'),
+        (np.where(at == most, np.nan, q), 'must be in'),
+        (np.where(at == most, np.inf, q), 'must be in'),
+        (np.where(at == least, -1e-3, q), 'must be in'),
+        (np.zeros_like(q), 'sum to 1'),
     )
 
 
@@ -65,25 +65,25 @@ def test_a_wrong_q_is_refused():
             certify(game, p, wrong, budgets, prices)
 
 
-@pytest.mark.parametrize("price", [-1e-9, -1.0, np.nan])
+@pytest.mark.parametrize('price', [-1e-9, -1.0, np.nan])
 def test_a_wrong_price_is_refused(price):
     game, p, q, budgets, _ = case()
     for prices in ((price, 0.0), (0.0, price)):
-        with pytest.raises(SolverFailed, match="price"):
+        with pytest.raises(SolverFailed, match='price'):
             certify(game, p, q, budgets, prices)
 
 
 def test_a_wrong_p_is_refused():
     game, p, q, budgets, prices = case()
     used = int(np.argmax(p))
-    for change, words in ((-2.0, ">= 0"), (np.nan, ">= 0"), (0.01, "no flow")):
+    for change, words in ((-2.0, '>= 0'), (np.nan, '>= 0'), (0.01, 'no flow')):
         wrong = p.copy()
         wrong[used] += change
         with pytest.raises(SolverFailed, match=words):
             certify(game, wrong, q, budgets, prices)
-    with pytest.raises(SolverFailed, match="no flow"):
+    with pytest.raises(SolverFailed, match='no flow'):
         certify(game, 0.999 * p, q, budgets, prices)
-    with pytest.raises(SolverFailed, match="no flow"):
+    with pytest.raises(SolverFailed, match='no flow'):
         certify(game, np.zeros_like(p), q, budgets, prices)
 
 
@@ -91,7 +91,7 @@ def test_an_overlong_p_is_refused():
     """What is right for a budget of 2 times the shortest is too long for 1.1 times."""
     game, p, q, _, prices = case(2.0)
     tight = make_budgets(game, StrategyOptions(max_detour=1.1))
-    with pytest.raises(SolverFailed, match=r"length is .* over the budget"):
+    with pytest.raises(SolverFailed, match=r'length is .* over the budget'):
         certify(game, p, q, tight, prices)
 
 
@@ -99,7 +99,7 @@ def test_a_p_on_forbidden_ground_is_refused():
     game, p, q, budgets, prices = case()
     closed = game.playable.copy()
     closed[np.argmax(p)] = False
-    with pytest.raises(SolverFailed, match="not playable"):
+    with pytest.raises(SolverFailed, match='not playable'):
         certify(replace(game, playable=closed), p, q, budgets, prices)
 
 
@@ -107,9 +107,9 @@ def test_a_bound_above_the_value_is_refused(monkeypatch):
     """Whatever lets it happen: it is never hidden."""
     given_ = case()
     monkeypatch.setattr(
-        "ambush_planner.core.certificate.lower_bound", lambda *_: 1.0001 * upper_bound(*given_[:2])
+        'ambush_planner.core.certificate.lower_bound', lambda *_: 1.0001 * upper_bound(*given_[:2])
     )
-    with pytest.raises(SolverFailed, match="above the value"):
+    with pytest.raises(SolverFailed, match='above the value'):
         certify(*given_)
 
 
@@ -138,7 +138,7 @@ def test_several_ambushers_hold_different_sites():
     assert both.value == pytest.approx(2 / 3, rel=2e-2)
     one_site = np.zeros_like(q)
     one_site[1] = 2.0
-    with pytest.raises(SolverFailed, match="must be in"):
+    with pytest.raises(SolverFailed, match='must be in'):
         certify(game, p, one_site, budgets, prices)
 
 
@@ -156,9 +156,9 @@ def test_the_value_is_the_sum_of_the_worst_sites():
 def test_a_budget_below_the_best_route_is_infeasible():
     game = make_game(paper_example(), GameOptions())
     lengths = game.network.lengths
-    with pytest.raises(BudgetInfeasible, match=r"length 3 .*raise max_detour"):
-        Budget(game, lengths, 2.9, 3.0, "length", "m")
-    assert Budget(game, lengths, 3.0, 3.0, "length", "m").room > 0.0
+    with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
+        Budget(game, lengths, 2.9, 3.0, 'length', 'm')
+    assert Budget(game, lengths, 3.0, 3.0, 'length', 'm').room > 0.0
 
 
 @examples(50)
@@ -180,8 +180,8 @@ def test_excess_adds_up_to_what_a_route_costs_over_the_best(network):
 # Scale.
 
 
-@pytest.mark.parametrize("exponent", [-305, -250, -100, -9, 0, 9, 100, 200, 289])
-@pytest.mark.parametrize("detour", [1.1, np.inf])
+@pytest.mark.parametrize('exponent', [-305, -250, -100, -9, 0, 9, 100, 200, 289])
+@pytest.mark.parametrize('detour', [1.1, np.inf])
 def test_within_tolerance_at_every_scale(exponent, detour):
     plain = terrain_network(2, cells=9)
     alpha = plain.alpha * 10.0**exponent
@@ -195,9 +195,9 @@ def test_within_tolerance_at_every_scale(exponent, detour):
     assert strategy.value == pytest.approx(same * 10.0**exponent, rel=SLACK, abs=0.0)
 
 
-@pytest.mark.parametrize("where", ["on the best route", "anywhere"])
-@pytest.mark.parametrize("detour", [1.05, 1.2, np.inf])
-@pytest.mark.parametrize("radius", [0.0, 2.0])
+@pytest.mark.parametrize('where', ['on the best route', 'anywhere'])
+@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
+@pytest.mark.parametrize('radius', [0.0, 2.0])
 def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     plain = terrain_network(2, cells=12)
     free = StrategyOptions(max_detour=detour)
@@ -205,14 +205,14 @@ def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     even = Network(plain.points, alpha, plain.edges, plain.source, plain.target)
     visits = solve(even, GameOptions(ambush_radius=radius), free).visit_probability
     visits = np.where(alpha > 0.0, visits, 0.0)
-    alpha[visits.argmax() if where == "on the best route" else len(alpha) // 3] = 1e9
+    alpha[visits.argmax() if where == 'on the best route' else len(alpha) // 3] = 1e9
     network = Network(plain.points, alpha, plain.edges, plain.source, plain.target)
     strategy = solve(network, GameOptions(ambush_radius=radius), free)
     assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
-@pytest.mark.parametrize("loss", [1e291, 1e308, 1e-306, 5e-324])
+@pytest.mark.parametrize('loss', [1e291, 1e308, 1e-306, 5e-324])
 def test_losses_out_of_range_are_refused(loss):
     network = Network([[0, 0], [1, 0], [2, 0]], [0, loss, 0], [(0, 1), (1, 2)], 0, 2)
-    with pytest.raises(InvalidNetwork, match=r"1e-305\.\.1e\+290.* at node 1; scale the losses"):
+    with pytest.raises(InvalidNetwork, match=r'1e-305\.\.1e\+290.* at node 1; scale the losses'):
         solve(network)

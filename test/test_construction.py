@@ -31,7 +31,7 @@ def open_map(rows=6, columns=8, origin=(0.0, 0.0, 0.0)) -> RiskMap:
     return RiskMap(alpha, np.zeros((rows, columns), bool), 1.0, origin)
 
 
-def build(risk_map, start, goal, method="uniform_delaunay", **options):
+def build(risk_map, start, goal, method='uniform_delaunay', **options):
     """Start and goal in map axes."""
     ends = risk_map.to_world(np.array([start, goal], float))
     return build_network(risk_map, *ends, NetworkOptions(method, **options))
@@ -47,8 +47,8 @@ def lattice_pairs(network) -> set:
     return {frozenset((place[i], place[j])) for i, j in joined(network)}
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("clearance", [0.0, 0.6])
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('clearance', [0.0, 0.6])
 def test_the_expected_number_of_nodes_is_about_the_real_one(method, clearance):
     risk_map = random_map(3, 60, 0.05, 0.0)
     options = NetworkOptions(method, 0.4, clearance)
@@ -109,7 +109,7 @@ def test_equal_inputs_give_the_same_network_bit_for_bit(built):
     assert network.alpha.tobytes() == again.alpha.tobytes()
 
 
-@pytest.mark.parametrize("method", METHODS[3:])
+@pytest.mark.parametrize('method', METHODS[3:])
 def test_the_seed_decides_where_samples_lie(method):
     risk_map = random_map(2, 12, 0.0)
     one, two = (build(risk_map, (1, 1), (11, 11), method, spacing=1.0, seed=k) for k in (1, 2))
@@ -117,7 +117,7 @@ def test_the_seed_decides_where_samples_lie(method):
     assert not np.array_equal(one.points, two.points)
 
 
-@pytest.mark.parametrize("method", METHODS[1:3])
+@pytest.mark.parametrize('method', METHODS[1:3])
 def test_lattice_nodes_lie_at_half_spacings_and_ends_replace_the_nearest(method):
     network = build(open_map(), (0.6, 0.7), (7.2, 5.9), method, spacing=1.0)
     expected = set(itertools.product(np.arange(8) + 0.5, np.arange(6) + 0.5))
@@ -136,7 +136,7 @@ def test_a_rotated_map_gives_the_same_network_turned():
 
 
 def test_herringbone_rising_in_even_rows_falling_in_odd_rows():
-    network = build(open_map(), (0.5, 0.5), (7.5, 5.5), "lattice_delaunay", spacing=1.0)
+    network = build(open_map(), (0.5, 0.5), (7.5, 5.5), 'lattice_delaunay', spacing=1.0)
     found = lattice_pairs(network)
     expected = set()
     for c, r in itertools.product(range(8), range(6)):
@@ -149,7 +149,7 @@ def test_herringbone_rising_in_even_rows_falling_in_odd_rows():
 
 
 def test_grid8_joins_each_node_to_its_eight_neighbours():
-    found = lattice_pairs(build(open_map(), (0.5, 0.5), (7.5, 5.5), "uniform_grid8", spacing=1.0))
+    found = lattice_pairs(build(open_map(), (0.5, 0.5), (7.5, 5.5), 'uniform_grid8', spacing=1.0))
     cells = list(itertools.product(range(8), range(6)))
     near = {
         frozenset(pair)
@@ -190,8 +190,8 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
             assert has_flat_detour(uv[:count], field, i, j)
 
 
-@pytest.mark.parametrize("method", METHODS[3:])
-@pytest.mark.parametrize("obstacles", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize('method', METHODS[3:])
+@pytest.mark.parametrize('obstacles', [0.0, 0.03, 0.1])
 def test_triangulating_part_by_part_gives_the_same_network(monkeypatch, method, obstacles):
     for seed in range(5):
         risk_map = random_map(seed, 26, obstacles)
@@ -199,7 +199,7 @@ def test_triangulating_part_by_part_gives_the_same_network(monkeypatch, method, 
         with monkeypatch.context() as patch:
             networks = []
             for part in (10**6, 40):
-                patch.setattr("ambush_planner.core.connectivity.PART", part)
+                patch.setattr('ambush_planner.core.connectivity.PART', part)
                 networks.append(build(risk_map, *free, method, spacing=1.0, seed=seed))
         whole, parts = networks
         np.testing.assert_array_equal(parts.points, whole.points)
@@ -262,16 +262,16 @@ def octile_lengths(free, start) -> dict:
     return done
 
 
-@pytest.mark.parametrize("resolution", [1.0, 0.05, 0.1, 1 / 3])
+@pytest.mark.parametrize('resolution', [1.0, 0.05, 0.1, 1 / 3])
 def test_grid8_meets_octile_lengths_without_corner_cutting(resolution):
-    free = np.array([list(line) for line in MOVING_AI.split()])[::-1] == "."
+    free = np.array([list(line) for line in MOVING_AI.split()])[::-1] == '.'
     risk_map = RiskMap(np.ones(free.shape), ~free, resolution, (0.1, 0.2, 0.3))
     start = (0, 0)
     lengths = octile_lengths(free, start)
     assert len(lengths) > 100
     for goal in list(lengths)[1::9]:
         ends = (np.array([start, goal])[:, ::-1] + 0.5) * resolution
-        network = build(risk_map, *ends, "uniform_grid8", spacing=resolution)
+        network = build(risk_map, *ends, 'uniform_grid8', spacing=resolution)
         assert shortest(network) == pytest.approx(lengths[goal] * resolution, rel=1e-12)
 
 
@@ -283,7 +283,7 @@ def shortest(network) -> float:
     return best[network.target]
 
 
-@pytest.mark.parametrize("method, worst", [("uniform_delaunay", 1.11), ("uniform_grid8", 1.09)])
+@pytest.mark.parametrize('method, worst', [('uniform_delaunay', 1.11), ('uniform_grid8', 1.09)])
 def test_no_direction_is_much_longer_than_the_straight_line(method, worst):
     side = 61
     risk_map = RiskMap(np.ones((side, side)), np.zeros((side, side), bool), 1.0)
@@ -341,8 +341,8 @@ def smallest_angle(network) -> float:
     return best
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("clear_of_edge", [True, False])
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('clear_of_edge', [True, False])
 def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
     """A map 50.1 m high at a spacing of 0.6 m has lattice nodes exactly on its edge."""
     risk_map = RiskMap(np.ones((167, 40)), np.zeros((167, 40), bool), 0.3, (5.0, -3.0, 0.4))
@@ -356,27 +356,27 @@ def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
     assert clear_of_edge or (uv < 0.4).any()
 
 
-@pytest.mark.parametrize("spacing", [1.3, 0.7])
-@pytest.mark.parametrize("ends", [((0.5, 0.1), (13.5, 0.1)), ((0.2, 0.2), (0.2, 13.9))])
+@pytest.mark.parametrize('spacing', [1.3, 0.7])
+@pytest.mark.parametrize('ends', [((0.5, 0.1), (13.5, 0.1)), ((0.2, 0.2), (0.2, 13.9))])
 def test_no_edge_runs_along_the_border_past_every_site(ends, spacing):
     network = build(open_map(14, 14), *ends, spacing=spacing)
     assert network.lengths.max() < 3 * spacing
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize('method', METHODS)
 def test_start_and_goal_in_one_lattice_cell(method):
     network = build(open_map(), (2.1, 2.1), (2.9, 2.8), method, spacing=1.0)
     assert (network.source, network.target) in {tuple(e) for e in network.edges.tolist()}
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize('method', METHODS)
 def test_a_map_of_one_cell(method):
     network = build(open_map(1, 1), (0.1, 0.1), (0.9, 0.8), method, spacing=1.0)
     assert len(network.points) == 2 and network.edges.tolist() == [[0, 1]]
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("shape", [(1, 9), (9, 1), (2, 9)])
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('shape', [(1, 9), (9, 1), (2, 9)])
 def test_narrow_maps(method, shape):
     far = (shape[1] - 0.5, shape[0] - 0.5)
     network = build(open_map(*shape), (0.5, 0.5), far, method, spacing=1.0)

@@ -37,7 +37,7 @@ def test_distances_and_a_path(network):
     assert ahead == pytest.approx([from_source.get(k, np.inf) for k in range(n)])
     assert behind == pytest.approx([to_target.get(k, np.inf) for k in range(n)])
     path = shortest_path(network.edges, weights, n, *ends).tolist()
-    assert networkx.path_weight(graph, path, "weight") == pytest.approx(ahead[ends[1]])
+    assert networkx.path_weight(graph, path, 'weight') == pytest.approx(ahead[ends[1]])
 
 
 @examples(50)

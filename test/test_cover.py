@@ -74,7 +74,7 @@ def test_without_a_reach_nobody_hides_beside_the_road():
     assert len(with_cover(network, risk_map, reaching).points) > len(network.points)
 
 
-@pytest.mark.parametrize("hides", [False, True])
+@pytest.mark.parametrize('hides', [False, True])
 def test_a_plan_knows_of_them_when_asked(hides):
     options = PlanningOptions(
         NetworkOptions(spacing=2.0),

@@ -153,7 +153,7 @@ def test_a_tiny_flow_needs_several_rounds_of_integers():
 def test_only_the_plain_game_is_taken():
     network = line([0, 1, 1, 1, 0])
     for options in (GameOptions(ambush_radius=1.0), GameOptions(ambushers=2)):
-        with pytest.raises(SolverFailed, match="one ambusher without a reach"):
+        with pytest.raises(SolverFailed, match='one ambusher without a reach'):
             solve_by_cut(make_game(network, options))
 
 

@@ -47,7 +47,7 @@ def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tup
     return min(counts), max(counts)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize('seed', range(4))
 def test_straight_corridors_with_nodes_on_the_circle_enter_once(seed):
     """A thousand a seed: the disc is as large as some nodes are far, to the last digit or so."""
     rng = np.random.default_rng(seed)
@@ -86,7 +86,7 @@ def test_entries_of_any_polyline_are_those_of_its_points(seed):
     assert least <= entries(corridor(points), site, radius).sum() <= most
 
 
-@pytest.mark.parametrize("radius", [1.0, np.sqrt(2.0), 2.0, np.sqrt(5.0), 5.0])
+@pytest.mark.parametrize('radius', [1.0, np.sqrt(2.0), 2.0, np.sqrt(5.0), 5.0])
 def test_no_walk_on_a_turned_lattice_comes_into_a_disc_unseen(radius):
     """Nodes exactly at the reach on a lattice turned by 1.1 rad; decided by whole numbers."""
     side = 15

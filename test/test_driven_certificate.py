@@ -80,7 +80,7 @@ def dense(line, step):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("ground", "tube"), [(hills, None), (strewn, 1.0), (gates, None)])
+@pytest.mark.parametrize(('ground', 'tube'), [(hills, None), (strewn, 1.0), (gates, None)])
 def test_with_a_reach_no_place_is_hit_more_often_than_the_value_says(ground, tube):
     a_plan = planned(ground, REACH, tube)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
@@ -91,7 +91,7 @@ def test_with_a_reach_no_place_is_hit_more_often_than_the_value_says(ground, tub
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ground", [hills, strewn, gates])
+@pytest.mark.parametrize('ground', [hills, strewn, gates])
 def test_without_a_reach_no_node_is_passed_more_often_than_the_value_says(ground):
     a_plan, near = planned(ground, 0.0, None), PASSES * SPACING
     paths = departure_paths(a_plan, DRAWS_WITHOUT, 0.5, np.random.default_rng(1))

@@ -88,7 +88,7 @@ def open_map(cells=20, yaw=0.0):
 
 def corridors_on(risk_map, start, goal, spacing=1.0, **options):
     ends = risk_map.to_world(np.array([start, goal], float))
-    network = build_network(risk_map, *ends, NetworkOptions("uniform_delaunay", spacing))
+    network = build_network(risk_map, *ends, NetworkOptions('uniform_delaunay', spacing))
     return make_corridors(network, risk_map, **options)
 
 
@@ -115,7 +115,7 @@ def test_a_tube_of_nothing_is_the_drawn_route():
     assert distance_to(poses[:, :2], drawn).max() < 1e-9
 
 
-@pytest.mark.parametrize("radius", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize('radius', [0.2, 0.5, 1.0])
 def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
     corridors = corridors_on(open_map(), (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
@@ -215,16 +215,16 @@ def test_many_paths_at_once_are_those_one_by_one(drive, radius):
         np.testing.assert_allclose(path, driven_path(corridors, route, 0.3, radius), atol=1e-12)
 
 
-@pytest.mark.parametrize("spacing", [1e-5, 1e-30, 5e-324])
+@pytest.mark.parametrize('spacing', [1e-5, 1e-30, 5e-324])
 def test_too_many_poses_are_refused(spacing):
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    with pytest.raises(InvalidOption, match=r"route\.path_spacing.* 20000 are the most"):
+    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* 20000 are the most'):
         driven_path(corridors, some_route(corridors.network, 1), spacing)
 
 
-@pytest.mark.parametrize("tube", [-0.1, np.nan, np.inf])
+@pytest.mark.parametrize('tube', [-0.1, np.nan, np.inf])
 def test_a_tube_that_cannot_be_is_refused(tube):
-    with pytest.raises(InvalidOption, match="tube"):
+    with pytest.raises(InvalidOption, match='tube'):
         corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=tube)
 
 

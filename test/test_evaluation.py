@@ -13,7 +13,7 @@ from hypothesis import given
 from ambush_planner import GameOptions, Network, StrategyOptions, evaluate, solve
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
 
-PLANNERS = ["stochastic", "energy_efficient", "risk_avoidance"]
+PLANNERS = ['stochastic', 'energy_efficient', 'risk_avoidance']
 
 
 def all_routes(network):
@@ -57,13 +57,13 @@ def check_rows(strategy) -> None:
     assert list(rows) == PLANNERS
     q, x = strategy.ambush_probability, strategy.visit_probability
     alpha, value = strategy.network.alpha, strategy.value
-    stochastic = rows["stochastic"]
+    stochastic = rows['stochastic']
     assert stochastic.expected_length == strategy.expected_length
     sites = alpha > 0.0
     assert stochastic.p_first == pytest.approx(float(q[sites] @ x[sites]), abs=1e-9)
     assert (stochastic.p_repeated, stochastic.v_repeated) == (stochastic.p_first, value)
     shortest = least_weight(strategy.network, strategy.network.lengths)
-    assert rows["energy_efficient"].expected_length == pytest.approx(shortest, rel=1e-12)
+    assert rows['energy_efficient'].expected_length == pytest.approx(shortest, rel=1e-12)
     for name in PLANNERS[1:]:
         row = rows[name]
         assert row.planner == name
@@ -79,9 +79,9 @@ def test_the_papers_example():
     for name in PLANNERS[1:]:
         assert (rows[name].p_repeated, rows[name].v_repeated) == (1.0, 1.0)
         assert rows[name].p_first == pytest.approx(1 / 3, abs=1e-5)
-    assert rows["stochastic"].p_first == pytest.approx(1 / 3, rel=1e-2)
-    assert rows["stochastic"].v_repeated == pytest.approx(1 / 3, rel=1e-2)
-    assert rows["energy_efficient"].expected_length == pytest.approx(3.0)
+    assert rows['stochastic'].p_first == pytest.approx(1 / 3, rel=1e-2)
+    assert rows['stochastic'].v_repeated == pytest.approx(1 / 3, rel=1e-2)
+    assert rows['energy_efficient'].expected_length == pytest.approx(3.0)
 
 
 def test_three_parallel_nodes_by_hand():
@@ -90,9 +90,9 @@ def test_three_parallel_nodes_by_hand():
     edges = list(itertools.product([0], [1, 2, 3])) + [(k, 4) for k in (1, 2, 3)]
     network = Network(points, [0, 1, 2, 4, 0], edges, 0, 4)
     rows = evaluate(solve(network, options=StrategyOptions(max_detour=np.inf, risk_slack=0.0)))
-    assert rows["stochastic"].p_first == pytest.approx((16 + 4 + 1) / 49, rel=1e-5)
-    assert rows["stochastic"].v_repeated == pytest.approx(4 / 7, rel=1e-5)
-    straight, careful = rows["energy_efficient"], rows["risk_avoidance"]
+    assert rows['stochastic'].p_first == pytest.approx((16 + 4 + 1) / 49, rel=1e-5)
+    assert rows['stochastic'].v_repeated == pytest.approx(4 / 7, rel=1e-5)
+    straight, careful = rows['energy_efficient'], rows['risk_avoidance']
     assert (straight.expected_length, straight.v_repeated) == (4.0, 4.0)
     assert straight.p_first == pytest.approx(1 / 7, rel=1e-6)
     assert careful.expected_length == pytest.approx(2 * np.sqrt(13))

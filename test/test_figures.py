@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="pictures need matplotlib")
+pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -18,7 +18,7 @@ from ambush_planner.tools import figures
 from ambush_planner.tools.demo_figures import FixedRoute, routes_figure
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def small_map():
     row, column = np.mgrid[:20, :24]
     alpha = 1.0 + 0.2 * row + 0.1 * column
@@ -26,7 +26,7 @@ def small_map():
     return RiskMap(alpha, obstacles, 5.0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def small_plan(small_map):
     options = PlanningOptions(NetworkOptions(spacing=10.0))
     return plan(small_map, (12.0, 52.0), (108.0, 48.0), options)
@@ -42,16 +42,16 @@ def turned_map(yaw: float) -> RiskMap:
 
 
 def test_frame_holds_a_turned_map(axes):
-    figures.frame(axes, turned_map(math.pi / 2), "turned")
+    figures.frame(axes, turned_map(math.pi / 2), 'turned')
     np.testing.assert_allclose(axes.get_xlim(), (94.0, 100.0))
     np.testing.assert_allclose(axes.get_ylim(), (50.0, 60.0))
-    assert axes.get_xlabel() == "x [m]"
+    assert axes.get_xlabel() == 'x [m]'
 
 
 def test_large_maps_are_labelled_in_kilometres(axes):
-    figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), "large")
-    assert axes.get_xlabel() == "x [km]"
-    assert axes.xaxis.get_major_formatter()(2500.0) == "2.5"
+    figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), 'large')
+    assert axes.get_xlabel() == 'x [km]'
+    assert axes.xaxis.get_major_formatter()(2500.0) == '2.5'
 
 
 def test_the_map_lies_where_its_origin_says(axes):
@@ -77,7 +77,7 @@ def test_edges_hardly_driven_are_left_out_and_the_likeliest_lie_on_top(axes, sma
     np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
 
 
-@pytest.mark.parametrize("largest", [0.0, 1e-9, 0.3, 1.0])
+@pytest.mark.parametrize('largest', [0.0, 1e-9, 0.3, 1.0])
 def test_the_scale_of_probabilities_is_never_empty(largest):
     scale = figures.probability_scale(np.array([0.0, largest]))
     assert scale.vmin == figures.LEAST_PROBABILITY < scale.vmax
@@ -118,8 +118,8 @@ def test_markers_show_where_the_ambusher_may_be(axes, small_plan):
     (markers,) = axes.collections
     assert len(markers.get_offsets()) == (q > 1e-3 * q.max()).sum() > 0
     sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
-    np.testing.assert_array_equal(np.argsort(sizes, kind="stable"),
-                                  np.argsort(shown, kind="stable"))
+    np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
+                                  np.argsort(shown, kind='stable'))
 
 
 def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
@@ -127,15 +127,15 @@ def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
     assert len(axes.collections[0].get_offsets()) == 0
 
 
-@pytest.mark.parametrize("secured", [0.0, 15.0])
+@pytest.mark.parametrize('secured', [0.0, 15.0])
 def test_the_figure_of_the_demo_is_drawn(tmp_path, small_map, small_plan, secured):
     rng = np.random.default_rng(3)
     routes = [depart(small_plan, rng).points for _ in range(8)]
-    fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(("a", "b"))]
+    fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(('a', 'b'))]
     figure = routes_figure(small_map, small_plan.strategy, routes, fixed, secured)
-    figure.savefig(tmp_path / "routes.png")
-    height, width, _ = imread(tmp_path / "routes.png").shape
+    figure.savefig(tmp_path / 'routes.png')
+    height, width, _ = imread(tmp_path / 'routes.png').shape
     assert width > 1500 and height > 900
-    assert np.std(imread(tmp_path / "routes.png")) > 0.05
+    assert np.std(imread(tmp_path / 'routes.png')) > 0.05
     legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert ("secured" in " ".join(legend)) == (secured > 0.0)
+    assert ('secured' in ' '.join(legend)) == (secured > 0.0)

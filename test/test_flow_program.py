@@ -22,8 +22,8 @@ def two_ways() -> Network:
     return Network(points, [0, 4, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
 
 
-@pytest.mark.parametrize("solver", ["interior_point", "simplex"])
-@pytest.mark.parametrize("detour, straight, price", [(np.inf, 0.2, 0.0), (1.5, 0.5, 2.0)])
+@pytest.mark.parametrize('solver', ['interior_point', 'simplex'])
+@pytest.mark.parametrize('detour, straight, price', [(np.inf, 0.2, 0.0), (1.5, 0.5, 2.0)])
 def test_flow_duals_and_prices_by_hand(solver, detour, straight, price):
     """Half of the routes at 1.5 times the length: each metre more turns 1/2 of them, at loss 4."""
     game = make_game(two_ways(), GameOptions())
@@ -43,7 +43,7 @@ def test_several_ambushers_share_the_sum():
     """Both sites held: all drive by the cheap one."""
     game = make_game(two_ways(), GameOptions(ambushers=2))
     program = FlowProgram(game, make_budgets(game, StrategyOptions(max_detour=np.inf)), 1.0)
-    size, _, duals = program.solve("simplex", math.inf)
+    size, _, duals = program.solve('simplex', math.inf)
     assert 1.0 / size == pytest.approx(1.0)
     q, _ = program.ambusher(duals)
     assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0 + 1e-12 and q[2] == pytest.approx(1.0)
@@ -52,8 +52,8 @@ def test_several_ambushers_share_the_sum():
 def test_budgets_that_no_strategy_fits():
     game = make_game(two_ways(), GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=1.01, max_exposure=1.0))
-    with pytest.raises(BudgetInfeasible, match="max_detour and max_exposure"):
-        FlowProgram(game, budgets, 1.0).solve("simplex", math.inf)
+    with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
+        FlowProgram(game, budgets, 1.0).solve('simplex', math.inf)
 
 
 def test_conservation_leaves_out_the_target():

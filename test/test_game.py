@@ -77,7 +77,7 @@ def test_secured_ground_by_hand():
 
 def test_no_route_says_what_the_threshold_discards():
     network = Network([[0, 0], [1, 0], [2, 0]], [0, 9, 0], [(0, 1), (1, 2)], 0, 2)
-    with pytest.raises(NoRoute, match=r"from \(.*\) to \(.*\); alpha_threshold 5 discards 1 nodes"):
+    with pytest.raises(NoRoute, match=r'from \(.*\) to \(.*\); alpha_threshold 5 discards 1 nodes'):
         solve(network, GameOptions(alpha_threshold=5.0))
 
 
@@ -141,7 +141,7 @@ def test_a_disc_that_holds_an_end_is_no_site_and_one_that_touches_it_holds_it():
 
 
 def test_more_ambushers_than_nodes_are_refused():
-    with pytest.raises(InvalidOption, match="7 ambushers .* 6 nodes"):
+    with pytest.raises(InvalidOption, match='7 ambushers .* 6 nodes'):
         make_game(road(), GameOptions(ambushers=7))
 
 
@@ -175,18 +175,18 @@ def test_without_sites_leaves_the_edges_as_they_are():
 
 
 @pytest.mark.parametrize(
-    "options",
+    'options',
     [
-        {"ambush_radius": -1.0},
-        {"ambush_radius": np.nan},
-        {"ambush_radius": np.inf},
-        {"secured_radius": -0.1},
-        {"secured_radius": np.nan},
-        {"alpha_threshold": -1.0},
-        {"alpha_threshold": np.nan},
-        {"ambushers": 0},
-        {"ambushers": 1.5},
-        {"ambush_in_obstacles": "yes"},
+        {'ambush_radius': -1.0},
+        {'ambush_radius': np.nan},
+        {'ambush_radius': np.inf},
+        {'secured_radius': -0.1},
+        {'secured_radius': np.nan},
+        {'alpha_threshold': -1.0},
+        {'alpha_threshold': np.nan},
+        {'ambushers': 0},
+        {'ambushers': 1.5},
+        {'ambush_in_obstacles': 'yes'},
     ],
 )
 def test_options_out_of_range_are_named(options):

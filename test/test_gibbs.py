@@ -101,7 +101,7 @@ def test_the_gradient_is_what_finite_differences_say():
         assert slope == pytest.approx(gradient @ step, rel=1e-5, abs=1e-10)
 
 
-@pytest.mark.parametrize("cells, reach", [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
+@pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
 def test_the_optimum_is_clarabels(cells, reach):
     network = terrain_network(3, cells=cells)
     part, acyclic = forward(network)
@@ -174,7 +174,7 @@ def ladder(rungs: int) -> Network:
     return Network(np.array(points, float), alpha, np.array(edges), 0, 2 * rungs + 1)
 
 
-@pytest.mark.parametrize("weight", [-3.0, 0.0, 0.5, 5.0, 200.0])
+@pytest.mark.parametrize('weight', [-3.0, 0.0, 0.5, 5.0, 200.0])
 def test_partition_functions_beyond_floating_point(weight):
     """1500 rungs: log Z from 1039 - 1501 w, far beyond e^700 on either side; levels jump, too."""
     rungs = 1500

@@ -17,7 +17,7 @@ from ambush_planner import SolverFailed, TimeLimit
 from ambush_planner.core import highs
 from ambush_planner.core.highs import Program, run
 
-SOLVERS = ("interior_point", "simplex")
+SOLVERS = ('interior_point', 'simplex')
 
 
 def program(limit=1.0, total=1.0) -> Program:
@@ -31,25 +31,25 @@ def program(limit=1.0, total=1.0) -> Program:
     )
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_optimum(solver):
     found = run(program(), solver, math.inf)
     assert found.status == highs.OPTIMAL
     assert found.fun == pytest.approx(-1.0, abs=1e-8)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_infeasible_is_told_not_raised(solver):
     assert run(program(total=-1.0), solver, math.inf).status == highs.INFEASIBLE
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_no_time_is_a_time_limit(solver):
-    with pytest.raises(TimeLimit, match="time is up"):
+    with pytest.raises(TimeLimit, match='time is up'):
         run(program(), solver, time.monotonic() - 1.0)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_an_unbounded_program_fails_by_name(solver):
     endless = program()
     free = Program(endless.cost, csr_matrix((0, 3)), np.empty(0), csr_matrix((1, 3)), np.zeros(1))
@@ -61,11 +61,11 @@ def test_where_highs_is_in_trouble_other_tolerances_are_tried(monkeypatch):
     tried = []
 
     def linprog(*_, options, **__):
-        tried.append((options["presolve"], options["ipm_optimality_tolerance"]))
+        tried.append((options['presolve'], options['ipm_optimality_tolerance']))
         done = len(tried) == 5
         status = highs.OPTIMAL if done else highs.NUMERICAL_TROUBLE
-        return SimpleNamespace(status=status, x=np.zeros(3), nit=1, message="")
+        return SimpleNamespace(status=status, x=np.zeros(3), nit=1, message='')
 
-    monkeypatch.setattr("scipy.optimize.linprog", linprog)
-    assert run(program(), "interior_point", math.inf).status == highs.OPTIMAL
+    monkeypatch.setattr('scipy.optimize.linprog', linprog)
+    assert run(program(), 'interior_point', math.inf).status == highs.OPTIMAL
     assert tried == [(True, t) for t in highs.OPTIMALITY] + [(False, 1e-11), (False, 1e-8)]

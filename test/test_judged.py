@@ -12,7 +12,7 @@ def with_alpha(network, alpha):
     return quiet_network(network.points, alpha, network.edges, network.source, network.target)
 
 
-@pytest.mark.parametrize("reach", [0.0, 2.0])
+@pytest.mark.parametrize('reach', [0.0, 2.0])
 def test_revalue_is_what_the_strategy_is_worth_on_the_new_losses(reach):
     network = terrain_network(4, cells=14)
     game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)

@@ -62,9 +62,9 @@ def test_several_ambushers_on_any_network(network, count):
     check(*solved(network, ambushers=count), expected)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("reach", [0.0, 1.5, 3.0])
-@pytest.mark.parametrize("count, detour", [(1, 1.05), (1, np.inf), (2, 1.2)])
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('reach', [0.0, 1.5, 3.0])
+@pytest.mark.parametrize('count, detour', [(1, 1.05), (1, np.inf), (2, 1.2)])
 def test_terrain(method, reach, count, detour):
     network = terrain_network(8, method, 12)
     hits = geometric_hits(network, reach) if reach else None
@@ -145,7 +145,7 @@ def test_an_exposure_budget_binds():
 def test_budgets_that_contradict_each_other_are_named():
     points = [[0, 0], [1, 0], [1, 3], [2, 0]]
     network = Network(points, [0, 9, 0.1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
-    with pytest.raises(BudgetInfeasible, match="max_detour and max_exposure"):
+    with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
         solved(network, 1.01, 1.01)
 
 

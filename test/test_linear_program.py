@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from ambush_planner import Network, StrategyOptions, solve
 
 ANY = np.inf
-LINEAR = ("interior_point", "simplex")
+LINEAR = ('interior_point', 'simplex')
 
 
 def solved(network, solver, length_weight=0.0, max_detour=ANY):
@@ -32,7 +32,7 @@ def solved(network, solver, length_weight=0.0, max_detour=ANY):
 
 
 def test_the_papers_example_simplex_uses_three_routes():
-    strategy = solved(paper_example(), "simplex")
+    strategy = solved(paper_example(), 'simplex')
     p = strategy.edge_probability
     assert strategy.value == pytest.approx(1 / 3, rel=1e-9)
     assert np.count_nonzero(p > 1e-9) == 9
@@ -42,18 +42,18 @@ def test_the_papers_example_simplex_uses_three_routes():
 
 
 def test_the_papers_example_interior_point_uses_all_seven():
-    strategy = solved(paper_example(), "interior_point")
+    strategy = solved(paper_example(), 'interior_point')
     assert strategy.value == pytest.approx(1 / 3, rel=1e-6)
     assert (strategy.edge_probability > 1e-3).all()
     assert strategy.edge_entropy == pytest.approx(4.10, abs=5e-3)
     assert strategy.route_entropy == pytest.approx(1.90, abs=5e-3)
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize('method', METHODS)
+@pytest.mark.parametrize('seed', [1, 2])
 def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
     network = terrain_network(seed, method, 14)
-    vertex, centre = solved(network, "simplex"), solved(network, "interior_point")
+    vertex, centre = solved(network, 'simplex'), solved(network, 'interior_point')
     assert vertex.edge_entropy < centre.edge_entropy
     assert np.count_nonzero(vertex.edge_probability > 1e-9) < np.count_nonzero(
         centre.edge_probability > 1e-9
@@ -61,8 +61,8 @@ def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
 
 
 def test_the_interior_point_solution_wanders_and_ours_does_not():
-    network = terrain_network(5, "uniform_delaunay", 20)
-    raw, ours = solved(network, "interior_point"), solved(network, "max_entropy")
+    network = terrain_network(5, 'uniform_delaunay', 20)
+    raw, ours = solved(network, 'interior_point'), solved(network, 'max_entropy')
     assert not is_acyclic(network, raw.edge_probability)
     assert is_acyclic(network, ours.edge_probability)
     assert raw.expected_length > ours.expected_length
@@ -96,10 +96,10 @@ def test_length_weight_by_hand():
         assert (hasty.value, hasty.expected_length) == pytest.approx((4.0, 2.0), rel=1e-6)
 
 
-@pytest.mark.parametrize("solver", LINEAR)
-@pytest.mark.parametrize("weight", [0.01, 0.5])
+@pytest.mark.parametrize('solver', LINEAR)
+@pytest.mark.parametrize('weight', [0.01, 0.5])
 def test_length_weight_on_terrain_is_never_longer(solver, weight):
-    network = terrain_network(4, "uniform_delaunay", 16)
+    network = terrain_network(4, 'uniform_delaunay', 16)
     weighted, plain = solved(network, solver, weight), solved(network, solver)
     assert weighted.expected_length <= plain.expected_length * (1 + 1e-6)
     assert weighted.value >= plain.value * (1 - 1e-6)

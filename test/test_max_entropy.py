@@ -61,7 +61,7 @@ def check_entropy(strategy, slack: float) -> None:
         assert strategy.route_entropy >= sure * (1 - 5e-3) - 1e-3
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize('method', METHODS)
 @examples(8)
 @given(seed=st.integers(0, 10**6), cells=st.integers(6, 16), detour=st.sampled_from(DETOURS),
        slack=st.sampled_from((0.01, 0.1)))
@@ -118,12 +118,12 @@ def test_value_within_the_slack_of_the_linear_programs(network, detour, count, s
     assert is_acyclic(network, strategy.edge_probability)
 
 
-@pytest.mark.parametrize("reach", [0.0, 2.0])
+@pytest.mark.parametrize('reach', [0.0, 2.0])
 @examples(2)
 @given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
 def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
     """As in a depot: narrow places, and a budget that decides which of them can be reached."""
-    network = ground_network(seed, "depot")
+    network = ground_network(seed, 'depot')
     reach *= float(np.median(network.lengths))
     strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
         max_detour=detour, risk_slack=slack))
@@ -154,23 +154,23 @@ def test_without_a_program_the_soft_search_closes_in(monkeypatch):
     exact = solve(network, GameOptions(ambush_radius=2.0))
 
     def fail(*_):
-        raise SolverFailed("not today")
+        raise SolverFailed('not today')
 
-    monkeypatch.setattr(max_entropy, "least_risk", fail)
+    monkeypatch.setattr(max_entropy, 'least_risk', fail)
     budgets = make_budgets(exact.game, StrategyOptions())
     outcome = max_entropy_strategy(exact.game, budgets, 0.01, math.inf)
     judged = certify(exact.game, outcome.p, outcome.q, budgets, outcome.prices)
     assert 0.0 < judged.bound <= exact.value and exact.lower_bound <= judged.value
 
 
-@pytest.mark.parametrize("reach", [0.0, 1.5])
+@pytest.mark.parametrize('reach', [0.0, 1.5])
 def test_without_a_program_and_without_room_the_shortest_route_is_left(monkeypatch, reach):
     options = StrategyOptions(max_detour=1.0)
 
     def fail(*_):
-        raise SolverFailed("not today")
+        raise SolverFailed('not today')
 
-    monkeypatch.setattr(max_entropy, "least_risk", fail)
+    monkeypatch.setattr(max_entropy, 'least_risk', fail)
     for seed in (0, 5):
         network = terrain_network(seed, cells=10)
         try:

@@ -12,11 +12,11 @@ from hypothesis import given
 from ambush_planner import InvalidNetwork, Network
 
 GOOD = {
-    "points": [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]],
-    "alpha": [0.0, 2.0, 0.0],
-    "edges": [(0, 1), (1, 2)],
-    "source": 0,
-    "target": 2,
+    'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]],
+    'alpha': [0.0, 2.0, 0.0],
+    'edges': [(0, 1), (1, 2)],
+    'source': 0,
+    'target': 2,
 }
 
 
@@ -30,12 +30,12 @@ def test_lengths_and_ends(network):
 
 
 def test_arrays_are_private_and_read_only():
-    points = np.array(GOOD["points"])
-    network = Network(**{**GOOD, "points": points})
+    points = np.array(GOOD['points'])
+    network = Network(**{**GOOD, 'points': points})
     points[0, 0] = 9.0
     assert network.points[0, 0] == 0.0
-    for name in ("points", "alpha", "edges", "lengths", "dropped_edges", "tails", "heads"):
-        with pytest.raises(ValueError, match="read-only"):
+    for name in ('points', 'alpha', 'edges', 'lengths', 'dropped_edges', 'tails', 'heads'):
+        with pytest.raises(ValueError, match='read-only'):
             getattr(network, name)[...] = 0
     with pytest.raises(AttributeError):
         network.source = 1
@@ -43,66 +43,66 @@ def test_arrays_are_private_and_read_only():
 
 def test_edges_into_the_source_and_out_of_the_target_are_dropped_and_told():
     edges = [(1, 0), (0, 1), (2, 1), (1, 2), (2, 0)]
-    with pytest.warns(UserWarning, match="3 edges into the source 0 or out of the target 2"):
-        network = Network(**{**GOOD, "edges": edges})
+    with pytest.warns(UserWarning, match='3 edges into the source 0 or out of the target 2'):
+        network = Network(**{**GOOD, 'edges': edges})
     assert network.edges.tolist() == [[0, 1], [1, 2]]
     assert network.dropped_edges.tolist() == [[1, 0], [2, 1], [2, 0]]
 
 
 def test_nothing_is_told_when_nothing_is_dropped():
     with warnings.catch_warnings():
-        warnings.simplefilter("error")
+        warnings.simplefilter('error')
         assert len(Network(**GOOD).dropped_edges) == 0
 
 
-@pytest.mark.parametrize("integer", [np.int32, np.uint8, np.int64])
+@pytest.mark.parametrize('integer', [np.int32, np.uint8, np.int64])
 def test_any_integers_do(integer):
-    edges = np.array(GOOD["edges"], dtype=integer)
-    network = Network(**{**GOOD, "edges": edges, "source": integer(0), "target": integer(2)})
+    edges = np.array(GOOD['edges'], dtype=integer)
+    network = Network(**{**GOOD, 'edges': edges, 'source': integer(0), 'target': integer(2)})
     assert network.edges.dtype == np.int64
     assert type(network.source) is int
 
 
 def test_no_edges_is_a_network():
     for edges in ([], np.empty((0, 2), int)):
-        network = Network(**{**GOOD, "edges": edges})
+        network = Network(**{**GOOD, 'edges': edges})
         assert network.edges.shape == (0, 2) and network.lengths.shape == (0,)
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    'change, words',
     [
-        ({"points": [[0, 0]]}, r"points .*\(1, 2\)"),
-        ({"points": [[0, 0, 0]] * 3}, r"points .*\(3, 3\)"),
-        ({"points": [0, 1, 2]}, r"points .*\(3,\)"),
-        ({"points": [[0, 0], [np.nan, 1], [2, 2]]}, r"points .*nan.* node 1"),
-        ({"points": [[0, 0], [1, 1], [2, -np.inf]]}, r"points .*inf.* node 2"),
-        ({"points": [[0, 0], [1], [2, 2]]}, "points must be an array of numbers"),
-        ({"points": "here"}, "points must be an array of numbers"),
-        ({"points": None}, "points"),
-        ({"alpha": [0, 1]}, r"alpha .*\(3,\), got \(2,\)"),
-        ({"alpha": [[0, 1, 0]]}, r"alpha .*\(1, 3\)"),
-        ({"alpha": [0, -2.5, 0]}, r"alpha .*-2\.5 at node 1"),
-        ({"alpha": [0, np.nan, 0]}, "alpha .*nan at node 1"),
-        ({"alpha": [0, np.inf, 0]}, "alpha .*inf at node 1"),
-        ({"alpha": [0, "high", 0]}, "alpha must be an array of numbers"),
-        ({"alpha": [1.5, 1, 0]}, r"alpha\[source\] must be 0 .*1\.5 at node 0"),
-        ({"alpha": [0, 1, 2.5]}, r"alpha\[target\] must be 0 .*2\.5 at node 2"),
-        ({"edges": [(0, 1, 2)]}, r"edges .*\(1, 3\)"),
-        ({"edges": [0, 1]}, r"edges .*\(2,\)"),
-        ({"edges": [(0.0, 1.0)]}, "edges must be integers .*float64"),
-        ({"edges": [(True, False)]}, "edges must be integers .*bool"),
-        ({"edges": [(0, 1), (1, 3)]}, r"edge 1 \(1, 3\) is outside 0\.\.2"),
-        ({"edges": [(0, 1), (-1, 2)]}, r"edge 1 \(-1, 2\) is outside 0\.\.2"),
-        ({"edges": [(0, 1), (1, 1), (1, 2)]}, r"edge 1 \(1, 1\) is a self-loop"),
-        ({"edges": [(0, 1), (1, 2), (0, 1)]}, r"edge 2 \(0, 1\) is a duplicate"),
-        ({"edges": [(0, 1), (1,)]}, "edges"),
-        ({"source": 3}, r"source must be in 0\.\.2, got 3"),
-        ({"target": -1}, r"target must be in 0\.\.2, got -1"),
-        ({"source": 0.0}, r"source must be a node index \(int\), got 0\.0"),
-        ({"source": True}, "source must be a node index"),
-        ({"target": None}, "target must be a node index .*None"),
-        ({"source": 2}, "source and target are the same node, 2"),
+        ({'points': [[0, 0]]}, r'points .*\(1, 2\)'),
+        ({'points': [[0, 0, 0]] * 3}, r'points .*\(3, 3\)'),
+        ({'points': [0, 1, 2]}, r'points .*\(3,\)'),
+        ({'points': [[0, 0], [np.nan, 1], [2, 2]]}, r'points .*nan.* node 1'),
+        ({'points': [[0, 0], [1, 1], [2, -np.inf]]}, r'points .*inf.* node 2'),
+        ({'points': [[0, 0], [1], [2, 2]]}, 'points must be an array of numbers'),
+        ({'points': 'here'}, 'points must be an array of numbers'),
+        ({'points': None}, 'points'),
+        ({'alpha': [0, 1]}, r'alpha .*\(3,\), got \(2,\)'),
+        ({'alpha': [[0, 1, 0]]}, r'alpha .*\(1, 3\)'),
+        ({'alpha': [0, -2.5, 0]}, r'alpha .*-2\.5 at node 1'),
+        ({'alpha': [0, np.nan, 0]}, 'alpha .*nan at node 1'),
+        ({'alpha': [0, np.inf, 0]}, 'alpha .*inf at node 1'),
+        ({'alpha': [0, 'high', 0]}, 'alpha must be an array of numbers'),
+        ({'alpha': [1.5, 1, 0]}, r'alpha\[source\] must be 0 .*1\.5 at node 0'),
+        ({'alpha': [0, 1, 2.5]}, r'alpha\[target\] must be 0 .*2\.5 at node 2'),
+        ({'edges': [(0, 1, 2)]}, r'edges .*\(1, 3\)'),
+        ({'edges': [0, 1]}, r'edges .*\(2,\)'),
+        ({'edges': [(0.0, 1.0)]}, 'edges must be integers .*float64'),
+        ({'edges': [(True, False)]}, 'edges must be integers .*bool'),
+        ({'edges': [(0, 1), (1, 3)]}, r'edge 1 \(1, 3\) is outside 0\.\.2'),
+        ({'edges': [(0, 1), (-1, 2)]}, r'edge 1 \(-1, 2\) is outside 0\.\.2'),
+        ({'edges': [(0, 1), (1, 1), (1, 2)]}, r'edge 1 \(1, 1\) is a self-loop'),
+        ({'edges': [(0, 1), (1, 2), (0, 1)]}, r'edge 2 \(0, 1\) is a duplicate'),
+        ({'edges': [(0, 1), (1,)]}, 'edges'),
+        ({'source': 3}, r'source must be in 0\.\.2, got 3'),
+        ({'target': -1}, r'target must be in 0\.\.2, got -1'),
+        ({'source': 0.0}, r'source must be a node index \(int\), got 0\.0'),
+        ({'source': True}, 'source must be a node index'),
+        ({'target': None}, 'target must be a node index .*None'),
+        ({'source': 2}, 'source and target are the same node, 2'),
     ],
 )
 def test_bad_input_is_named(change, words):

@@ -8,15 +8,15 @@ import pytest
 from commands import BENCHMARKS, run_benchmark
 from test_benchmarks import rows
 
-SCRIPTS = ("node_fuzz.py", "node_ground.py", "node_latency.py", "node_load.py", "node_soak.py")
+SCRIPTS = ('node_fuzz.py', 'node_ground.py', 'node_latency.py', 'node_load.py', 'node_soak.py')
 # Whole solves, each killed at the end of its time, are among what is sent.
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def elsewhere():
     """A process for all scripts: they kill what they talk to, and this one must live on."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+    with ProcessPoolExecutor(1, multiprocessing.get_context('spawn')) as process:
         yield process
 
 
@@ -46,18 +46,18 @@ def soak(monkeypatch):
     return node_soak
 
 
-@pytest.mark.parametrize("script", SCRIPTS)
+@pytest.mark.parametrize('script', SCRIPTS)
 def test_help(script):
-    done = run_benchmark(script, "--help")
-    assert done.code == 0 and "usage" in done.out
+    done = run_benchmark(script, '--help')
+    assert done.code == 0 and 'usage' in done.out
 
 
 def test_the_node_answers_after_each_of_100_bad_messages(tmp_path, run):
-    results = tmp_path / "results.md"
-    text = run("node_fuzz.py", "--messages", 100, "--seed", 3, "--first", 7, "--results", results)
-    assert text.startswith("100 messages of seed 3")
-    assert "0 unknown errors in the log" in text
-    assert float(rows(text)["100"][0]) > 0.0
+    results = tmp_path / 'results.md'
+    text = run('node_fuzz.py', '--messages', 100, '--seed', 3, '--first', 7, '--results', results)
+    assert text.startswith('100 messages of seed 3')
+    assert '0 unknown errors in the log' in text
+    assert float(rows(text)['100'][0]) > 0.0
     assert text.strip() in results.read_text()
 
 
@@ -70,34 +70,34 @@ def test_one_message_of_the_fuzzing_can_be_sent_again(attacks):
 
 def test_all_kinds_of_messages_are_sent(attacks):
     sent = [attacks.attack(1, number) for number in range(1000)]
-    names = {name for each in sent for name in each.what.split(" + ")}
-    assert names >= {"random bytes", "any numbers", "any request", "any parameters", "flip",
-                     "truncate", "extend", "absurd_length", "odd_number", "other_encoding"}
+    names = {name for each in sent for name in each.what.split(' + ')}
+    assert names >= {'random bytes', 'any numbers', 'any request', 'any parameters', 'flip',
+                     'truncate', 'extend', 'absurd_length', 'odd_number', 'other_encoding'}
     assert {each.target for each in sent} >= {
-        "/alpha_map", "/alpha_map_updates", "/start_pose", "/goal_pose", "/initialpose",
-        "get_plan", "new_route", "replan", "cancel", "set_parameters_atomically",
-        "set_parameters"}
+        '/alpha_map', '/alpha_map_updates', '/start_pose', '/goal_pose', '/initialpose',
+        'get_plan', 'new_route', 'replan', 'cancel', 'set_parameters_atomically',
+        'set_parameters'}
 
 
 def test_ten_calls_at_once_are_all_answered(tmp_path, run):
-    results = tmp_path / "results.md"
+    results = tmp_path / 'results.md'
     # As many as the smaller depth keeps: the benchmark waits for calls that are lost.
-    text = run("node_load.py", "--calls", 10, "--clients", 1, "--results", results)
-    assert "every call answered with a route; met" in text
+    text = run('node_load.py', '--calls', 10, '--clients', 1, '--results', results)
+    assert 'every call answered with a route; met' in text
     assert text.strip() in results.read_text()
 
 
 def test_departures_for_some_seconds_leave_nothing_behind(tmp_path, run):
-    results = tmp_path / "results.md"
-    text = run("node_soak.py", "--seconds", 1.5, "--period", 0.1, "--spacing", 5,
-               "--results", results)
+    results = tmp_path / 'results.md'
+    text = run('node_soak.py', '--seconds', 1.5, '--period', 0.1, '--spacing', 5,
+               '--results', results)
     cells = rows(text)
-    calls, failed = cells["calls, failed"][0].split(", ")
-    assert int(calls) >= 15 and failed == "0"
-    departures, recordings = re.findall(r"\d+", cells["departures, recordings"][0])[:2]
+    calls, failed = cells['calls, failed'][0].split(', ')
+    assert int(calls) >= 15 and failed == '0'
+    departures, recordings = re.findall(r'\d+', cells['departures, recordings'][0])[:2]
     assert departures == recordings
-    assert cells["left behind"] == ["nothing"]
-    assert "too short to tell" in text
+    assert cells['left behind'] == ['nothing']
+    assert 'too short to tell' in text
     assert text.strip() in results.read_text()
 
 
@@ -109,19 +109,19 @@ def test_growth_is_that_between_both_ends_of_a_run(soak):
 
 
 def test_departures_while_the_map_changes(tmp_path, run):
-    text = run("node_ground.py", "--seconds", 1.2, "--cells", 200,
-               "--nodes", 400, "--results", tmp_path / "results.md", codes=(0, 1))
-    assert "an obstacle of 3 x 3 cells jumps, once a second" in rows(text)
+    text = run('node_ground.py', '--seconds', 1.2, '--cells', 200,
+               '--nodes', 400, '--results', tmp_path / 'results.md', codes=(0, 1))
+    assert 'an obstacle of 3 x 3 cells jumps, once a second' in rows(text)
 
 
 def test_every_kind_of_latency_is_told(tmp_path, run):
-    results = tmp_path / "results.md"
-    text = run("node_latency.py", "--samples", 3, "--calls", 5, "--nodes", 400, "--maps", 2,
-               "--results", results, codes=(0, 1))
-    titles = re.findall("^### (.*)$", text, re.MULTILINE)
-    assert [title.split()[0] for title in titles] == ["Beside", "A", "A"]
+    results = tmp_path / 'results.md'
+    text = run('node_latency.py', '--samples', 3, '--calls', 5, '--nodes', 400, '--maps', 2,
+               '--results', results, codes=(0, 1))
+    titles = re.findall('^### (.*)$', text, re.MULTILINE)
+    assert [title.split()[0] for title in titles] == ['Beside', 'A', 'A']
     assert {
-        "service `get_parameters`", "bad map to its diagnostics", "`new_route`: answer arrived",
-        "`get_plan`: answer with the path arrived",
+        'service `get_parameters`', 'bad map to its diagnostics', '`new_route`: answer arrived',
+        '`get_plan`: answer with the path arrived',
     } <= set(rows(text))
     assert text.strip() in results.read_text()

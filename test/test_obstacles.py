@@ -107,7 +107,7 @@ def test_all_segments_at_once_are_as_one_by_one(monkeypatch):
     field = field_of({(1, 1), (3, 2), (4, 4)})
     a, b = rng.random((2, 300, 2)) * SIDE
     together = field.clear_segments(a + MARGIN, b + MARGIN, 0.2)
-    monkeypatch.setattr(obstacles, "CHUNK", 7)
+    monkeypatch.setattr(obstacles, 'CHUNK', 7)
     assert np.array_equal(field.clear_segments(a + MARGIN, b + MARGIN, 0.2), together)
     assert together.tolist() == [clear(field, *ends, 0.2) for ends in zip(a, b, strict=True)]
 
@@ -124,7 +124,7 @@ def test_touching_a_corner_or_a_side_counts():
     assert clear(field, (1.999, 0), (1.999, 5))
 
 
-@pytest.mark.parametrize("resolution", [0.05, 0.1, 1 / 3, 92.3])
+@pytest.mark.parametrize('resolution', [0.05, 0.1, 1 / 3, 92.3])
 def test_a_diagonal_between_cell_centres_meets_both_flanks_at_any_resolution(resolution):
     field = field_of({(7, 8)}, (20, 20), resolution)
     centre = (np.arange(20) + 0.5) * resolution
@@ -138,8 +138,8 @@ def test_a_diagonal_between_cell_centres_meets_both_flanks_at_any_resolution(res
     assert free((6, 7), (6, 9))
 
 
-@pytest.mark.parametrize("off, expected", [(0.0, False), (9e-7, False), (3e-6, True)])
-@pytest.mark.parametrize("turn", range(8))
+@pytest.mark.parametrize('off, expected', [(0.0, False), (9e-7, False), (3e-6, True)])
+@pytest.mark.parametrize('turn', range(8))
 def test_what_comes_within_a_millionth_of_a_cell_touches_it(off, expected, turn):
     """A face and a corner, from all sides."""
     field = field_of({(2, 2)})

@@ -9,7 +9,7 @@ from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyO
 from ambush_planner.core.options import check_at_least, check_flag, check_whole
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
-WRONG = (None, "2", [1.0], True, 1j, np.nan, -1)
+WRONG = (None, '2', [1.0], True, 1j, np.nan, -1)
 
 
 def numbers(record) -> list[str]:
@@ -18,8 +18,8 @@ def numbers(record) -> list[str]:
     return [name for name, value in defaults.items() if type(value) in (int, float)]
 
 
-@pytest.mark.parametrize("record", RECORDS)
-@pytest.mark.parametrize("value", WRONG, ids=repr)
+@pytest.mark.parametrize('record', RECORDS)
+@pytest.mark.parametrize('value', WRONG, ids=repr)
 def test_every_number_of_every_record_is_checked(record, value):
     for name in numbers(record):
         with pytest.raises(InvalidOption, match=name) as caught:
@@ -27,7 +27,7 @@ def test_every_number_of_every_record_is_checked(record, value):
         assert str(value) in str(caught.value)
 
 
-@pytest.mark.parametrize("record", RECORDS)
+@pytest.mark.parametrize('record', RECORDS)
 def test_numpys_numbers_are_numbers(record):
     for name in numbers(record):
         default = getattr(record(), name)
@@ -36,20 +36,20 @@ def test_numpys_numbers_are_numbers(record):
 
 
 def test_at_least():
-    check_at_least("size", 0.0, 0.0)
-    check_at_least("size", np.inf, 0.0, finite=False)
-    with pytest.raises(InvalidOption, match=r"size must be finite and >= 0 \[m\], got inf"):
-        check_at_least("size", np.inf, 0.0, "m")
-    with pytest.raises(InvalidOption, match=r"size must be >= 1, got 0\.5"):
-        check_at_least("size", 0.5, 1.0, finite=False)
-    with pytest.raises(InvalidOption, match="size is too large"):
-        check_at_least("size", 10**400, 0.0)
+    check_at_least('size', 0.0, 0.0)
+    check_at_least('size', np.inf, 0.0, finite=False)
+    with pytest.raises(InvalidOption, match=r'size must be finite and >= 0 \[m\], got inf'):
+        check_at_least('size', np.inf, 0.0, 'm')
+    with pytest.raises(InvalidOption, match=r'size must be >= 1, got 0\.5'):
+        check_at_least('size', 0.5, 1.0, finite=False)
+    with pytest.raises(InvalidOption, match='size is too large'):
+        check_at_least('size', 10**400, 0.0)
 
 
 def test_whole_and_flag():
-    check_whole("count", np.uint8(3), 3)
-    check_flag("on", np.bool_(False))
-    with pytest.raises(InvalidOption, match=r"count must be a whole number >= 3, got 3\.0"):
-        check_whole("count", 3.0, 3)
-    with pytest.raises(InvalidOption, match="on must be true or false, got 1"):
-        check_flag("on", 1)
+    check_whole('count', np.uint8(3), 3)
+    check_flag('on', np.bool_(False))
+    with pytest.raises(InvalidOption, match=r'count must be a whole number >= 3, got 3\.0'):
+        check_whole('count', 3.0, 3)
+    with pytest.raises(InvalidOption, match='on must be true or false, got 1'):
+        check_flag('on', 1)

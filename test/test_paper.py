@@ -19,42 +19,42 @@ from ambush_planner.paper.report import NAMES, Comparison
 from ambush_planner.paper.results import PAPER_ENTROPY, SOLVERS, distinct_routes
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENT = ROOT / "docs" / "paper.md"
+DOCUMENT = ROOT / 'docs' / 'paper.md'
 FIGURES = {
-    "figure_2_interior_point",
-    "figure_3_interior_point",
-    "figure_4_simplex",
-    "figure_5_simplex",
-    "figure_6_energy",
-    "figure_7_threshold",
-    "figure_ours",
-    "figure_ours_secured",
-    "figure_solvers",
+    'figure_2_interior_point',
+    'figure_3_interior_point',
+    'figure_4_simplex',
+    'figure_5_simplex',
+    'figure_6_energy',
+    'figure_7_threshold',
+    'figure_ours',
+    'figure_ours_secured',
+    'figure_solvers',
 }
-NUMBER = re.compile(r"\d+(?:\.\d+)?")
+NUMBER = re.compile(r'\d+(?:\.\d+)?')
 # Where HiGHS' interior point method stops depends on its version.
 THEIRS, OURS = 0.05, 0.01
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def done(tmp_path_factory):
     """The folder of a full run."""
-    pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
-    folder = tmp_path_factory.mktemp("paper") / "new folder"
-    process = run("-o", str(folder))
+    pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
+    folder = tmp_path_factory.mktemp('paper') / 'new folder'
+    process = run('-o', str(folder))
     assert process.returncode == 0, process.stdout + process.stderr
-    assert "NOT ok" not in process.stdout
-    assert (folder / "tables.md").read_text() in process.stdout
+    assert 'NOT ok' not in process.stdout
+    assert (folder / 'tables.md').read_text() in process.stdout
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope='module')
 def results(done):
-    return json.loads((done / "results.json").read_text())
+    return json.loads((done / 'results.json').read_text())
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", "ambush_planner.tools.cli", "paper", *arguments]
+    command = [sys.executable, '-m', 'ambush_planner.tools.cli', 'paper', *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=115, check=False)
 
 
@@ -72,7 +72,7 @@ def test_the_environment_is_as_stated():
 
 def test_the_four_networks():
     networks = environment.make_networks(environment.make_risk_map())
-    assert list(networks) == ["8 nodes", "Method 1", "Method 2", "Method 3"]
+    assert list(networks) == ['8 nodes', 'Method 1', 'Method 2', 'Method 3']
     for name in environment.METHODS:
         network = networks[name]
         assert 900 < len(network.points) < 31 * 31
@@ -88,115 +88,115 @@ def test_the_example_is_the_papers():
 
 
 def test_the_papers_own_numbers_are_in_its_order():
-    for network in ("8 nodes", *environment.METHODS):
+    for network in ('8 nodes', *environment.METHODS):
         centre, vertex = (PAPER_ENTROPY[network, solver] for solver in SOLVERS[:2])
         assert centre > vertex
 
 
 def test_the_tables_go_between_the_marks():
-    text = f"a\n{paper.BEGIN}\nold\n{paper.END}\nb"
-    renewed = paper.with_tables(text, "new")
-    assert renewed == f"a\n{paper.BEGIN}\n\nnew\n{paper.END}\nb"
-    assert paper.with_tables(renewed, "new") == renewed
+    text = f'a\n{paper.BEGIN}\nold\n{paper.END}\nb'
+    renewed = paper.with_tables(text, 'new')
+    assert renewed == f'a\n{paper.BEGIN}\n\nnew\n{paper.END}\nb'
+    assert paper.with_tables(renewed, 'new') == renewed
 
 
-@pytest.mark.parametrize("text", ["", paper.BEGIN, paper.END, f"{paper.END} {paper.BEGIN}"])
+@pytest.mark.parametrize('text', ['', paper.BEGIN, paper.END, f'{paper.END} {paper.BEGIN}'])
 def test_a_document_without_both_marks_is_refused(text):
-    with pytest.raises(InvalidOption, match="ambush_paper: begin"):
-        paper.with_tables(text, "new")
+    with pytest.raises(InvalidOption, match='ambush_paper: begin'):
+        paper.with_tables(text, 'new')
 
 
 def test_help_needs_no_matplotlib():
-    for argument, code, words in (("--help", 0, "--output"), ("-oout", 3, "try: pip install")):
+    for argument, code, words in (('--help', 0, '--output'), ('-oout', 3, 'try: pip install')):
         program = (
             "import sys; sys.modules['matplotlib'] = None\n"
             f"from ambush_planner.tools.cli import main; sys.exit(main(['paper', '{argument}']))"
         )
         process = subprocess.run(
-            [sys.executable, "-c", program],
+            [sys.executable, '-c', program],
             capture_output=True, text=True, timeout=60, check=False,
         )
         assert process.returncode == code
         assert words in process.stdout + process.stderr
-        assert "Traceback" not in process.stderr
+        assert 'Traceback' not in process.stderr
 
 
 def test_an_output_that_is_a_file_is_refused(tmp_path, capsys):
-    pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
-    (tmp_path / "file").write_text("")
-    assert paper.main(["-o", str(tmp_path / "file")]) == 3
-    assert capsys.readouterr().err.startswith("ambush_paper: ")
+    pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
+    (tmp_path / 'file').write_text('')
+    assert paper.main(['-o', str(tmp_path / 'file')]) == 3
+    assert capsys.readouterr().err.startswith('ambush_paper: ')
 
 
 def test_a_document_that_cannot_be_renewed_is_told_before_anything_is_computed(tmp_path, capsys):
-    pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
-    assert paper.main(["-o", str(tmp_path), "--docs", str(tmp_path / "missing.md")]) == 3
-    assert "missing.md" in capsys.readouterr().err
+    pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
+    assert paper.main(['-o', str(tmp_path), '--docs', str(tmp_path / 'missing.md')]) == 3
+    assert 'missing.md' in capsys.readouterr().err
 
 
 def test_a_comparison_that_fails_fails_the_run(tmp_path, monkeypatch, capsys):
-    pytest.importorskip("matplotlib", reason="ambush_paper draws pictures")
+    pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
     from ambush_planner.paper import figures as paper_figures
 
-    wrong = Comparison("one is more than two", "-", "1 > 2", holds=False)
-    monkeypatch.setattr(paper, "_compute", lambda *_: (None, [replace(wrong, holds=True), wrong]))
-    monkeypatch.setattr(paper_figures, "draw_all", lambda *_: None)
-    monkeypatch.setattr(paper, "report", lambda _: "")
-    assert paper.main(["-o", str(tmp_path)]) == 1
-    assert capsys.readouterr().err == "ambush_paper: does not hold: one is more than two\n"
+    wrong = Comparison('one is more than two', '-', '1 > 2', holds=False)
+    monkeypatch.setattr(paper, '_compute', lambda *_: (None, [replace(wrong, holds=True), wrong]))
+    monkeypatch.setattr(paper_figures, 'draw_all', lambda *_: None)
+    monkeypatch.setattr(paper, 'report', lambda _: '')
+    assert paper.main(['-o', str(tmp_path)]) == 1
+    assert capsys.readouterr().err == 'ambush_paper: does not hold: one is more than two\n'
 
 
 @pytest.mark.slow
 def test_every_strategy_obeys_the_laws(results):
-    for row in results["table_2"] + results["table_3_spread"]:
-        assert 0.0 < row["lower_bound"] <= row["value"] <= row["lower_bound"] * (1 + 1e-5)
-        assert 0.0 < row["route_entropy"] <= row["edge_entropy"]
-        assert row["expected_length"] >= row["shortest_length"] * (1 - 1e-9)
-        assert 0 < row["edges_used"] <= row["edges"]
-        assert 1 < row["routes"] <= results["draws"]
-        assert 0.0 <= row["high_alpha_share"] <= 1.0
+    for row in results['table_2'] + results['table_3_spread']:
+        assert 0.0 < row['lower_bound'] <= row['value'] <= row['lower_bound'] * (1 + 1e-5)
+        assert 0.0 < row['route_entropy'] <= row['edge_entropy']
+        assert row['expected_length'] >= row['shortest_length'] * (1 - 1e-9)
+        assert 0 < row['edges_used'] <= row['edges']
+        assert 1 < row['routes'] <= results['draws']
+        assert 0.0 <= row['high_alpha_share'] <= 1.0
 
 
 @pytest.mark.slow
 def test_all_solvers_find_one_value(results):
-    for network in ("8 nodes", *environment.METHODS):
-        rows = [row for row in results["table_2"] if row["network"] == network]
-        assert [row["solver"] for row in rows] == list(SOLVERS)
-        centre, vertex, ours = [row["value"] for row in rows]
+    for network in ('8 nodes', *environment.METHODS):
+        rows = [row for row in results['table_2'] if row['network'] == network]
+        assert [row['solver'] for row in rows] == list(SOLVERS)
+        centre, vertex, ours = [row['value'] for row in rows]
         assert centre == pytest.approx(vertex, rel=2e-6)
         assert ours == pytest.approx(vertex, rel=1e-5)
-    example = results["table_2"][0]
-    assert example["value"] == pytest.approx(1 / 3, rel=1e-6)
+    example = results['table_2'][0]
+    assert example['value'] == pytest.approx(1 / 3, rel=1e-6)
 
 
 @pytest.mark.slow
 def test_planners_obey_the_laws(results):
-    rows = {row["planner"]: row for row in results["table_3"]}
+    rows = {row['planner']: row for row in results['table_3']}
     for name, row in rows.items():
-        fixed = name in ("energy efficient", "risk avoidance")
-        assert 0.0 <= row["p_first"] <= row["p_repeated"] <= 1.0
-        assert (row["p_repeated"] == 1.0) == fixed
-    shortest = rows["energy efficient"]["expected_length"]
+        fixed = name in ('energy efficient', 'risk avoidance')
+        assert 0.0 <= row['p_first'] <= row['p_repeated'] <= 1.0
+        assert (row['p_repeated'] == 1.0) == fixed
+    shortest = rows['energy efficient']['expected_length']
     for name, row in rows.items():
-        assert row["expected_length"] >= shortest * (1 - 1e-9)
-        if "max_detour" in name:
-            assert row["expected_length"] <= float(name.split()[-1]) * shortest * (1 + 1e-6)
+        assert row['expected_length'] >= shortest * (1 - 1e-9)
+        if 'max_detour' in name:
+            assert row['expected_length'] <= float(name.split()[-1]) * shortest * (1 + 1e-6)
 
 
 @pytest.mark.slow
 def test_every_comparison_holds(results):
-    assert len(results["comparisons"]) >= 15
-    assert all(row["holds"] for row in results["comparisons"])
-    assert sum(row["exact"] for row in results["comparisons"]) == 5
+    assert len(results['comparisons']) >= 15
+    assert all(row['holds'] for row in results['comparisons'])
+    assert sum(row['exact'] for row in results['comparisons']) == 5
 
 
 @pytest.mark.slow
 def test_every_figure_is_there_and_not_blank(done):
     from matplotlib.image import imread
 
-    assert {path.stem for path in done.glob("*.png")} == FIGURES
+    assert {path.stem for path in done.glob('*.png')} == FIGURES
     for name in FIGURES:
-        picture = imread(done / f"{name}.png")
+        picture = imread(done / f'{name}.png')
         assert picture.shape[0] > 400 and picture.shape[1] >= 800
         assert picture.std() > 0.05
 
@@ -205,7 +205,7 @@ def test_every_figure_is_there_and_not_blank(done):
 def test_the_document_shows_what_a_fresh_run_prints(done):
     document = DOCUMENT.read_text()
     shown = document.split(paper.BEGIN)[1].split(paper.END)[0].strip().splitlines()
-    fresh = (done / "tables.md").read_text().strip().splitlines()
+    fresh = (done / 'tables.md').read_text().strip().splitlines()
     assert len(shown) == len(fresh)
     for theirs, ours in zip(shown, fresh, strict=True):
         check_line(theirs, ours)
@@ -214,20 +214,20 @@ def test_the_document_shows_what_a_fresh_run_prints(done):
 def check_line(shown: str, fresh: str) -> None:
     """The same words, and numbers within the tolerance that docs/paper.md states."""
     a, b = cells(shown), cells(fresh)
-    assert [NUMBER.sub("#", cell) for cell in a] == [NUMBER.sub("#", cell) for cell in b]
-    ours = b[0].startswith("ours, max_detour") or NAMES["max_entropy"] in b
+    assert [NUMBER.sub('#', cell) for cell in a] == [NUMBER.sub('#', cell) for cell in b]
+    ours = b[0].startswith('ours, max_detour') or NAMES['max_entropy'] in b
     for x, y in zip(NUMBER.findall(shown), NUMBER.findall(fresh), strict=True):
-        last_place = 10.0 ** -len(y.partition(".")[2])
+        last_place = 10.0 ** -len(y.partition('.')[2])
         tolerance = max((OURS if ours else THEIRS) * abs(float(y)), 1.01 * last_place)
         assert abs(float(x) - float(y)) <= tolerance, (shown, fresh)
 
 
 def cells(line: str) -> list[str]:
     """The cells of a table's row without their padding; rules differ in length only."""
-    return [re.sub("-+", "-", cell.strip()) for cell in line.strip("|").split("|")]
+    return [re.sub('-+', '-', cell.strip()) for cell in line.strip('|').split('|')]
 
 
 def test_the_documents_pictures_are_small():
-    for name in re.findall(r"\(images/(\S+)\)", DOCUMENT.read_text()):
-        picture = ROOT / "docs" / "images" / name
+    for name in re.findall(r'\(images/(\S+)\)', DOCUMENT.read_text()):
+        picture = ROOT / 'docs' / 'images' / name
         assert 0 < picture.stat().st_size < 200_000

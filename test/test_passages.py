@@ -12,7 +12,7 @@ from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.paths import reachable_from
 
 CELLS, SPACING = 24, 6.0
-DELAUNAY = ("uniform_delaunay", "lattice_delaunay", "random_delaunay")
+DELAUNAY = ('uniform_delaunay', 'lattice_delaunay', 'random_delaunay')
 
 
 def walled(row: int, column: int, thickness: int, door: int = 1) -> RiskMap:
@@ -23,7 +23,7 @@ def walled(row: int, column: int, thickness: int, door: int = 1) -> RiskMap:
     return RiskMap(np.ones((CELLS, CELLS)), obstacles, 1.0)
 
 
-def crossing(risk_map, method="uniform_delaunay", **options):
+def crossing(risk_map, method='uniform_delaunay', **options):
     """A network from left to right, and that it leads through on free ground."""
     ends = (1.3, 12.2), (22.4, 11.7)
     network = build_network(risk_map, *ends, NetworkOptions(method, SPACING, **options))
@@ -31,18 +31,18 @@ def crossing(risk_map, method="uniform_delaunay", **options):
     assert reached[network.target]
     a, b = network.points[network.tails], network.points[network.heads]
     field = ObstacleField(risk_map, clear_of_edge=False)
-    assert field.clear_segments(a, b, max(options.get("clearance", 0.0) - 1e-9, 0.0)).all()
+    assert field.clear_segments(a, b, max(options.get('clearance', 0.0) - 1e-9, 0.0)).all()
     return network
 
 
-@pytest.mark.parametrize("method", DELAUNAY)
-@pytest.mark.parametrize("thickness", [1, 5])
+@pytest.mark.parametrize('method', DELAUNAY)
+@pytest.mark.parametrize('thickness', [1, 5])
 def test_a_door_of_one_cell_is_found_wherever_it_lies(method, thickness):
     for row, column in itertools.product(range(6, 13), range(7, 14)):
         crossing(walled(row, column, thickness), method)
 
 
-@pytest.mark.parametrize("clearance", [1.4, 1.49])
+@pytest.mark.parametrize('clearance', [1.4, 1.49])
 def test_a_corridor_little_wider_than_the_clearance_is_found(clearance):
     for row, column in itertools.product(range(6, 13), range(7, 14, 2)):
         crossing(walled(row, column, 5, 3), clearance=clearance, clear_of_edge=False)
@@ -62,21 +62,21 @@ def test_nothing_is_added_where_the_lattice_leads_through():
 
 def test_a_grid_says_which_spacing_finds_the_door():
     risk_map = walled(7, 9, 1)
-    with pytest.raises(NoRoute, match=r"at a spacing of 6 m; the map has a way, .* of 0\.5 m"):
-        build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions("uniform_grid8", 6.0))
-    build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions("uniform_grid8", 0.5))
+    with pytest.raises(NoRoute, match=r'at a spacing of 6 m; the map has a way, .* of 0\.5 m'):
+        build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 6.0))
+    build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 0.5))
 
 
-@pytest.mark.parametrize("method", [*DELAUNAY, "uniform_grid8"])
+@pytest.mark.parametrize('method', [*DELAUNAY, 'uniform_grid8'])
 def test_a_map_cut_in_two_is_told(method):
-    with pytest.raises(NoRoute, match=r"cut the map in two between them; .* 6 m nor any other"):
+    with pytest.raises(NoRoute, match=r'cut the map in two between them; .* 6 m nor any other'):
         crossing(walled(0, 9, 2, 0), method)
-    with pytest.raises(NoRoute, match=r"cut the map in two between them at a clearance of 1\.5 m"):
+    with pytest.raises(NoRoute, match=r'cut the map in two between them at a clearance of 1\.5 m'):
         crossing(walled(7, 9, 2, 3), method, clearance=1.5, clear_of_edge=False)
 
 
 def test_free_cells_that_meet_at_a_corner_are_no_way():
     obstacles = np.zeros((CELLS, CELLS), bool)
     obstacles[:12, 11] = obstacles[12:, 12] = True
-    with pytest.raises(NoRoute, match="cut the map in two"):
+    with pytest.raises(NoRoute, match='cut the map in two'):
         crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))

@@ -76,7 +76,7 @@ def value_by_routes(network: Network, near: np.ndarray, routes) -> float:
     rows = np.hstack((losses, -np.ones((len(losses), 1))))
     found = linprog(
         np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
-        np.r_[np.ones(len(routes)), 0.0][None], [1.0], method="highs-ds",
+        np.r_[np.ones(len(routes)), 0.0][None], [1.0], method='highs-ds',
     )
     return float(found.fun)
 
@@ -97,17 +97,17 @@ def value_by_chain(network: Network, near: np.ndarray) -> float:
     for edge, faces in side_of.items():
         if len(faces) == 1:  # on the hull
             inner = edge - {network.source, network.target}
-            faces.append("left" if inner and inner <= left else "right")
+            faces.append('left' if inner and inner <= left else 'right')
     graph = networkx.DiGraph()
-    graph.add_nodes_from(("left", "right"))
+    graph.add_nodes_from(('left', 'right'))
     for site in np.flatnonzero(near.any(axis=1)):
-        graph.add_edge(("in", site), ("out", site), weight=1.0 / network.alpha[site])
+        graph.add_edge(('in', site), ('out', site), weight=1.0 / network.alpha[site])
         for k in np.flatnonzero(near[site]):
             for face in side_of[frozenset(network.edges[k].tolist())]:
-                graph.add_edge(face, ("in", site), weight=0.0)
-                graph.add_edge(("out", site), face, weight=0.0)
+                graph.add_edge(face, ('in', site), weight=0.0)
+                graph.add_edge(('out', site), face, weight=0.0)
     try:
-        return 1.0 / networkx.dijkstra_path_length(graph, "left", "right")
+        return 1.0 / networkx.dijkstra_path_length(graph, 'left', 'right')
     except networkx.NetworkXNoPath:
         return 0.0
 
@@ -183,7 +183,7 @@ def test_the_loss_is_at_least_the_value_over_the_most_entries(seed, reach, detou
 def hilly_network(nodes_across: int) -> Network:
     """A 100 m square with a smooth risk and a block in the middle, mid-left to mid-right."""
     cells = 100
-    v, u = np.meshgrid(*2 * [(np.arange(cells) + 0.5) / cells], indexing="ij")
+    v, u = np.meshgrid(*2 * [(np.arange(cells) + 0.5) / cells], indexing='ij')
     alpha = 1 + 4 * np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
     block = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
     return build_network(
@@ -194,7 +194,7 @@ def hilly_network(nodes_across: int) -> Network:
     )
 
 
-@pytest.mark.parametrize("radius", [0.0, 10.0])
+@pytest.mark.parametrize('radius', [0.0, 10.0])
 def test_no_site_is_hit_more_often_than_the_value_allows(radius):
     strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
     network, rng = strategy.network, np.random.default_rng(7)

@@ -108,7 +108,7 @@ def aside(points, line):
     return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1).max()
 
 
-@pytest.mark.parametrize("tube", [None, 0.4])
+@pytest.mark.parametrize('tube', [None, 0.4])
 def test_on_open_ground_the_way_from_beside_the_start_has_no_kink(tube):
     """Wherever within half a spacing of the start: no turn of 45 degrees within 0.1 spacings."""
     risk_map = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)

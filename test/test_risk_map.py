@@ -61,7 +61,7 @@ def test_layers_are_private_and_read_only():
     alpha[0, 0] = 7.0
     assert risk_map.alpha[0, 0] == 1.0
     for layer in (risk_map.alpha, risk_map.obstacles):
-        with pytest.raises(ValueError, match="read-only"):
+        with pytest.raises(ValueError, match='read-only'):
             layer[0, 0] = 1
 
 
@@ -72,28 +72,28 @@ def one_bad(value) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "change, words",
+    'change, words',
     [
-        ({"alpha": one_bad(np.nan)}, r"alpha .*got nan at row 1, column 2 \(1 such"),
-        ({"alpha": one_bad(np.inf)}, r"alpha .*got inf at row 1, column 2"),
-        ({"alpha": one_bad(-0.5)}, r"alpha .*got -0\.5 at row 1, column 2"),
-        ({"alpha": np.ones(3)}, r"alpha .*\(3,\)"),
-        ({"alpha": np.ones((0, 3))}, r"alpha .*\(0, 3\)"),
-        ({"alpha": "abc"}, "not numeric"),
-        ({"obstacles": np.zeros((3, 2), bool)}, r"obstacles .*\(2, 3\), got \(3, 2\)"),
-        ({"resolution": 0.0}, r"resolution .*0\.0"),
-        ({"resolution": -1.0}, r"resolution .*-1\.0"),
-        ({"resolution": np.nan}, "resolution .*nan"),
-        ({"resolution": np.inf}, "resolution .*inf"),
-        ({"resolution": None}, "not numeric"),
-        ({"resolution": 10**400}, "not numeric"),
-        ({"origin": (0.0, 0.0)}, "origin .*three"),
-        ({"origin": (0.0, np.nan, 0.0)}, "origin .*nan"),
-        ({"origin": (0.0, 0.0, "north")}, "not numeric"),
+        ({'alpha': one_bad(np.nan)}, r'alpha .*got nan at row 1, column 2 \(1 such'),
+        ({'alpha': one_bad(np.inf)}, r'alpha .*got inf at row 1, column 2'),
+        ({'alpha': one_bad(-0.5)}, r'alpha .*got -0\.5 at row 1, column 2'),
+        ({'alpha': np.ones(3)}, r'alpha .*\(3,\)'),
+        ({'alpha': np.ones((0, 3))}, r'alpha .*\(0, 3\)'),
+        ({'alpha': 'abc'}, 'not numeric'),
+        ({'obstacles': np.zeros((3, 2), bool)}, r'obstacles .*\(2, 3\), got \(3, 2\)'),
+        ({'resolution': 0.0}, r'resolution .*0\.0'),
+        ({'resolution': -1.0}, r'resolution .*-1\.0'),
+        ({'resolution': np.nan}, 'resolution .*nan'),
+        ({'resolution': np.inf}, 'resolution .*inf'),
+        ({'resolution': None}, 'not numeric'),
+        ({'resolution': 10**400}, 'not numeric'),
+        ({'origin': (0.0, 0.0)}, 'origin .*three'),
+        ({'origin': (0.0, np.nan, 0.0)}, 'origin .*nan'),
+        ({'origin': (0.0, 0.0, 'north')}, 'not numeric'),
     ],
 )
 def test_malformed_maps_are_named(change, words):
-    good = {"alpha": np.ones((2, 3)), "obstacles": np.zeros((2, 3), bool), "resolution": 1.0}
+    good = {'alpha': np.ones((2, 3)), 'obstacles': np.zeros((2, 3), bool), 'resolution': 1.0}
     with pytest.raises(InvalidRiskMap, match=words):
         RiskMap(**{**good, **change})
 
@@ -116,7 +116,7 @@ def test_threshold_101_leaves_no_obstacle():
     assert not risk_map_from_occupancy([[100, -1]], 1.0, options=options).obstacles.any()
 
 
-@pytest.mark.parametrize("dtype", [np.int8, np.int64, np.float64])
+@pytest.mark.parametrize('dtype', [np.int8, np.int64, np.float64])
 def test_every_value_in_range_is_read(dtype):
     values = np.arange(-1, 101, dtype=dtype)[None]
     risk_map = risk_map_from_occupancy(values, 1.0)
@@ -124,28 +124,28 @@ def test_every_value_in_range_is_read(dtype):
     assert np.flatnonzero(risk_map.obstacles[0]).tolist() == [0, 101]
 
 
-@pytest.mark.parametrize("value", [-2, -128, 101, 127, np.nan, np.inf])
+@pytest.mark.parametrize('value', [-2, -128, 101, 127, np.nan, np.inf])
 def test_values_out_of_range_are_named(value):
-    with pytest.raises(InvalidRiskMap, match=rf"{value}.* \(0, 1\)"):
+    with pytest.raises(InvalidRiskMap, match=rf'{value}.* \(0, 1\)'):
         risk_map_from_occupancy([[0, value]], 1.0)
 
 
-@pytest.mark.parametrize("values", [[], [1, 2], [[[1]]]])
+@pytest.mark.parametrize('values', [[], [1, 2], [[[1]]]])
 def test_grids_of_other_shapes_are_refused(values):
-    with pytest.raises(InvalidRiskMap, match="shape"):
+    with pytest.raises(InvalidRiskMap, match='shape'):
         risk_map_from_occupancy(values, 1.0)
 
 
 @pytest.mark.parametrize(
-    "options",
+    'options',
     [
-        {"alpha_min": -1.0},
-        {"alpha_min": np.nan},
-        {"alpha_max": np.inf},
-        {"alpha_max": 0.5},
-        {"obstacle_threshold": 0},
-        {"obstacle_threshold": 102},
-        {"unknown_alpha": np.nan},
+        {'alpha_min': -1.0},
+        {'alpha_min': np.nan},
+        {'alpha_max': np.inf},
+        {'alpha_max': 0.5},
+        {'obstacle_threshold': 0},
+        {'obstacle_threshold': 102},
+        {'unknown_alpha': np.nan},
     ],
 )
 def test_options_out_of_range_are_named(options):

@@ -55,7 +55,7 @@ def test_strips_and_quarters_are_clear(drive, seed):
         assert max(corridors.left.max(), corridors.right.max(), corridors.beyond.max()) <= tube
 
 
-@pytest.mark.parametrize("clearance", [0.0, 0.3])
+@pytest.mark.parametrize('clearance', [0.0, 0.3])
 def test_the_outer_side_of_a_turn_round_a_corner_is_free(clearance):
     """Nodes beside the corner of a block: nothing on the block's side, and room on the other."""
     obstacles = np.zeros((20, 20), bool)

@@ -14,7 +14,7 @@ from ambush_planner.core.routes import RouteSampler, route_edges
 
 # Chance that a correct sampler fails one of these suites: one in a million per test, seeds fixed.
 FALSE_ALARM = 1e-6
-SOLVERS = ("max_entropy", "interior_point", "simplex")
+SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 
 
 def check_route(network, route) -> None:
@@ -25,9 +25,9 @@ def check_route(network, route) -> None:
     assert np.isin(route[:-1] * count + route[1:], steps).all()
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_routes_are_simple_and_lead_from_source_to_target(solver):
-    network = terrain_network(5, "uniform_delaunay", 14)
+    network = terrain_network(5, 'uniform_delaunay', 14)
     strategy = solve(network, options=StrategyOptions(solver, np.inf))
     rng = np.random.default_rng(1)
     for _ in range(300):
@@ -44,7 +44,7 @@ def test_routes_of_any_network_are_simple_and_use_its_edges(network, solver, see
 
 
 @pytest.mark.parametrize(
-    "network", [paper_example(), terrain_network(3, cells=9)], ids=["paper", "terrain"]
+    'network', [paper_example(), terrain_network(3, cells=9)], ids=['paper', 'terrain']
 )
 def test_drawn_frequencies_are_the_published_probabilities(network):
     """Every edge's count is binomial: normal approximation, Bonferroni over the edges."""
@@ -97,7 +97,7 @@ def many_counts(network, strategy, draws: int, seed: int) -> np.ndarray:
     return np.bincount(order[np.searchsorted(keys, steps, sorter=order)], minlength=len(keys))
 
 
-@pytest.mark.parametrize("cells", [9, 16])
+@pytest.mark.parametrize('cells', [9, 16])
 def test_many_routes_at_once_have_the_published_probabilities(cells):
     network, draws = terrain_network(3, cells=cells), 20_000
     strategy = solve(network)
@@ -108,12 +108,12 @@ def test_many_routes_at_once_have_the_published_probabilities(cells):
     assert (counts[p == 0.0] == 0).all()
 
 
-@pytest.mark.parametrize("solver", ["max_entropy", "interior_point"])
+@pytest.mark.parametrize('solver', ['max_entropy', 'interior_point'])
 def test_many_at_once_follow_the_law_of_one_by_one(solver):
     """Also where the strategy circles: two samples of each edge's use, compared."""
-    network, draws = terrain_network(5, "uniform_delaunay", 14), 4_000
+    network, draws = terrain_network(5, 'uniform_delaunay', 14), 4_000
     strategy = solve(network, options=StrategyOptions(solver, np.inf))
-    assert is_acyclic(network, strategy.edge_probability) == (solver == "max_entropy")
+    assert is_acyclic(network, strategy.edge_probability) == (solver == 'max_entropy')
     single, rng = np.zeros(len(network.edges)), np.random.default_rng(3)
     for _ in range(draws):
         single[route_edges(network, strategy.sample_route(rng))] += 1

@@ -42,12 +42,12 @@ from ambush_planner.core.cut import indifferent_ambusher
 from ambush_planner.core.max_entropy import Outcome
 from ambush_planner.core.routes import always, shortest_route
 
-SOLVERS = ("max_entropy", "interior_point", "simplex")
+SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
 SLACK = StrategyOptions().risk_slack
 
 
-def check_laws(strategy, max_detour: float, solver: str = "max_entropy") -> None:
+def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None:
     """What holds for every strategy in a game with ambush radius 0 and nothing secured."""
     network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
     check_flow(network, p, solver)
@@ -70,7 +70,7 @@ def check_flow(network, p, solver: str) -> None:
     assert p.min() >= 0.0
     assert unbalanced(network, p) < 1e-8
     assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-7)
-    if solver == "max_entropy":
+    if solver == 'max_entropy':
         assert is_acyclic(network, p)
         assert p.max() <= 1.0 + 1e-12
 
@@ -151,7 +151,7 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
     for solver in SOLVERS:
         strategy = solve(network, options=StrategyOptions(solver, max_detour))
         check_laws(strategy, max_detour, solver)
-        check_value(strategy, max_detour, SLACK if solver == "max_entropy" else 0.0)
+        check_value(strategy, max_detour, SLACK if solver == 'max_entropy' else 0.0)
 
 
 @examples(25)
@@ -184,8 +184,8 @@ def test_equal_inputs_give_equal_strategies():
 
 def test_published_arrays_are_read_only():
     strategy = solve(paper_example())
-    for name in ("edge_probability", "visit_probability", "ambush_probability"):
-        with pytest.raises(ValueError, match="read-only"):
+    for name in ('edge_probability', 'visit_probability', 'ambush_probability'):
+        with pytest.raises(ValueError, match='read-only'):
             getattr(strategy, name)[0] = 0.5
 
 
@@ -213,16 +213,16 @@ def test_a_budget_that_binds_by_hand():
         assert values == pytest.approx([4.0, 3.0, 2.0, 2.0], rel=1e-5)
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_no_time_at_all_is_a_time_limit(solver):
     network = terrain_network(1, cells=40)
     tight = StrategyOptions(solver, max_detour=1.05, time_limit=1e-6)
-    with pytest.raises(TimeLimit, match=r"time is up|allow more time"):
+    with pytest.raises(TimeLimit, match=r'time is up|allow more time'):
         solve(network, options=tight)
 
 
-@pytest.mark.parametrize("limit", [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
-@pytest.mark.parametrize("detour, reach", [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
+@pytest.mark.parametrize('limit', [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
+@pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
 def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detour, reach):
     """Never another error; value and bound are the strategy's own; none is published over."""
     network, game = terrain_network(1, cells=24), GameOptions(ambush_radius=reach)
@@ -236,7 +236,7 @@ def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detou
             return
         assert strategy.value > strategy.lower_bound * (1 + SLACK + 1e-5)
     p, q = strategy.edge_probability, strategy.ambush_probability
-    check_flow(network, p, "max_entropy")
+    check_flow(network, p, 'max_entropy')
     hits = geometric_hits(network, reach) if reach else None
     losses = network.alpha * (hits @ p if reach else np.bincount(network.heads, p, len(q)))
     assert strategy.value == pytest.approx(losses.max(), rel=1e-9)
@@ -254,8 +254,8 @@ def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
         p = always(network, shortest_route(network, np.flatnonzero(game.playable)))
         return Outcome(p, indifferent_ambusher(game), (0.0, 0.0), 7)
 
-    monkeypatch.setattr("ambush_planner.core.strategy.max_entropy_strategy", careless)
-    with pytest.raises(TimeLimit, match=r"not within 0\.01 .* after 7 steps") as caught:
+    monkeypatch.setattr('ambush_planner.core.strategy.max_entropy_strategy', careless)
+    with pytest.raises(TimeLimit, match=r'not within 0\.01 .* after 7 steps') as caught:
         solve(network)
     strategy = caught.value.strategy
     assert strategy.value > strategy.lower_bound and strategy.gap > 0.0
@@ -264,7 +264,7 @@ def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
 # Warm starts and other losses.
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize('seed', [1, 2, 3])
 def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
     network = terrain_network(seed, cells=24)
     options = StrategyOptions(max_detour=1.3)
@@ -289,7 +289,7 @@ def test_a_law_of_another_network_is_no_start():
 
 
 @examples(12)
-@given(st.integers(0, 10**6), st.sampled_from(("terrain", "city", "maze", "depot")), st.data())
+@given(st.integers(0, 10**6), st.sampled_from(('terrain', 'city', 'maze', 'depot')), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
     network = ground_network(seed, kind)
@@ -310,7 +310,7 @@ def test_no_valid_game_fails(seed, kind, data):
     except (NoRoute, BudgetInfeasible):
         return  # said by name: a threshold or two budgets that leave nothing
     assert strategy.value <= strategy.lower_bound * (1 + options.risk_slack + 1e-5)
-    check_flow(network, strategy.edge_probability, "max_entropy")
+    check_flow(network, strategy.edge_probability, 'max_entropy')
     assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
     assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
 
@@ -330,53 +330,53 @@ def test_losses_of_obstacle_cells_do_not_matter_even_nan():
             RiskMap(np.where(obstacles, hidden, 2.0), obstacles, 1.0), (1, 10), (19, 10),
             NetworkOptions(method, 1.5),
         )).value
-        for method in ("uniform_delaunay", "gradient_delaunay") for hidden in (2.0, np.nan)
+        for method in ('uniform_delaunay', 'gradient_delaunay') for hidden in (2.0, np.nan)
     ]
     assert values[0] == values[1]
     assert np.isfinite(values).all()
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_no_route(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
-    with pytest.raises(NoRoute, match=r"from \(0.000, 0.000\) to \(2.000, 0.000\)"):
+    with pytest.raises(NoRoute, match=r'from \(0.000, 0.000\) to \(2.000, 0.000\)'):
         solve(network, options=StrategyOptions(solver))
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_no_edges_at_all_is_no_route(solver):
     with pytest.raises(NoRoute):
         solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1), options=StrategyOptions(solver))
 
 
-@pytest.mark.parametrize("solver", SOLVERS)
+@pytest.mark.parametrize('solver', SOLVERS)
 def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
     network = quiet_network(
         [[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3
     )
-    with pytest.raises(BudgetInfeasible, match=r"budget of 2\.4 m"):
+    with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
 
 
 @pytest.mark.parametrize(
-    "name, value",
+    'name, value',
     [
-        ("solver", "magic"),
-        ("solver", None),
-        ("max_detour", 0.99),
-        ("max_detour", np.nan),
-        ("max_detour", -np.inf),
-        ("max_exposure", 0.99),
-        ("max_exposure", np.nan),
-        ("risk_slack", -0.1),
-        ("risk_slack", np.nan),
-        ("risk_slack", np.inf),
-        ("length_weight", -0.1),
-        ("length_weight", 1.0),
-        ("length_weight", np.nan),
-        ("time_limit", 0.0),
-        ("time_limit", -1.0),
-        ("time_limit", np.nan),
+        ('solver', 'magic'),
+        ('solver', None),
+        ('max_detour', 0.99),
+        ('max_detour', np.nan),
+        ('max_detour', -np.inf),
+        ('max_exposure', 0.99),
+        ('max_exposure', np.nan),
+        ('risk_slack', -0.1),
+        ('risk_slack', np.nan),
+        ('risk_slack', np.inf),
+        ('length_weight', -0.1),
+        ('length_weight', 1.0),
+        ('length_weight', np.nan),
+        ('time_limit', 0.0),
+        ('time_limit', -1.0),
+        ('time_limit', np.nan),
     ],
 )
 def test_options_out_of_range_are_named(name, value):
@@ -386,12 +386,12 @@ def test_options_out_of_range_are_named(name, value):
 
 
 def test_options_that_do_not_go_together_are_named():
-    with pytest.raises(InvalidOption, match=r"length_weight 0\.1 .* max_detour"):
+    with pytest.raises(InvalidOption, match=r'length_weight 0\.1 .* max_detour'):
         StrategyOptions(length_weight=0.1)
-    with pytest.raises(InvalidOption, match=r"max_exposure 2.* max_entropy, not simplex"):
-        StrategyOptions("simplex", max_exposure=2.0)
-    with pytest.raises(InvalidOption, match="simplex takes one ambusher"):
-        solve(paper_example(), GameOptions(ambushers=2), StrategyOptions("simplex"))
+    with pytest.raises(InvalidOption, match=r'max_exposure 2.* max_entropy, not simplex'):
+        StrategyOptions('simplex', max_exposure=2.0)
+    with pytest.raises(InvalidOption, match='simplex takes one ambusher'):
+        solve(paper_example(), GameOptions(ambushers=2), StrategyOptions('simplex'))
 
 
 def test_a_budget_of_nothing():

@@ -43,8 +43,8 @@ def assert_taut(portals, share):
         return size.sum(), (pull * portals.leftward[1:-1]).sum(axis=1)
 
     found = minimize(
-        length, (low + high) / 2, jac=True, method="L-BFGS-B",
-        bounds=np.stack((low, high), axis=1), options={"ftol": 1e-15, "maxiter": 5000},
+        length, (low + high) / 2, jac=True, method='L-BFGS-B',
+        bounds=np.stack((low, high), axis=1), options={'ftol': 1e-15, 'maxiter': 5000},
     )
     size = np.hypot(*np.diff(string(portals, margin), axis=0).T).sum()
     assert size == pytest.approx(found.fun, rel=1e-5)

@@ -8,14 +8,14 @@ from ambush_planner.core.triangular import UnitTriangle
 
 
 def refused(*_):
-    raise TypeError("called otherwise in this scipy")
+    raise TypeError('called otherwise in this scipy')
 
 
-@pytest.mark.parametrize("solve", ["compiled", None, refused])
-@pytest.mark.parametrize("shape", [(30,), (30, 4)])
+@pytest.mark.parametrize('solve', ['compiled', None, refused])
+@pytest.mark.parametrize('shape', [(30,), (30, 4)])
 def test_solves_as_dense_algebra_does(monkeypatch, solve, shape):
-    if solve != "compiled":
-        monkeypatch.setattr(triangular, "gstrs", solve)
+    if solve != 'compiled':
+        monkeypatch.setattr(triangular, 'gstrs', solve)
     rng = np.random.default_rng(1)
     pattern = np.triu(rng.random((30, 30)) < 0.3, 1) | np.eye(30, dtype=bool)
     system = UnitTriangle(np.nonzero(pattern)[1], np.append(0, np.cumsum(pattern.sum(axis=1))))

@@ -57,8 +57,8 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
         # Positive definite: pivots on the diagonal keep the order that fills in least. With so
         # little fill, narrow panels are the fastest.
         factor = splu(
-            system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, relax=1, panel_size=4,
-            options={"SymmetricMode": True},
+            system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1, panel_size=4,
+            options={'SymmetricMode': True},
         )
         potential[inner] = factor.solve(pull)
     return potential
@@ -77,7 +77,7 @@ def progress(game: Game) -> FloatArray:
 def rank_by(potential: FloatArray) -> IndexArray:
     """Position (N,) of each node in the order of the potential."""
     rank = np.empty(len(potential), dtype=np.int64)
-    rank[np.argsort(potential, kind="stable")] = np.arange(len(potential))
+    rank[np.argsort(potential, kind='stable')] = np.arange(len(potential))
     return rank
 
 
@@ -93,7 +93,7 @@ def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
     # Nodes go by their number in the order of the potential: the heap is one of whole numbers.
     number = rank_by(potential)
     tail, head = number[network.edges[p > 0.0]].T
-    order = np.argsort(tail, kind="stable")
+    order = np.argsort(tail, kind='stable')
     first = np.searchsorted(tail[order], np.arange(n + 1)).tolist()
     heads = head[order].tolist()
     waiting = np.bincount(head, minlength=n)
@@ -136,7 +136,7 @@ def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
     used = np.flatnonzero(p > 0.0)
     edges = network.edges[used]
     graph = edge_matrix(edges, np.ones(len(used)), len(network.points))
-    _, component = connected_components(graph, directed=True, connection="strong")
+    _, component = connected_components(graph, directed=True, connection='strong')
     same: IndexArray = used[component[edges[:, 0]] == component[edges[:, 1]]]
     return same
 
@@ -201,8 +201,8 @@ def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
     rank = rank_around(game, flow, np.zeros(game.node_count))
     used = np.flatnonzero(flow > 0.0)
     tail, head = rank[network.tails[used]], rank[network.heads[used]]
-    system = identity(n, format="csc") - coo_matrix((share[used], (head, tail)), shape=(n, n))
+    system = identity(n, format='csc') - coo_matrix((share[used], (head, tail)), shape=(n, n))
     start = np.zeros(n)
     start[rank[network.source]] = 1.0
-    factor = splu(system.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
+    factor = splu(system.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0)
     return np.asarray(np.maximum(factor.solve(start), 0.0)[rank])

@@ -14,7 +14,7 @@ BoolArray = npt.NDArray[np.bool_]
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
     """Return a private copy of ``values`` as ``dtype`` that nobody can write to."""
-    array = np.array(values, dtype=dtype, order="C")
+    array = np.array(values, dtype=dtype, order='C')
     array.setflags(write=False)
     return array
 

@@ -66,9 +66,9 @@ class Budget:
         best = self._behind[self.game.network.source]
         if best > self.limit * (1.0 + ROUNDING):
             raise BudgetInfeasible(
-                f"the best playable route has {self.name} {best:.6g} {self.unit}, more than the "
-                f"budget of {self.limit:.6g} {self.unit}; raise {self.option}, or "
-                "alpha_threshold"
+                f'the best playable route has {self.name} {best:.6g} {self.unit}, more than the '
+                f'budget of {self.limit:.6g} {self.unit}; raise {self.option}, or '
+                'alpha_threshold'
             )
 
     @cached_property
@@ -78,7 +78,7 @@ class Budget:
     @property
     def option(self) -> str:
         """The option that sets the limit."""
-        return "max_detour" if self.name == "length" else "max_exposure"
+        return 'max_detour' if self.name == 'length' else 'max_exposure'
 
     @property
     def binds(self) -> bool:
@@ -100,7 +100,7 @@ class Budget:
         Along a route they add up to its cost less the best one's, without cancellation.
         """
         network, behind = self.game.network, self._behind
-        with np.errstate(invalid="ignore"):
+        with np.errstate(invalid='ignore'):
             added = self.cost + behind[network.heads] - behind[network.tails]
         return np.where(self.game.playable, np.maximum(added, 0.0), np.inf)
 
@@ -151,7 +151,7 @@ def certify(
     over = sum(price * budget.overrun(p) for budget, price in zip(budgets, prices, strict=True))
     bound = max(bound - over, 0.0)
     if bound > value * (1.0 + ROUNDING):
-        raise SolverFailed(f"the lower bound {bound:.12g} is above the value {value:.12g}")
+        raise SolverFailed(f'the lower bound {bound:.12g} is above the value {value:.12g}')
     return Certificate(value, bound)
 
 
@@ -176,7 +176,7 @@ def lower_bound(
     _check_ambusher(game, q)
     for budget, price in zip(budgets, prices, strict=True):
         if not price >= 0.0:
-            raise SolverFailed(f"the price of the {budget.name} budget is {price}, not >= 0")
+            raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
     weights, paid = priced_edges(game, q, budgets, prices)
     return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
 
@@ -195,7 +195,7 @@ def priced_edges(
 
 def _check_flow(game: Game, p: FloatArray) -> None:
     if not (p >= 0.0).all():
-        raise SolverFailed(f"p must be >= 0, the least is {p.min()}")
+        raise SolverFailed(f'p must be >= 0, the least is {p.min()}')
     network = game.network
     balance = sums(network.tails, p, game.node_count)
     balance -= sums(network.heads, p, game.node_count)
@@ -203,14 +203,14 @@ def _check_flow(game: Game, p: FloatArray) -> None:
     balance[network.target] += 1.0
     residual = float(np.abs(balance).max())
     if not residual <= CONSERVATION_TOLERANCE:
-        raise SolverFailed(f"p is no flow from source to target: residual {residual:.1e}")
+        raise SolverFailed(f'p is no flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
-        raise SolverFailed("p uses edges that are not playable")
+        raise SolverFailed('p uses edges that are not playable')
 
 
 def _check_ambusher(game: Game, q: FloatArray) -> None:
     most = 1.0 + ROUNDING
     if not (q >= 0.0).all() or not (q <= most).all():
-        raise SolverFailed(f"q must be in [0, 1], got {q.min()} to {q.max()}")
+        raise SolverFailed(f'q must be in [0, 1], got {q.min()} to {q.max()}')
     if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
-        raise SolverFailed(f"q must sum to {game.ambushers}, got {q.sum()}")
+        raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')

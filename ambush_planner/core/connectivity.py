@@ -145,7 +145,7 @@ def _tile(method: str) -> IndexArray:
 def _tiled(shape: tuple[int, ...], method: str) -> IndexArray:
     """Triangles (T, 3) of a whole framed lattice, by the indices of its nodes."""
     tiles = [np.arange(-1, -(-side // PERIOD) + 1) * PERIOD + FRAME for side in shape]
-    origin = np.stack(np.meshgrid(*tiles, indexing="ij"), axis=-1).reshape(-1, 1, 1, 2)
+    origin = np.stack(np.meshgrid(*tiles, indexing='ij'), axis=-1).reshape(-1, 1, 1, 2)
     corners = (origin + _tile(method)).reshape(-1, 3, 2)
     inside = ((corners >= 0) & (corners < np.array(shape))).all(axis=(1, 2))
     triangles: IndexArray = corners[inside] @ np.array([shape[1], 1])
@@ -180,7 +180,7 @@ def _triangles_by_parts(points: FloatArray) -> IndexArray:
     side = np.sqrt(extent.prod() * PART / len(points))
     square = np.floor((points - low) / side).astype(np.int64)
     key = square[:, 0] * (square[:, 1].max() + 1) + square[:, 1]
-    order = np.argsort(key, kind="stable")
+    order = np.argsort(key, kind='stable')
     kept, rim = [], np.zeros(len(points), dtype=bool)
     for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
         corner = low + side * square[part[0]]
@@ -223,7 +223,7 @@ def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Centres (T, 2) and radii (T,) of the circles round triangles (T, 3, 2); inf without area."""
     a = corners[:, 0]
     (bx, by), (cx, cy) = (corners[:, 1] - a).T, (corners[:, 2] - a).T
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide='ignore', invalid='ignore'):
         scale = 0.5 / (bx * cy - by * cx)
         b, c = bx * bx + by * by, cx * cx + cy * cy
         to = np.stack(((cy * b - by * c) * scale, (bx * c - cx * b) * scale), axis=1)

@@ -33,11 +33,11 @@ from .risk_map import RiskMap
 from .sampling import lattice_points, lattice_shape
 
 METHODS = (
-    "uniform_delaunay",
-    "lattice_delaunay",
-    "uniform_grid8",
-    "random_delaunay",
-    "gradient_delaunay",
+    'uniform_delaunay',
+    'lattice_delaunay',
+    'uniform_grid8',
+    'random_delaunay',
+    'gradient_delaunay',
 )
 
 
@@ -67,7 +67,7 @@ class NetworkOptions:
         A value is out of range or of another type.
     """
 
-    method: str = "uniform_delaunay"
+    method: str = 'uniform_delaunay'
     spacing: float = 0.0
     clearance: float = 0.0
     seed: int = 0
@@ -77,11 +77,11 @@ class NetworkOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:
             raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        check_at_least("spacing", self.spacing, 0.0, "m")
-        check_at_least("clearance", self.clearance, 0.0, "m")
-        check_whole("seed", self.seed, 0)
-        check_whole("target_nodes", self.target_nodes, 2)
-        check_flag("clear_of_edge", self.clear_of_edge)
+        check_at_least('spacing', self.spacing, 0.0, 'm')
+        check_at_least('clearance', self.clearance, 0.0, 'm')
+        check_whole('seed', self.seed, 0)
+        check_whole('target_nodes', self.target_nodes, 2)
+        check_flag('clear_of_edge', self.clear_of_edge)
 
 
 # A spacing that is far too small for the map is a mistake, not a wish for 10^9 nodes.
@@ -90,8 +90,8 @@ MAX_CANDIDATES = 20_000_000
 _TRIED = 4096
 # What is raised where an end is off the map, and where it is blocked; else it is a stop.
 REFUSED: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
-    "start": (StartOutsideMap, StartBlocked),
-    "goal": (GoalOutsideMap, GoalBlocked),
+    'start': (StartOutsideMap, StartBlocked),
+    'goal': (GoalOutsideMap, GoalBlocked),
 }
 
 
@@ -214,7 +214,7 @@ def _through_passages(
     options, passage = ground.options, np.empty((0, 2))
     for end in apart:
         way, room = _way_to(ground, begin, end)
-        if options.method != "uniform_grid8":
+        if options.method != 'uniform_grid8':
             passage = np.concatenate((passage, passage_nodes(way, room, ground.spacing)))
             passage = np.unique(passage, axis=0) if len(apart) > 1 else passage
     passage = passage[ground.field.clear_points(passage, options.clearance)]
@@ -225,15 +225,15 @@ def _through_passages(
     way, room = _way_to(ground, begin, left[0])
     finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
     raise NoRoute(
-        f"{_from_to(ground, begin, left[0])} keeps clear of the obstacles at a spacing of "
-        f"{ground.spacing:g} m; the map has a way, which a spacing of "
-        f"{min(finer, ground.spacing / 2):.3g} m would find"
+        f'{_from_to(ground, begin, left[0])} keeps clear of the obstacles at a spacing of '
+        f'{ground.spacing:g} m; the map has a way, which a spacing of '
+        f'{min(finer, ground.spacing / 2):.3g} m would find'
     )
 
 
 def _from_to(ground: Ground, begin: int, end: int) -> str:
     ends = ground.risk_map.to_world(ground.uv_ends[[begin, end]])
-    return "no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})".format(*ends[0], *ends[1])
+    return 'no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})'.format(*ends[0], *ends[1])
 
 
 def _way_to(ground: Ground, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
@@ -241,10 +241,10 @@ def _way_to(ground: Ground, begin: int, end: int) -> tuple[FloatArray, FloatArra
     options, ends = ground.options, ground.uv_ends[[begin, end]]
     way, room = way_by_cells(ground.risk_map, ground.field, ends, options.clearance)
     if len(way) == 0:
-        clearance = f" at a clearance of {options.clearance:g} m" if options.clearance else ""
+        clearance = f' at a clearance of {options.clearance:g} m' if options.clearance else ''
         raise NoRoute(
-            f"{_from_to(ground, begin, end)}: obstacles cut the map in two between them"
-            f"{clearance}; neither the spacing of {ground.spacing:g} m nor any other leads through"
+            f'{_from_to(ground, begin, end)}: obstacles cut the map in two between them'
+            f'{clearance}; neither the spacing of {ground.spacing:g} m nor any other leads through'
         )
     return way, room
 
@@ -258,8 +258,8 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     width, height = risk_map.size
     if width / spacing * height / spacing > MAX_CANDIDATES:
         raise InvalidOption(
-            f"spacing {spacing} m on a map of {width:g} m x {height:g} m asks for more than "
-            f"{MAX_CANDIDATES} nodes; choose a larger spacing"
+            f'spacing {spacing} m on a map of {width:g} m x {height:g} m asks for more than '
+            f'{MAX_CANDIDATES} nodes; choose a larger spacing'
         )
     return spacing
 
@@ -292,14 +292,14 @@ def _asked(
 ) -> list[tuple[float, float]]:
     """Start, stops and goal as positions, if all can be driven from one to the next."""
     last = len(given) - 1
-    names = ["start", *(f"stop {k}" for k in range(1, last)), "goal"]
+    names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
     # The ends first: what is wrong with them concerns everybody.
     for k in (0, last, *range(1, last)):
         _check_position(risk_map, field, given[k], names[k], options)
     asked = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
     for (one, a), (other, b) in pairwise(zip(names, asked, strict=True)):
         if a == b:
-            raise InvalidNetwork(f"{one} and {other} are the same position, {a}")
+            raise InvalidNetwork(f'{one} and {other} are the same position, {a}')
     return asked
 
 
@@ -310,25 +310,25 @@ def _check_position(
     try:
         position = np.asarray(xy, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as cause:
-        raise blocked(f"{name} must be a position (x, y): {cause}") from cause
+        raise blocked(f'{name} must be a position (x, y): {cause}') from cause
     if position.shape != (2,):
-        raise blocked(f"{name} must be a position (x, y), got shape {position.shape}")
+        raise blocked(f'{name} must be a position (x, y), got shape {position.shape}')
     if not np.isfinite(position).all():
-        raise blocked(f"{name} must be finite, got ({position[0]}, {position[1]})")
-    where = f"{name} ({position[0]:.3f}, {position[1]:.3f})"
+        raise blocked(f'{name} must be finite, got ({position[0]}, {position[1]})')
+    where = f'{name} ({position[0]:.3f}, {position[1]:.3f})'
     uv = risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
         width, height = risk_map.size
         raise off_map(
-            f"{where} is outside the map, which is {width:g} m x {height:g} m from "
-            f"(x, y, yaw) {risk_map.origin}"
+            f'{where} is outside the map, which is {width:g} m x {height:g} m from '
+            f'(x, y, yaw) {risk_map.origin}'
         )
     clearance = options.clearance
     if not field.clear_points(uv[None], clearance)[0]:
-        edge = " or of the map's edge" if options.clear_of_edge else ""
-        near = f" or within the clearance {clearance:g} m of one{edge}" if clearance else ""
-        lower = ", or lower the clearance" if clearance else ""
+        edge = " or of the map's edge" if options.clear_of_edge else ''
+        near = f' or within the clearance {clearance:g} m of one{edge}' if clearance else ''
+        lower = ', or lower the clearance' if clearance else ''
         raise blocked(
-            f"{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles "
-            "unless they are given a loss"
+            f'{where} lies in an obstacle{near}; move it{lower}. Unknown cells are obstacles '
+            'unless they are given a loss'
         )

@@ -122,7 +122,7 @@ def make_corridors(
         The tube is negative or not finite.
     """
     if tube is not None and not 0.0 <= tube < np.inf:
-        raise InvalidOption(f"tube must be finite and >= 0 [m], got {tube}")
+        raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
     uv = risk_map.to_map_axes(network.points[: network.place_count])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     if tube is None:

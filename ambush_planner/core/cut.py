@@ -49,7 +49,7 @@ def solve_by_cut(game: Game) -> GameValue:
         The game has a reach or several ambushers, or the flow and the cut do not meet.
     """
     if game.ambush_radius > 0.0 or game.ambushers > 1:
-        raise SolverFailed("a cut solves games of one ambusher without a reach")
+        raise SolverFailed('a cut solves games of one ambusher without a reach')
     safe = game.past_all_sites()
     if safe is not None:
         q, nobody = indifferent_ambusher(game), np.empty(0, dtype=np.int64)
@@ -116,7 +116,7 @@ class _SplitNetwork:
         self._place[pattern.data - 1] = np.arange(size)
         self._pattern = pattern
         self._heads, self._tails = head, tail
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide='ignore'):
             self._capacity = 1.0 / game.loss[used]
 
     def total(self, flow: FloatArray) -> float:
@@ -154,7 +154,7 @@ class _SplitNetwork:
         found = maximum_flow(graph, n + network.source, network.target)
         pushed = found.flow
         if not np.array_equal(pushed.indices, graph.indices):
-            raise SolverFailed("the maximum flow came back on another network")
+            raise SolverFailed('the maximum flow came back on another network')
         gained = pushed.data[self._place[:m]] / scale
         residual = (graph - pushed).tocsr()
         residual.eliminate_zeros()

@@ -217,7 +217,7 @@ def _rounded(
     within = side[1:-1] != 0
     turn = np.where(within, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
     outward = side[1:-1, None] * portals.leftward[inner]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide='ignore', invalid='ignore'):
         cut = margin[inner] / _leaves(turn, outward, after - before)
     cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
     cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
@@ -262,7 +262,7 @@ def _reach(
 ) -> FloatArray:
     """Distance (C,) along lines through the points to the lines of portals; nan: no such line."""
     line = portals.leftward[portal]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide='ignore', invalid='ignore'):
         return np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
 
 
@@ -283,7 +283,7 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     arc = np.where(turn > 1e-9, lines.cut * turn / np.tan(np.maximum(turn, 1e-9) / 2), 0.0)
     # Part 2 k is the turn at corner k, 2 k + 1 what is straight behind it.
     parts = np.zeros(2 * len(step))
-    with np.errstate(over="ignore"):
+    with np.errstate(over='ignore'):
         parts[::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
         parts[1::2] = np.ceil(straight / spacing - 1e-9)
     parts[2 * last + 1] = 1.0
@@ -299,7 +299,7 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     origin = lines.points[k] + np.where(bent, -1.0, 1.0)[:, None] * lines.cut[k, None] * unit[along]
     # In a turn by w the chord to where it has come to points by half of that aside.
     half = share * bend / 2
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide='ignore', invalid='ignore'):
         radius = np.where(bend != 0.0, lines.cut[k] / np.tan(np.abs(bend) / 2), 0.0)
     chord = np.where(bent, 2.0 * radius * np.abs(np.sin(half)), share * straight[k])
     toward = yaw[along] + half
@@ -310,8 +310,8 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
 def _check_count(poses: float, spacing: float) -> None:
     if not poses <= MOST_POSES:
         raise InvalidOption(
-            f"a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, "
-            f"and {MOST_POSES} are the most; choose a larger distance"
+            f'a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, '
+            f'and {MOST_POSES} are the most; choose a larger distance'
         )
 
 

@@ -43,12 +43,12 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
     game, q = strategy.game, strategy.ambush_probability
     p_first = _meeting_probability(game, strategy.edge_probability, q)
     stochastic = Measures(
-        "stochastic", strategy.expected_length, p_first, p_first, strategy.value
+        'stochastic', strategy.expected_length, p_first, p_first, strategy.value
     )
     return {
-        "stochastic": stochastic,
-        "energy_efficient": _fixed("energy_efficient", game, energy_efficient_route(game), q),
-        "risk_avoidance": _fixed("risk_avoidance", game, risk_avoiding_route(game), q),
+        'stochastic': stochastic,
+        'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
+        'risk_avoidance': _fixed('risk_avoidance', game, risk_avoiding_route(game), q),
     }
 
 

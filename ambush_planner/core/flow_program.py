@@ -53,11 +53,11 @@ class FlowProgram:
         try:
             result = highs.run(self.program, solver, deadline, presolve=False)
         except SolverFailed:
-            result = highs.run(self.program, "simplex", deadline)
+            result = highs.run(self.program, 'simplex', deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
         if not size > 1e-12:
-            names = " and ".join(b.option for b in self.budgets if b.binds)
-            raise BudgetInfeasible(f"no strategy fits all budgets at once; raise {names}")
+            names = ' and '.join(b.option for b in self.budgets if b.binds)
+            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
         f = np.zeros(len(self.game.network.edges))
         f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
         return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
@@ -70,7 +70,7 @@ class FlowProgram:
         # With several, the dual of the sum's row: no q_j is over it, and all may sum to less.
         total = float(duals[-1]) if k > 1 else float(q.sum())
         if not total > 0.0:
-            raise SolverFailed("the program has no ambusher")
+            raise SolverFailed('the program has no ambusher')
         price = iter(duals[sites:] / total * self.unit)
         return at_most_one(q / total, k), tuple(
             float(next(price)) / budget.room if budget.binds else 0.0 for budget in self.budgets

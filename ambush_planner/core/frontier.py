@@ -16,8 +16,8 @@ DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
 # What a row takes over from its strategy.
 MEASURED = (
-    "value", "lower_bound", "expected_length", "shortest_length", "expected_exposure",
-    "least_exposure", "route_entropy",
+    'value', 'lower_bound', 'expected_length', 'shortest_length', 'expected_exposure',
+    'least_exposure', 'route_entropy',
 )
 
 
@@ -40,7 +40,7 @@ class FrontierRow:
     expected_exposure: float = math.nan
     least_exposure: float = math.nan
     route_entropy: float = math.nan
-    error: str = ""
+    error: str = ''
 
 
 def frontier(
@@ -65,8 +65,8 @@ def frontier(
     """
     options = options or StrategyOptions()
     game = game or GameOptions()
-    tasks = [("max_detour", replace(options, max_detour=detour)) for detour in detours]
-    tasks += [("risk_slack", replace(options, risk_slack=slack)) for slack in slacks]
+    tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
+    tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
     # A law for looser budgets is the better one to start from.
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)

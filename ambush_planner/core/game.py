@@ -56,11 +56,11 @@ class GameOptions:
     ambush_in_obstacles: bool = False
 
     def __post_init__(self) -> None:
-        check_at_least("ambush_radius", self.ambush_radius, 0.0, "m")
-        check_at_least("secured_radius", self.secured_radius, 0.0, "m")
-        check_at_least("alpha_threshold", self.alpha_threshold, 0.0, finite=False)
-        check_whole("ambushers", self.ambushers, 1)
-        check_flag("ambush_in_obstacles", self.ambush_in_obstacles)
+        check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
+        check_at_least('secured_radius', self.secured_radius, 0.0, 'm')
+        check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
+        check_whole('ambushers', self.ambushers, 1)
+        check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,8 +168,8 @@ def make_game(network: Network, options: GameOptions) -> Game:
     """
     if options.ambushers > network.place_count:
         raise InvalidOption(
-            f"{options.ambushers} ambushers need as many different sites, and the network has "
-            f"{network.place_count} nodes"
+            f'{options.ambushers} ambushers need as many different sites, and the network has '
+            f'{network.place_count} nodes'
         )
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
@@ -192,12 +192,12 @@ def make_game(network: Network, options: GameOptions) -> Game:
 
 def _no_route(network: Network, options: GameOptions, forbidden: int) -> str:
     (x, y), (u, v) = network.points[[network.source, network.target]].tolist()
-    text = f"no route leads from ({x:.3f}, {y:.3f}) to ({u:.3f}, {v:.3f})"
+    text = f'no route leads from ({x:.3f}, {y:.3f}) to ({u:.3f}, {v:.3f})'
     if forbidden == 0:
         return text
     return (
-        f"{text}; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, allow "
-        "more"
+        f'{text}; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, allow '
+        'more'
     )
 
 

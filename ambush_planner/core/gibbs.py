@@ -33,7 +33,7 @@ class AcyclicNetwork:
         network = game.network
         edge = np.flatnonzero(game.playable)
         used = np.unique(network.edges[edge])
-        nodes = used[np.argsort(rank[used], kind="stable")]
+        nodes = used[np.argsort(rank[used], kind='stable')]
         place = np.full(game.node_count, -1)
         place[nodes] = np.arange(len(nodes))
         tail, head = place[network.edges[edge]].T
@@ -62,7 +62,7 @@ class AcyclicNetwork:
             scaled = self._exact_choice(weights), np.ones(self.count)
         share, partition = scaled
         share *= partition[self.head]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide='ignore', invalid='ignore'):
             share /= partition[self.tail]
         if not partition.min() > 0.0:
             share[partition[self.tail] <= 0.0] = 0.0
@@ -92,7 +92,7 @@ class AcyclicNetwork:
         factor = self._level[self.head]
         last = np.zeros(self.count)
         last[-1] = 1.0
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over='ignore', invalid='ignore'):
             factor -= self._level[self.tail]
             factor -= weights
             np.exp(factor, out=factor)
@@ -133,7 +133,7 @@ class AcyclicNetwork:
 
         The third array says where the edges of each node begin.
         """
-        into = np.argsort(self.head, kind="stable")
+        into = np.argsort(self.head, kind='stable')
         first_into = np.searchsorted(self.head[into], np.arange(self.count + 1))
         pending = np.diff(self._first)
         layers: list[tuple[IndexArray, IndexArray, IndexArray]] = []

@@ -50,22 +50,22 @@ def run(
         As the names say.
     """
     options: dict[str, Any] = {
-        "primal_feasibility_tolerance": TOLERANCE,
-        "dual_feasibility_tolerance": TOLERANCE,
+        'primal_feasibility_tolerance': TOLERANCE,
+        'dual_feasibility_tolerance': TOLERANCE,
     }
     left = deadline - time.monotonic()
     if left <= 0.0:
-        raise TimeLimit(f"{solver}: time is up before the first iteration")
+        raise TimeLimit(f'{solver}: time is up before the first iteration')
     if np.isfinite(left):
-        options["time_limit"] = left
-    if solver == "interior_point":
+        options['time_limit'] = left
+    if solver == 'interior_point':
         result = _interior_point(program, options, presolve)
     else:
-        result = _linprog(program, "highs-ds", options)
+        result = _linprog(program, 'highs-ds', options)
     if result.status == LIMIT_REACHED:
-        raise TimeLimit(f"{solver}: time is up after {result.nit} iterations")
+        raise TimeLimit(f'{solver}: time is up after {result.nit} iterations')
     if result.status != INFEASIBLE and (result.x is None or result.status != OPTIMAL):
-        raise SolverFailed(f"{solver}: {result.message}")
+        raise SolverFailed(f'{solver}: {result.message}')
     return result
 
 
@@ -76,11 +76,11 @@ def _interior_point(
 
     HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing, or nothing feasible.
     """
-    options = {**options, "run_crossover": _no_crossover()}
+    options = {**options, 'run_crossover': _no_crossover()}
     for presolve in (presolve_first, not presolve_first):
         for tolerance in OPTIMALITY:
-            tried = {"presolve": presolve, "ipm_optimality_tolerance": tolerance}
-            result = _linprog(program, "highs-ipm", options | tried)
+            tried = {'presolve': presolve, 'ipm_optimality_tolerance': tolerance}
+            result = _linprog(program, 'highs-ipm', options | tried)
             if result.status != NUMERICAL_TROUBLE:
                 return result
     return result
@@ -92,7 +92,7 @@ def _linprog(program: Program, method: str, options: dict[str, Any]) -> Optimize
     constrained = program.inequalities.shape[0] > 0
     with warnings.catch_warnings():
         # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
-        warnings.simplefilter("ignore", OptimizeWarning)
+        warnings.simplefilter('ignore', OptimizeWarning)
         return linprog(
             program.cost,
             A_ub=program.inequalities if constrained else None,
@@ -106,5 +106,5 @@ def _linprog(program: Program, method: str, options: dict[str, Any]) -> Optimize
 
 def _no_crossover() -> bool | str:
     """HiGHS' option as the scipy at hand takes it: a bool before 1.15, then a string."""
-    major, minor = (int(part) for part in scipy.__version__.split(".")[:2])
-    return False if (major, minor) < (1, 15) else "off"
+    major, minor = (int(part) for part in scipy.__version__.split('.')[:2])
+    return False if (major, minor) < (1, 15) else 'off'

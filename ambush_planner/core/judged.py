@@ -26,14 +26,14 @@ def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     """
     network, most = game.network, strategy.exposure_budget
     length = Budget(
-        game, network.lengths, strategy.length_budget, strategy.shortest_length, "length", "m"
+        game, network.lengths, strategy.length_budget, strategy.shortest_length, 'length', 'm'
     )
     least = strategy.least_exposure
     if math.isfinite(most) and network is not strategy.network:
         factor = most / max(least, np.finfo(float).tiny)
         least = least_cost(network, network.edge_exposure)
         most = factor * least
-    return length, Budget(game, network.edge_exposure, most, least, "exposure", "loss x m")
+    return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
 
 
 def revalue(
@@ -65,7 +65,7 @@ def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
     """
     # With a length weight it is the weighted sum that is minimal.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
-    slack = options.risk_slack if options.solver == "max_entropy" else 0.0
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
     gap = strategy.value / (1.0 + slack) - strategy.lower_bound
     scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
     return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0

@@ -61,7 +61,7 @@ def _nodes_and_pairs(
     ``others`` (K, 2), the ends last, are the last nodes.
     """
     options, spacing = ground.options, ground.spacing
-    if options.method in ("random_delaunay", "gradient_delaunay"):
+    if options.method in ('random_delaunay', 'gradient_delaunay'):
         return _samples(ground, others)
     none = np.empty((0, 3), dtype=np.int64)
     shape = lattice_shape(ground.risk_map, spacing)
@@ -73,7 +73,7 @@ def _nodes_and_pairs(
     taken = nearest_cells(shape, spacing, options.method, ground.uv_ends)
     free[tuple(taken.T)] = False
     uv = np.concatenate((uv[free.ravel()], others))
-    if options.method == "uniform_grid8":
+    if options.method == 'uniform_grid8':
         return uv, _grid8_with_ends(free, taken), none
     return uv, *lattice_delaunay_pairs(free, others / spacing, options.method)
 
@@ -82,7 +82,7 @@ def _samples(
     ground: Ground, others: FloatArray
 ) -> tuple[FloatArray, IndexArray, IndexArray]:
     options = ground.options
-    sample = random_points if options.method == "random_delaunay" else gradient_points
+    sample = random_points if options.method == 'random_delaunay' else gradient_points
     uv = sample(ground.risk_map, ground.spacing, options.seed)
     uv = uv[ground.field.clear_points(uv, options.clearance)]
     taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in ground.uv_ends if len(uv)}

@@ -146,7 +146,7 @@ def least_risk(
     chosen = part.playable
     unit = first_unit(part)
     best: LeastRisk | None = None
-    first, solver = True, "interior_point"
+    first, solver = True, 'interior_point'
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
         assert restricted is not None  # it holds the routes of the strategy before
@@ -167,11 +167,11 @@ def least_risk(
         weights, paid = priced_edges(game, found.q, budgets, found.prices)
         through = game.through(weights) - paid
         added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
-        if not added.any() and solver == "simplex":
+        if not added.any() and solver == 'simplex':
             return best
         if not added.any():
             # Nothing is missing but digits.
-            first, solver = True, "simplex"
+            first, solver = True, 'simplex'
         if first:
             chosen = chosen & ((through <= KEPT * found.value) | (found.p > 0.0))
         first = False

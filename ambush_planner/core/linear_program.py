@@ -93,7 +93,7 @@ def linear_program_strategy(
         As the names say.
     """
     if game.ambushers > 1:
-        raise InvalidOption(f"the solver {solver} takes one ambusher; max_entropy takes more")
+        raise InvalidOption(f'the solver {solver} takes one ambusher; max_entropy takes more')
     if length_weight == 0.0:
         game = _past_all_sites(game, length.limit) or game
     program = linear_program(game, length_weight, np.inf, _unit(game))
@@ -179,5 +179,5 @@ def _with_ambusher(
 def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:
     result = highs.run(program, solver, deadline)
     if result.status == highs.INFEASIBLE:
-        raise BudgetInfeasible(f"{solver}: no strategy fits the length budget; raise max_detour")
+        raise BudgetInfeasible(f'{solver}: no strategy fits the length budget; raise max_detour')
     return result

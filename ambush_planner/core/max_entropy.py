@@ -168,7 +168,7 @@ class _Search:
         """
         shortest = always_shortest(self.game)
         if not self._keeps(shortest):
-            raise TimeLimit("time is up before a strategy within the budgets was found")
+            raise TimeLimit('time is up before a strategy within the budgets was found')
         best = Outcome(
             shortest, indifferent_ambusher(self.game), (0.0,) * len(self.budgets), 0
         )

@@ -52,27 +52,27 @@ class Network:
     dropped_edges: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        points = _floats("points", self.points)
-        alpha = _floats("alpha", self.alpha)
+        points = _floats('points', self.points)
+        alpha = _floats('alpha', self.alpha)
         _check_nodes(points, alpha)
-        source = _node("source", self.source, len(points))
-        target = _node("target", self.target, len(points))
+        source = _node('source', self.source, len(points))
+        target = _node('target', self.target, len(points))
         _check_ends(alpha, source, target)
         edges = _edge_array(self.edges, len(points))
         _check_layers(points, alpha, edges, source, target, self.legs)
         outside = (edges[:, 1] == source) | (edges[:, 0] == target)
         if outside.any():
             warnings.warn(
-                f"{int(outside.sum())} edges into the source {source} or out of the target "
-                f"{target} were dropped: no route uses them",
+                f'{int(outside.sum())} edges into the source {source} or out of the target '
+                f'{target} were dropped: no route uses them',
                 stacklevel=3,
             )
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "alpha", alpha)
-        object.__setattr__(self, "edges", frozen_array(edges[~outside], np.int64))
-        object.__setattr__(self, "source", source)
-        object.__setattr__(self, "target", target)
-        object.__setattr__(self, "dropped_edges", frozen_array(edges[outside], np.int64))
+        object.__setattr__(self, 'points', points)
+        object.__setattr__(self, 'alpha', alpha)
+        object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))
+        object.__setattr__(self, 'source', source)
+        object.__setattr__(self, 'target', target)
+        object.__setattr__(self, 'dropped_edges', frozen_array(edges[outside], np.int64))
 
     @cached_property
     def lengths(self) -> FloatArray:
@@ -134,13 +134,13 @@ def _check_layers(
     if legs == 1:
         return
     if isinstance(legs, bool) or not isinstance(legs, int | np.integer) or legs < 1:
-        raise InvalidNetwork(f"legs must be a whole number >= 1, got {legs!r}")
+        raise InvalidNetwork(f'legs must be a whole number >= 1, got {legs!r}')
     count = len(points) // int(legs)
     if count * legs != len(points):
-        raise InvalidNetwork(f"{legs} legs need as many copies of all places, got {len(points)}")
+        raise InvalidNetwork(f'{legs} legs need as many copies of all places, got {len(points)}')
     first = np.arange(len(points)) % count
     if not (np.array_equal(points, points[first]) and np.array_equal(alpha, alpha[first])):
-        raise InvalidNetwork("the layers of the legs must have the same points and losses")
+        raise InvalidNetwork('the layers of the legs must have the same points and losses')
     tail, head = (edges // count).T
     crossing = tail != head
     stops = np.unique(edges[crossing, 1])
@@ -151,8 +151,8 @@ def _check_layers(
         and (alpha[stops] == 0.0).all()
     ):
         raise InvalidNetwork(
-            "each leg must end at one stop in the layer of the next one, with alpha 0; the first "
-            "begins at the source, and the last ends at the target"
+            'each leg must end at one stop in the layer of the next one, with alpha 0; the first '
+            'begins at the source, and the last ends at the target'
         )
 
 
@@ -160,39 +160,39 @@ def _floats(name: str, values: npt.ArrayLike) -> FloatArray:
     try:
         return frozen_array(values, np.float64)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InvalidNetwork(f"{name} must be an array of numbers: {error}") from error
+        raise InvalidNetwork(f'{name} must be an array of numbers: {error}') from error
 
 
 def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
-        raise InvalidNetwork(f"points must have shape (N >= 2, 2), got {points.shape}")
+        raise InvalidNetwork(f'points must have shape (N >= 2, 2), got {points.shape}')
     if alpha.shape != (len(points),):
-        raise InvalidNetwork(f"alpha must have shape ({len(points)},), got {alpha.shape}")
+        raise InvalidNetwork(f'alpha must have shape ({len(points)},), got {alpha.shape}')
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
         node = int(np.argmax(bad))
-        raise InvalidNetwork(f"points must be finite, got {points[node].tolist()} at node {node}")
+        raise InvalidNetwork(f'points must be finite, got {points[node].tolist()} at node {node}')
     bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
     if bad.any():
         node = int(np.argmax(bad))
-        raise InvalidNetwork(f"alpha must be finite and >= 0, got {alpha[node]} at node {node}")
+        raise InvalidNetwork(f'alpha must be finite and >= 0, got {alpha[node]} at node {node}')
 
 
 def _node(name: str, value: object, count: int) -> int:
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
-        raise InvalidNetwork(f"{name} must be a node index (int), got {value!r}")
+        raise InvalidNetwork(f'{name} must be a node index (int), got {value!r}')
     if not 0 <= value < count:
-        raise InvalidNetwork(f"{name} must be in 0..{count - 1}, got {value}")
+        raise InvalidNetwork(f'{name} must be in 0..{count - 1}, got {value}')
     return int(value)
 
 
 def _check_ends(alpha: FloatArray, source: int, target: int) -> None:
     if source == target:
-        raise InvalidNetwork(f"source and target are the same node, {source}")
-    for name, node in (("source", source), ("target", target)):
+        raise InvalidNetwork(f'source and target are the same node, {source}')
+    for name, node in (('source', source), ('target', target)):
         if alpha[node] != 0.0:
             raise InvalidNetwork(
-                f"alpha[{name}] must be 0 (no ambush at the ends), got {alpha[node]} at node {node}"
+                f'alpha[{name}] must be 0 (no ambush at the ends), got {alpha[node]} at node {node}'
             )
 
 
@@ -200,22 +200,22 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
     try:
         array = np.asarray(values)
     except ValueError as error:
-        raise InvalidNetwork(f"edges must be an array of integers: {error}") from error
+        raise InvalidNetwork(f'edges must be an array of integers: {error}') from error
     if array.size == 0:
         return np.empty((0, 2), dtype=np.int64)
     if array.ndim != 2 or array.shape[1] != 2:
-        raise InvalidNetwork(f"edges must have shape (M, 2), got {array.shape}")
-    if array.dtype.kind not in "iu":
-        raise InvalidNetwork(f"edges must be integers (tail, head), got dtype {array.dtype}")
+        raise InvalidNetwork(f'edges must have shape (M, 2), got {array.shape}')
+    if array.dtype.kind not in 'iu':
+        raise InvalidNetwork(f'edges must be integers (tail, head), got dtype {array.dtype}')
     edges = array.astype(np.int64)
     outside = np.asarray(((edges < 0) | (edges >= count)).any(axis=1))
-    _refuse_edges(edges, outside, f"outside 0..{count - 1}")
-    _refuse_edges(edges, edges[:, 0] == edges[:, 1], "a self-loop")
+    _refuse_edges(edges, outside, f'outside 0..{count - 1}')
+    _refuse_edges(edges, edges[:, 0] == edges[:, 1], 'a self-loop')
     keys = edges[:, 0] * count + edges[:, 1]
     _, first = np.unique(keys, return_index=True)
     repeated = np.ones(len(edges), dtype=bool)
     repeated[first] = False
-    _refuse_edges(edges, repeated, "a duplicate")
+    _refuse_edges(edges, repeated, 'a duplicate')
     return edges
 
 
@@ -223,6 +223,6 @@ def _refuse_edges(edges: IndexArray, bad: BoolArray, what: str) -> None:
     if bad.any():
         k = int(np.argmax(bad))
         raise InvalidNetwork(
-            f"edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} "
-            f"({int(bad.sum())} such edges)"
+            f'edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} '
+            f'({int(bad.sum())} such edges)'
         )

@@ -172,7 +172,7 @@ def nearest_free_cell(
         return xy
     centres = _cell_centres(risk_map, uv, tolerance)
     distance = np.hypot(*(centres - uv).T)
-    near = np.argsort(distance, kind="stable")[: int((distance <= tolerance).sum())]
+    near = np.argsort(distance, kind='stable')[: int((distance <= tolerance).sum())]
     free = near[field.clear_points(centres[near], clearance)]
     if len(free) == 0:
         return xy

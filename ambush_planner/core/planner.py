@@ -56,8 +56,8 @@ class DriveOptions:
 
     def __post_init__(self) -> None:
         if self.tube is not None:
-            check_at_least("tube", self.tube, 0.0, "m")
-        check_at_least("turning_radius", self.turning_radius, 0.0, "m")
+            check_at_least('tube', self.tube, 0.0, 'm')
+        check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class PlanningOptions:
     max_gap: float = 0.1
 
     def __post_init__(self) -> None:
-        check_at_least("max_gap", self.max_gap, 0.0, finite=False)
+        check_at_least('max_gap', self.max_gap, 0.0, finite=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +124,7 @@ class PlanRequest:
     goal_tolerance: float
     options: PlanningOptions
     stops_xy: tuple[tuple[float, float], ...] = ()
-    order: str = "given"
+    order: str = 'given'
     warm: WarmStart | None = None
 
 
@@ -151,7 +151,7 @@ class Plan:
     different_paths: int | None
     seconds: float
     order: tuple[int, ...] = ()
-    order_found: str = "given"
+    order_found: str = 'given'
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
@@ -255,9 +255,9 @@ def _solved(
         if gap <= options.max_gap * strategy.value:
             return strategy
         raise TimeLimit(
-            f"the strategy that was found in {options.strategy.time_limit:g} s may be "
-            f"{gap / strategy.value:.2g} of its value from the best, more than max_gap, "
-            f"{options.max_gap:g}; allow more time, or choose a larger spacing",
+            f'the strategy that was found in {options.strategy.time_limit:g} s may be '
+            f'{gap / strategy.value:.2g} of its value from the best, more than max_gap, '
+            f'{options.max_gap:g}; allow more time, or choose a larger spacing',
             strategy,
         ) from late
 

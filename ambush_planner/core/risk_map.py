@@ -54,13 +54,13 @@ class RiskMap:
             origin = tuple(float(value) for value in self.origin)
             resolution = float(self.resolution)
         except (TypeError, ValueError, OverflowError) as error:
-            raise InvalidRiskMap(f"risk map: not numeric: {error}") from error
+            raise InvalidRiskMap(f'risk map: not numeric: {error}') from error
         _check_layers(alpha, obstacles)
         _check_place(resolution, origin)
-        for name, value in (("alpha", alpha), ("obstacles", obstacles)):
+        for name, value in (('alpha', alpha), ('obstacles', obstacles)):
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "resolution", resolution)
-        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, 'resolution', resolution)
+        object.__setattr__(self, 'origin', origin)
 
     @property
     def size(self) -> tuple[float, float]:
@@ -122,14 +122,14 @@ def _rotation(yaw: float) -> FloatArray:
 
 def _check_place(resolution: float, origin: tuple[float, ...]) -> None:
     if not (math.isfinite(resolution) and resolution > 0):
-        raise InvalidRiskMap(f"resolution must be positive and finite, got {resolution}")
+        raise InvalidRiskMap(f'resolution must be positive and finite, got {resolution}')
     if len(origin) != 3 or not all(map(math.isfinite, origin)):
-        raise InvalidRiskMap(f"origin must be three finite numbers (x, y, yaw), got {origin}")
+        raise InvalidRiskMap(f'origin must be three finite numbers (x, y, yaw), got {origin}')
 
 
 def _check_layers(alpha: FloatArray, obstacles: BoolArray) -> None:
     if alpha.ndim != 2 or alpha.size == 0:
-        raise InvalidRiskMap(f"alpha must be a non-empty (H, W) array, got shape {alpha.shape}")
+        raise InvalidRiskMap(f'alpha must be a non-empty (H, W) array, got shape {alpha.shape}')
     if obstacles.shape != alpha.shape:
         raise InvalidRiskMap(
             f"obstacles must have alpha's shape {alpha.shape}, got {obstacles.shape}"
@@ -138,8 +138,8 @@ def _check_layers(alpha: FloatArray, obstacles: BoolArray) -> None:
     if bad.any():
         row, column = (int(k) for k in np.argwhere(bad)[0])
         raise InvalidRiskMap(
-            f"alpha must be finite and >= 0, got {alpha[row, column]} at row {row}, "
-            f"column {column} ({int(bad.sum())} such cells)"
+            f'alpha must be finite and >= 0, got {alpha[row, column]} at row {row}, '
+            f'column {column} ({int(bad.sum())} such cells)'
         )
 
 
@@ -163,18 +163,18 @@ class OccupancyOptions:
     unknown_alpha: float = -1.0
 
     def __post_init__(self) -> None:
-        for name in ("alpha_min", "alpha_max", "unknown_alpha"):
+        for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
             if not math.isfinite(getattr(self, name)):
-                raise InvalidOption(f"{name} must be finite, got {getattr(self, name)}")
+                raise InvalidOption(f'{name} must be finite, got {getattr(self, name)}')
         if not 0.0 <= self.alpha_min <= self.alpha_max:
             raise InvalidOption(
-                "0 <= alpha_min <= alpha_max must hold, "
-                f"got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}"
+                '0 <= alpha_min <= alpha_max must hold, '
+                f'got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}'
             )
         if not 1 <= self.obstacle_threshold <= 101:
             raise InvalidOption(
-                "obstacle_threshold must be in 1..101 (101: no value is an obstacle), "
-                f"got {self.obstacle_threshold}"
+                'obstacle_threshold must be in 1..101 (101: no value is an obstacle), '
+                f'got {self.obstacle_threshold}'
             )
 
 
@@ -220,6 +220,6 @@ def check_occupancy(
     if bad.any():
         where = tuple(int(k) for k in np.argwhere(bad)[0])
         raise InvalidRiskMap(
-            f"cell values must be in -1..100, got {values[where]} at (row, column) {where} "
-            f"({int(bad.sum())} such cells)"
+            f'cell values must be in -1..100, got {values[where]} at (row, column) {where} '
+            f'({int(bad.sum())} such cells)'
         )

@@ -226,7 +226,7 @@ def _within(offsets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     first, last = np.zeros(offsets[0].shape), np.ones(offsets[0].shape)
     for offset in offsets:
         change = np.roll(offset, -1, axis=1) - offset
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide='ignore', invalid='ignore'):
             share = -offset / change
         first = np.where(change > 0.0, np.fmax(first, share), first)
         last = np.where(change < 0.0, np.fmin(last, share), last)
@@ -259,6 +259,6 @@ def _to_map_edge(
 
 def _first(gap: FloatArray, speed: FloatArray) -> FloatArray:
     """How far (P,) one gets until a gap (P, 2) is used up at a speed (P, 2) along its axis."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide='ignore', invalid='ignore'):
         far: FloatArray = np.where(speed > 0.0, gap / speed, np.inf).min(axis=1)
     return far

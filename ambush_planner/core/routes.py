@@ -27,7 +27,7 @@ class RouteSampler:
 
     def __init__(self, network: Network, p: FloatArray) -> None:
         used = np.flatnonzero(p > 0.0)
-        order = used[np.argsort(network.tails[used], kind="stable")]
+        order = used[np.argsort(network.tails[used], kind='stable')]
         self._source, self._target = network.source, network.target
         # Lists, not arrays: a step looks at a few numbers, where an array costs ten times as much.
         self._heads = network.heads[order].tolist()
@@ -68,13 +68,13 @@ class RouteSampler:
         seen, whose = [at.copy()], [moving]
         while len(moving):
             node = at[moving]
-            step = np.searchsorted(keys, node + rng.random(len(moving)), side="right")
+            step = np.searchsorted(keys, node + rng.random(len(moving)), side='right')
             at[moving] = heads[np.minimum(step, first[node + 1] - 1)]
             seen.append(at[moving])
             whose.append(moving)
             moving = moving[at[moving] != self._target]
         route, nodes = np.concatenate(whose), np.concatenate(seen)
-        order = np.argsort(route, kind="stable")
+        order = np.argsort(route, kind='stable')
         return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n))[:-1])
 
     def _next(self, node: int, rng: np.random.Generator) -> int:

@@ -25,7 +25,7 @@ def shifts(method: str) -> FloatArray:
     On 'uniform_delaunay' no direction is preferred, because nodes are moved as if at random; the
     moves are always the same ones. Other lattices are square.
     """
-    if method != "uniform_delaunay":
+    if method != 'uniform_delaunay':
         return np.zeros((PERIOD, PERIOD, 2))
     # A bit generator's numbers never change from version to version.
     raw = np.random.PCG64(PATTERN).random_raw(PERIOD * PERIOD * 2)
@@ -94,14 +94,14 @@ def gradient_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
     rows, columns = lattice_shape(risk_map, spacing)
     rng = np.random.default_rng(seed)
     weight = np.cumsum(_gradient_weights(risk_map).ravel())
-    cell = np.searchsorted(weight, rng.random(rows * columns) * weight[-1], side="right")
+    cell = np.searchsorted(weight, rng.random(rows * columns) * weight[-1], side='right')
     row, column = np.divmod(np.minimum(cell, weight.size - 1), risk_map.alpha.shape[1])
     corner = np.stack((column, row), axis=1)
     return (corner + rng.random(corner.shape)) * risk_map.resolution
 
 
 def _gradient_weights(risk_map: RiskMap) -> FloatArray:
-    alpha = np.pad(risk_map.nearest_free_alpha(), 1, mode="edge")
+    alpha = np.pad(risk_map.nearest_free_alpha(), 1, mode='edge')
     slope = np.hypot(alpha[1:-1, 2:] - alpha[1:-1, :-2], alpha[2:, 1:-1] - alpha[:-2, 1:-1])
     mean = slope.mean()
     return np.ones_like(slope) if mean == 0.0 else 1.0 + slope / mean

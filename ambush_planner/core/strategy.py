@@ -19,7 +19,7 @@ from .options import check_at_least
 from .paths import distances_from
 from .routes import RouteSampler
 
-SOLVERS = ("max_entropy", "interior_point", "simplex")
+SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
 # Losses outside of this range leave no room for the products that a certificate is made of.
@@ -56,7 +56,7 @@ class StrategyOptions:
         A value is out of range or of another type, or an option does not go with the solver.
     """
 
-    solver: str = "max_entropy"
+    solver: str = 'max_entropy'
     max_detour: float = 1.2
     max_exposure: float = math.inf
     risk_slack: float = 0.01
@@ -66,25 +66,25 @@ class StrategyOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.solver, str) or self.solver not in SOLVERS:
             raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
-        check_at_least("max_detour", self.max_detour, 1.0, finite=False)
-        check_at_least("max_exposure", self.max_exposure, 1.0, finite=False)
-        check_at_least("risk_slack", self.risk_slack, 0.0)
-        check_at_least("length_weight", self.length_weight, 0.0)
-        check_at_least("time_limit", self.time_limit, 0.0, "s", finite=False)
+        check_at_least('max_detour', self.max_detour, 1.0, finite=False)
+        check_at_least('max_exposure', self.max_exposure, 1.0, finite=False)
+        check_at_least('risk_slack', self.risk_slack, 0.0)
+        check_at_least('length_weight', self.length_weight, 0.0)
+        check_at_least('time_limit', self.time_limit, 0.0, 's', finite=False)
         if self.length_weight >= 1.0:
-            raise InvalidOption(f"length_weight must be in [0, 1), got {self.length_weight}")
+            raise InvalidOption(f'length_weight must be in [0, 1), got {self.length_weight}')
         if self.time_limit == 0.0:
-            raise InvalidOption(f"time_limit must be positive [s], got {self.time_limit}")
-        plain = self.solver == "max_entropy"
+            raise InvalidOption(f'time_limit must be positive [s], got {self.time_limit}')
+        plain = self.solver == 'max_entropy'
         if plain and self.length_weight > 0.0:
             raise InvalidOption(
-                f"length_weight {self.length_weight} goes with the solvers interior_point and "
-                "simplex; max_entropy bounds the length with max_detour"
+                f'length_weight {self.length_weight} goes with the solvers interior_point and '
+                'simplex; max_entropy bounds the length with max_detour'
             )
         if not plain and math.isfinite(self.max_exposure):
             raise InvalidOption(
-                f"max_exposure {self.max_exposure} goes with the solver max_entropy, not "
-                f"{self.solver}"
+                f'max_exposure {self.max_exposure} goes with the solver max_entropy, not '
+                f'{self.solver}'
             )
 
 
@@ -206,7 +206,7 @@ def solve(
     _check_losses(network)
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
-    if options.solver == "max_entropy":
+    if options.solver == 'max_entropy':
         outcome = max_entropy_strategy(
             prepared, budgets, options.risk_slack, deadline, warm
         )
@@ -229,7 +229,7 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     network = game.network
     costs = (network.lengths, network.edge_exposure)
     factors = (options.max_detour, options.max_exposure)
-    names = (("length", "m"), ("exposure", "loss x m"))
+    names = (('length', 'm'), ('exposure', 'loss x m'))
     budgets = []
     for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
         least = least_cost(network, cost)
@@ -250,8 +250,8 @@ def _check_losses(network: Network) -> None:
     if odd.any():
         node = int(np.argmax(odd))
         raise InvalidNetwork(
-            f"alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g} for the game to be solved, got "
-            f"{network.alpha[node]:g} at node {node}; scale the losses"
+            f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g} for the game to be solved, got '
+            f'{network.alpha[node]:g} at node {node}; scale the losses'
         )
 
 
@@ -261,7 +261,7 @@ def _published(
 ) -> Strategy:
     """The strategy that was found; TimeLimit if its gap is too wide."""
     strategy = strategy_of(game, outcome, budgets, start)
-    slack = options.risk_slack if options.solver == "max_entropy" else 0.0
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
     slack += CERTIFICATE_TOLERANCE
     # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
     weighed = options.length_weight > 0.0
@@ -269,8 +269,8 @@ def _published(
     if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
         return strategy
     raise TimeLimit(
-        f"the value {strategy.value:.6g} is not within {slack:.3g} of its bound "
-        f"{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time",
+        f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
+        f'{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time',
         strategy,
     )
 

@@ -42,7 +42,7 @@ class UnitTriangle:
         # The rows are the columns of a lower triangle.
         n, none, nowhere = len(self._indptr) - 1, np.empty(0), np.empty(0, np.intc)
         solution, failed = gstrs(
-            "N" if transposed else "T",
+            'N' if transposed else 'T',
             n, len(self.data), self.data, self._indices, self._indptr,
             n, 0, none, nowhere, np.zeros(n + 1, np.intc),
             right,
@@ -53,5 +53,5 @@ class UnitTriangle:
     def _by_factors(self, right: FloatArray, transposed: bool) -> FloatArray:
         n = len(self._indptr) - 1
         matrix = csr_matrix((self.data, self._indices, self._indptr), shape=(n, n))
-        factors = splu(matrix.tocsc(), permc_spec="NATURAL", diag_pivot_thresh=0.0)
-        return np.asarray(factors.solve(right, trans="T" if transposed else "N"))
+        factors = splu(matrix.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0)
+        return np.asarray(factors.solve(right, trans='T' if transposed else 'N'))

@@ -71,7 +71,7 @@ def _checked(path: Path, raster: Raster) -> Raster:
         raise InvalidTerrain(f'{path}: must be (H, W), got shape {raster.values.shape}')
     for step in (raster.row_step, raster.column_step):
         if not (math.isfinite(step) and step > 0.0):
-            raise InvalidTerrain(f'{path}: the cells\' size must be positive [m], got {step}')
+            raise InvalidTerrain(f"{path}: the cells' size must be positive [m], got {step}")
     return raster
 
 
