@@ -45,8 +45,8 @@ def pytest_collection_modifyitems(items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    """One worker more than there are cores: many tests wait for other processes."""
-    return len(os.sched_getaffinity(0)) + 1
+    """Two workers more than there are cores: many tests wait for other processes."""
+    return len(os.sched_getaffinity(0)) + 2
 
 
 class Guard:
