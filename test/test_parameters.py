@@ -106,6 +106,7 @@ def test_compressions_are_those_of_the_recorder(tmp_path):
 
 @pytest.mark.parametrize('values, words', [
     ({'map__alpha_max': math.inf}, 'map.alpha_max must be finite'),
+    ({'map__alpha_max': 1e291}, 'map.alpha_max must be 0 or in 1e-305..1e+290'),
     ({'map__obstacle_threshold': 102}, 'Max: 101'),
     ({'map__obstacle_threshold': 50.0}, 'Wrong parameter type'),
     ({'network__method': 'hexagons'}, 'network.method must be one of uniform_delaunay'),

@@ -19,6 +19,9 @@ from scipy.ndimage import distance_transform_edt
 from .arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from .errors import InvalidOption, InvalidRiskMap
 
+# Losses outside of this range leave no room for the products that a certificate is made of.
+LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
+
 
 @dataclass(frozen=True, eq=False)
 class RiskMap:
@@ -164,8 +167,14 @@ class OccupancyOptions:
 
     def __post_init__(self) -> None:
         for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
-            if not math.isfinite(getattr(self, name)):
-                raise InvalidOption(f'{name} must be finite, got {getattr(self, name)}')
+            loss = getattr(self, name)
+            if not math.isfinite(loss):
+                raise InvalidOption(f'{name} must be finite, got {loss}')
+            if loss > 0.0 and not LEAST_LOSS <= loss <= MOST_LOSS:
+                raise InvalidOption(
+                    f'{name} must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got {loss}; scale the '
+                    'losses'
+                )
         if not 0.0 <= self.alpha_min <= self.alpha_max:
             raise InvalidOption(
                 '0 <= alpha_min <= alpha_max must hold, '

@@ -17,13 +17,12 @@ from .max_entropy import Law, Outcome, max_entropy_strategy
 from .network import Network
 from .options import check_at_least
 from .paths import distances_from
+from .risk_map import LEAST_LOSS, MOST_LOSS
 from .routes import RouteSampler
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.
 CERTIFICATE_TOLERANCE = 1e-5
-# Losses outside of this range leave no room for the products that a certificate is made of.
-LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
 
 
 @dataclass(frozen=True)

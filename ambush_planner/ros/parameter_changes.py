@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -12,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ..core.errors import InvalidOption
+from ..core.risk_map import MOST_LOSS
 from ..core.strategy import SOLVERS
 from .node_parameters import NodeParameters, parameters_from
 from .parameters import PARAMETERS
@@ -98,7 +98,7 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
 def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption where no values of the other parameters go with the changes."""
     others = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': sys.float_info.max}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS}
     refused: list[InvalidOption] = []
     for solver in SOLVERS:
         try:
