@@ -49,6 +49,21 @@ def pytest_xdist_auto_num_workers():
     return len(os.sched_getaffinity(0)) + 2
 
 
+@pytest.fixture
+def submitted(monkeypatch):
+    """The keys of solves that are submitted in this process from now on."""
+    from ambush_planner.worker.solve_queue import SolveQueue  # most tests need no worker
+    keys, submit = [], SolveQueue.submit
+
+    def tell(queue, key, *rest):
+        solve = submit(queue, key, *rest)
+        keys.append(key)
+        return solve
+
+    monkeypatch.setattr(SolveQueue, 'submit', tell)
+    return keys
+
+
 class Guard:
     """Watches over a run from its first process, which is the only one without xdist."""
 

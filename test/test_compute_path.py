@@ -194,11 +194,12 @@ def test_what_cannot_be_done_has_nav2s_code_and_says_why(action):
         assert goals.result(goals.send())[0] == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_cancelling_takes_one_goal_back_and_leaves_the_others(action):
+def test_cancelling_takes_one_goal_back_and_leaves_the_others(action, submitted):
     with asking(action, None, LONG) as goals:
         one, other = goals.send(), goals.send()
-        goals.client.diagnostics(state='solving')
         asked = goals.client.send('new_route')
+        wait_until(lambda: len(submitted) == 3, 'the requests')
+        goals.client.diagnostics(state='solving')
         assert goals.cancel(one) == 1
         assert goals.result(one)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.diagnostics()['state'] == 'solving', 'the others wait for this solve'

@@ -64,20 +64,6 @@ def answer(future):
     return future.result()
 
 
-@pytest.fixture
-def submitted(monkeypatch):
-    """The keys of solves that have been submitted from now on."""
-    keys, submit = [], SolveQueue.submit
-
-    def tell(queue, key, *rest):
-        solve = submit(queue, key, *rest)
-        keys.append(key)
-        return solve
-
-    monkeypatch.setattr(SolveQueue, 'submit', tell)
-    return keys
-
-
 def test_everything_else_answers_meanwhile(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
