@@ -4,9 +4,9 @@ With f = p / z in units of a loss near the value it is
 
     maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
 
-because a budget's row is homogeneous in f. With k ambushers the losses of any k sites add up to 1
-at the most: loss_j <= t + s_j with k t + sum s <= 1. The duals are the ambusher's q and the prices
-of the budgets.
+because a budget's row is homogeneous in f. With k ambushers, the losses of any k sites must add up
+to at most 1: loss_j <= t + s_j with k t + sum s <= 1. The duals are the ambusher's q and the
+prices of the budgets.
 """
 
 from __future__ import annotations

@@ -143,7 +143,7 @@ class _Search:
     def _mixed(self, found: Outcome, least: LeastRisk) -> Outcome | None:
         """Mix in so much of the least risk's p that value and budgets hold; None if nothing does.
 
-        Rounding that p itself is over a budget by is allowed to the mixture, too.
+        Where rounding puts p itself over a budget, the mixture may be over it by as much.
         """
         limit = least.bound * (1.0 + self.slack)
         most = [

@@ -45,6 +45,9 @@ def frontier_figure(
         strict=True,
     ):
         axes.set_ylabel(label)
+        # The margin at the top is then a share of all that is shown, enough for the markers.
+        axes.update_datalim([(0.0, least)], updatex=False)
+        axes.autoscale_view()
         axes.set_ylim(bottom=least)
     panels[0, 0].legend(loc='best', frameon=False)
     return figure
