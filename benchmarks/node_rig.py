@@ -213,6 +213,20 @@ class Caller:
         self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
+    def meet(self, name: str) -> None:
+        """Call a Trigger that does nothing until it answers.
+
+        Before both sides have found each other, DDS may lose an answer.
+        """
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while True:
+            future = self.send(Trigger, name)
+            try:
+                return self.wait(future.done, f'an answer of {name}', 2.0)
+            except NodeSilent:
+                if time.monotonic() > deadline:
+                    raise
+
     def new_route(self) -> None:
         """Depart between the latest start and goal. Raises Refused."""
         self.trigger('new_route')

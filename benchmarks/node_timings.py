@@ -177,6 +177,7 @@ def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> De
     say(f'{calls} departures of each kind, recording {recording}, every {period:g} s')
     times: Samples = {}
     with Caller(rig.domain, rig.process.check) as caller:
+        caller.meet(EMPTY)
         _, times[NOTHING] = arrivals(caller, calls, period, lambda: caller.call(Trigger, EMPTY))
         read, times['`new_route`: answer arrived'] = arrivals(
             caller, calls, period, caller.new_route)

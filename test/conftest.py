@@ -32,6 +32,8 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     faulthandler.register(signal.SIGUSR1, os.dup(2))
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in `make test &`
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.option.loadscopereorder = False  # xdist's: the files of most tests first
     if not hasattr(config, 'workerinput'):
         config.pluginmanager.register(Guard(float(config.getini('session_limit'))), 'guard')
