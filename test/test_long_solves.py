@@ -8,11 +8,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from handed_on import workers
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
-from test_solve_queue import workers
 
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
