@@ -134,7 +134,7 @@ def test_a_full_queue_refuses_at_once_and_says_what_is_busy(queue):
 def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
     ready = threading.Event()
     monkeypatch.setattr(
-        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and WorkerProcess())
+        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and HandedOn.take())
     queue = SolveQueue()
     try:
         solves = [submit(queue, k, request(), size=1) for k in range(2)]
