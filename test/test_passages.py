@@ -38,7 +38,7 @@ def crossing(risk_map, method='uniform_delaunay', **options):
 @pytest.mark.parametrize('method', DELAUNAY)
 @pytest.mark.parametrize('thickness', [1, 5])
 def test_a_door_of_one_cell_is_found_wherever_it_lies(method, thickness):
-    for row, column in itertools.product(range(6, 13), range(7, 14)):
+    for row, column in itertools.product(range(6, 13), range(7, 14, 2)):
         crossing(walled(row, column, thickness), method)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
-from scipy.stats import binom
 
 from ..audit.departures import Audit
 from ..audit.learning import LEARNT
@@ -63,6 +62,7 @@ def audit_figure(risk_map: RiskMap, audit: Audit) -> Figure:
 
 def draw_frequencies(axes: Axes, probability: np.ndarray, audit: Audit) -> None:
     """Draw each edge as a dot: published probability across, share driven up; with a band."""
+    from scipy.stats import binom  # an audit without pictures need not wait for it
     n = audit.departures
     shown = (probability > 0.0) | (audit.passages > 0)
     largest = min(1.0, float(probability.max()) * 1.1)
