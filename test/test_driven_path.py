@@ -42,7 +42,7 @@ def dense(poses, parts=20):
     return np.concatenate([poses[:-1, None, :2] + share * steps[:, None]]).reshape(-1, 2)
 
 
-@examples(40)
+@examples(60)
 @given(drives())
 def test_the_path_keeps_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
@@ -60,7 +60,7 @@ def test_the_path_keeps_clear_and_in_its_tube(drive):
             assert distance_to(others, poses[:, :2]).min() > 1e-3
 
 
-@examples(40)
+@examples(60)
 @given(drives(), st.sampled_from((0.03, 0.2, 1.0, 7.0)))
 def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     corridors, route = drive[:2]
@@ -143,7 +143,7 @@ def test_radii_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
     assert [tight_turns(path, radius) for radius in (0.0, 1.0, 3.0, 4.0)] == [0, 1, 1, 2]
 
 
-@examples(35)
+@examples(50)
 @given(drives())
 def test_no_path_is_much_longer_than_its_route(drive):
     corridors, route = drive[:2]

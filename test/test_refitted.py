@@ -32,7 +32,7 @@ def a_route_left(network, lost, seed):
     return shortest_path(*graph, network.target)
 
 
-@examples(40)
+@examples(60)
 @given(drives(), st.data())
 def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
@@ -64,7 +64,7 @@ def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
             assert np.all(width <= once) and np.all(width >= np.asarray(again) - 1e-9)
 
 
-@examples(40)
+@examples(60)
 @given(drives(), st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
 def test_paths_from_and_to_a_place_beside_the_end(drive, far, angle, at_start):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive

@@ -38,7 +38,7 @@ def pieces(corridors, edge, rng):
     return np.concatenate(found)
 
 
-@examples(30)
+@examples(50)
 @given(drives(), st.integers(0, 10**6))
 def test_strips_and_quarters_are_clear(drive, seed):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
