@@ -1,6 +1,7 @@
 """No run hangs, goes on without a worker that has died, or leaves processes and shared memory."""
 
 import faulthandler
+import gc
 import os
 import signal
 import threading
@@ -43,6 +44,11 @@ def pytest_collection_modifyitems(items):
     """Files with slow tests first, so that in the end no worker waits for another."""
     slow = {item.path for item in items if item.get_closest_marker('slow')}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_collection_finish():
+    """All that is imported by now stays: garbage collections need not look at it again."""
+    gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -15,7 +15,7 @@ import numpy as np
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
-from scipy.sparse import csr_matrix, hstack, identity, vstack
+from scipy.sparse import coo_matrix, csr_matrix
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -152,14 +152,14 @@ def exact_value(network: Network) -> Fraction:
 
 def geometric_hits(network: Network, radius: float) -> csr_matrix:
     """(N, M): edges that come into the disc of a node from outside; none where it holds an end."""
-    start, end = (network.points[network.edges[:, k]][None] for k in (0, 1))
-    centre, along = network.points[:, None], end - start
-    share = ((centre - start) * along).sum(axis=2) / (along**2).sum(axis=2)
-    nearest = start + np.clip(share, 0.0, 1.0)[..., None] * along
-    passes = np.linalg.norm(nearest - centre, axis=2) <= radius
-    hits = passes & (np.linalg.norm(start - centre, axis=2) > radius)
-    hits[np.linalg.norm(network.points - network.points[network.source], axis=1) <= radius] = False
-    hits[np.linalg.norm(network.points - network.points[network.target], axis=1) <= radius] = False
+    points, start = network.points, network.points[network.tails]
+    along = points[network.heads] - start
+    share = (points @ along.T - (start * along).sum(axis=1)) / (along**2).sum(axis=1)
+    share = np.clip(share, 0.0, 1.0)
+    away = [start[:, k] + share * along[:, k] - points[:, k, None] for k in (0, 1)]
+    apart = np.linalg.norm(points[:, None] - points, axis=2)
+    hits = (np.hypot(*away) <= radius) & (apart[:, network.tails] > radius)
+    hits[(apart[:, [network.source, network.target]] <= radius).any(axis=1)] = False
     return csr_matrix(hits.astype(float))
 
 
@@ -171,39 +171,45 @@ def program_value(
     Variables p (M,), t, s (N,): the k largest losses sum to at most k t + sum s.
     """
     n, m = len(network.points), len(network.edges)
-    one, each = np.ones(m), np.arange(m)
-    tail, head = (csr_matrix((one, (network.edges[:, k], each)), shape=(n, m)) for k in (0, 1))
-    hits = head if hits is None else hits
-    losses = hits.multiply(network.alpha[:, None])
-    rows = [hstack((losses, csr_matrix(-np.ones((n, 1))), -identity(n)))]
-    limits = np.zeros(n)
-    if np.isfinite(budget):
-        rows.append(csr_matrix(np.concatenate((network.lengths / budget, np.zeros(n + 1)))))
-        limits = np.append(limits, 1.0)
+    one, each, every = np.ones(m), np.arange(m), np.arange(n)
+    tail, head = network.edges.T
+    hits = coo_matrix((one, (head, each)), shape=(n, m)) if hits is None else hits.tocoo()
+    # One ambusher's largest loss is t alone.
+    slack = every[: n if ambushers > 1 else 0]
+    width, budgets = m + 1 + len(slack), int(np.isfinite(budget))
+    # A row a site: its loss less t, less its own s; then the length as a part of the budget.
+    parts = (
+        (hits.data * network.alpha[hits.row], hits.row, hits.col),
+        (-np.ones(n), every, np.full(n, m)),
+        (-np.ones(len(slack)), slack, m + 1 + slack),
+        *[(network.lengths / budget, np.full(m, n), each)] * budgets,
+    )
+    data, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
+    rows = csr_matrix((data, (row, column)), shape=(n + budgets, width))
+    ends = np.concatenate((tail, head)), np.concatenate((each, each))
+    balance = csr_matrix((np.concatenate((one, -one)), ends), shape=(n, width))
     supply = np.zeros(n)
     supply[network.source], supply[network.target] = 1.0, -1.0
-    balance = hstack((tail - head, csr_matrix((n, n + 1))))
     tolerances = {'primal_feasibility_tolerance': 1e-10, 'dual_feasibility_tolerance': 1e-10}
-    cost = np.concatenate((np.zeros(m), [float(ambushers)], np.ones(n)))
-    if ambushers == 1:
-        cost[m + 1 :] = 2.0  # t alone does it
-    found = linprog(
-        cost, vstack(rows).tocsr(), limits, balance.tocsr(), supply, method='highs-ds',
-        options=tolerances,
-    )
+    cost = np.concatenate((np.zeros(m), [float(ambushers)], np.ones(len(slack))))
+    limits = np.concatenate((np.zeros(n), np.ones(budgets)))
+    found = linprog(cost, rows, limits, balance, supply, method='highs-ds', options=tolerances)
     assert found.status == 0, found.message
     return float(found.fun)
 
 
-def value_range(network: Network, budget: float) -> tuple[float, float]:
-    """Least and largest value that a correct solver may find within 2e-7 of the budget [m].
+def value_is_right(network: Network, value: float, budget: float, slack: float = 0.0) -> bool:
+    """Whether a correct solver may find this value within 2e-7 of the budget [m].
 
-    Where routes are nearly as short as the shortest, the value is steep in the budget.
+    At most by the part ``slack`` over the least. Where routes are nearly as short as the shortest,
+    the value is steep in the budget.
     """
-    value = program_value(network, None, budget)
+    least = program_value(network, None, budget)
+    room = 2e-6 * least + 1e-8
+    if least - room <= value <= (least + room) * (1 + slack):
+        return True
     loose = program_value(network, None, budget * (1 + 2e-7))
-    room = 2e-6 * value + 1e-8
-    return loose - room, 2 * value - loose + room
+    return loose - room <= value <= (2 * least - loose + room) * (1 + slack)
 
 
 def least_weight(network: Network, weights: np.ndarray) -> float:

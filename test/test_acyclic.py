@@ -49,7 +49,7 @@ def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
     return p
 
 
-@examples(70)
+@examples(50)
 @given(networks())
 def test_every_edge_of_a_forward_part_lies_on_a_route_and_none_on_a_cycle(network):
     game = make_game(network, GameOptions())
@@ -109,7 +109,7 @@ def test_large_networks_are_ordered_by_progress(monkeypatch):
     assert forward_part(game, rank_by(progress(game))) is not None
 
 
-@examples(70)
+@examples(50)
 @given(networks(), st.integers(0, 10**6))
 def test_an_order_around_a_strategy_keeps_it(network, seed):
     game = make_game(network, GameOptions())
@@ -121,7 +121,7 @@ def test_an_order_around_a_strategy_keeps_it(network, seed):
     assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
 
 
-@examples(70)
+@examples(50)
 @given(networks(), st.integers(0, 10**6))
 def test_without_cycles_the_same_trips_are_made_and_no_node_is_visited_more(network, seed):
     p = mixed_walks(network, seed)

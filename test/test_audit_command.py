@@ -22,6 +22,8 @@ from ambush_planner.tools import audit, report
 
 RNG = np.random.default_rng(12)
 
+pytestmark = pytest.mark.usefixtures('fewer_draws')
+
 
 @pytest.fixture(scope='module')
 def a_plan():

@@ -145,6 +145,7 @@ def clear_edges(network):
     return found
 
 
+@pytest.mark.usefixtures('fewer_draws')
 def test_on_a_map_that_has_changed_departures_have_the_law_of_the_routes_that_are_left(
     tmp_path, a_plan
 ):
@@ -301,7 +302,7 @@ def one_departure(a_plan):
     return departure(a_plan, drawn(a_plan, 1)[0])
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, database=None,
+@settings(max_examples=100, deadline=None, derandomize=True, database=None,
           suppress_health_check=list(HealthCheck))
 @given(key=st.sampled_from(['parameters', 'trip', 'route', 'route_entropy_source', 'versions',
                             'inputs', 'departure', 'sha256']), data=st.data())

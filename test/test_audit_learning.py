@@ -63,7 +63,7 @@ def learning_of(strategy, routes):
     return learning_from([(many, strategy)], np.zeros(len(routes), int), [steps], [every])
 
 
-@examples(60)
+@examples(40)
 @given(networks())
 def test_repeat_probability_is_the_sum_over_all_routes(network):
     strategy = solve(network)
@@ -94,7 +94,7 @@ def test_an_observer_on_a_network_by_hand():
 
 
 @given(st.floats(1e-12, 1.0))
-@examples(300)
+@examples(100)
 def test_departures_until_a_pair_is_expected(repeat):
     n = _until_pair(repeat)
     assert n * (n - 1) / 2 * repeat >= 1.0 - 1e-9

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from games import paper_example, terrain_network
-from scipy.stats import binom
 
 from ambush_planner import Network, solve
 from ambush_planner.audit.departures import TESTS, Driven, audit
@@ -53,6 +52,7 @@ def likeliest_route(strategy):
 @pytest.mark.parametrize('name, departures', [('paper', 5), ('paper', 24), ('terrain', 8)])
 def test_false_alarms_are_as_rare_as_stated(name, departures):
     """Each p-value is at most u with probability at most u, and any finding as rare as stated."""
+    from scipy.stats import binom  # takes long to import
     strategy = solve(paper_example() if name == 'paper' else terrain_network(3, cells=12))
     sampler, rng = sampler_of(strategy), np.random.default_rng(departures)
     results = [

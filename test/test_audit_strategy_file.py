@@ -129,7 +129,7 @@ def test_nothing_can_be_hidden_beside_the_arrays(a_plan, hide):
         strategy_from_file(hide(data), GameOptions(secured_radius=40.0))
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, database=None,
+@settings(max_examples=100, deadline=None, derandomize=True, database=None,
           suppress_health_check=list(HealthCheck))
 @given(st.data())
 def test_bytes_that_were_a_strategy_are_refused_or_the_same(a_plan, data):

@@ -51,7 +51,7 @@ def check_cut(network, found: GameValue) -> None:
     assert weighted == pytest.approx(found.value, rel=1e-12)
 
 
-@examples(80)
+@examples(50)
 @given(networks())
 def test_value_and_strategies_on_any_network(network):
     found = solved(network)
@@ -61,7 +61,7 @@ def test_value_and_strategies_on_any_network(network):
         check_cut(network, found)
 
 
-@examples(80)
+@examples(50)
 @given(networks(alphas=NASTY))
 def test_value_with_losses_from_1e_9_to_1e9_in_one_network(network):
     found = solved(network)
@@ -69,13 +69,13 @@ def test_value_with_losses_from_1e_9_to_1e9_in_one_network(network):
     assert found.value == pytest.approx(float(exact_value(network)), rel=1e-9)
 
 
-@examples(90)
+@examples(50)
 @given(networks(alphas=PLAIN))
 def test_value_agrees_with_the_linear_program(network):
     assert solved(network).value == pytest.approx(program_value(network), rel=1e-9)
 
 
-@examples(40)
+@examples(25)
 @given(terrain_networks)
 def test_value_on_terrain(network):
     found = solved(network)

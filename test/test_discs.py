@@ -71,7 +71,7 @@ def test_a_corridor_through_a_disc_costs_its_loss():
         assert solve(network, GameOptions(ambush_radius=1.4)).value == pytest.approx(3.0)
 
 
-@examples(70)
+@examples(50)
 @given(st.integers(0, 10**9))
 def test_entries_of_any_polyline_are_those_of_its_points(seed):
     rng = np.random.default_rng(seed)

@@ -11,9 +11,9 @@ from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
 from ambush_planner.core.planner import DriveOptions, PlanningOptions, depart, departure_paths, plan
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
-DRAWS = 2000 * HUNT
+DRAWS = 1400 * HUNT
 # Without a reach lines are looked at more closely, which takes longer.
-DRAWS_WITHOUT = 600 * HUNT
+DRAWS_WITHOUT = 450 * HUNT
 # Without a reach, whoever comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 

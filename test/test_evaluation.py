@@ -26,7 +26,7 @@ def length(network, route) -> float:
     return float(np.hypot(*steps.T).sum())
 
 
-@examples(50)
+@examples(40)
 @given(networks(max_nodes=7))
 def test_fixed_routes_are_the_best_of_all_routes(network):
     game = solve(network).game
@@ -39,14 +39,14 @@ def test_fixed_routes_are_the_best_of_all_routes(network):
     assert length(network, careful) == pytest.approx(min(length(network, r) for r in ties))
 
 
-@examples(50)
+@examples(40)
 @given(networks())
 def test_rows_of_any_network(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
     check_rows(strategy)
 
 
-@examples(40)
+@examples(20)
 @given(terrain_networks)
 def test_rows_on_terrain(network):
     check_rows(solve(network, options=StrategyOptions(max_detour=np.inf)))

@@ -27,7 +27,7 @@ from ambush_planner.tools.frontier import COLUMNS, read_risk_map
 ENTROPY = 0.02
 
 
-@examples(12)
+@examples(8)
 @given(terrain_networks)
 def test_each_row_is_certified_and_looser_budgets_cost_no_value(network):
     rows = frontier(network, detours=(1.3, 1.0, 1.1), slacks=(0.0, 0.3, 0.05))
@@ -52,7 +52,7 @@ def test_looser_budgets_buy_entropy():
     assert [row.lower_bound for row in rows[3:]] == pytest.approx([rows[1].lower_bound] * 3)
 
 
-@examples(10)
+@examples(7)
 @given(terrain_networks)
 def test_a_row_is_what_a_cold_solve_finds(network):
     detours, game = (1.5, 1.05), GameOptions(ambush_radius=1.5)

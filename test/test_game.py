@@ -22,7 +22,7 @@ def value(network, **options) -> float:
         return np.inf
 
 
-@examples(90)
+@examples(50)
 @given(networks())
 def test_the_value_never_falls_as_the_threshold_falls(network):
     values = [value(network, alpha_threshold=limit) for limit in (np.inf, 7, 3, 2, 1, 0.5, 0)]
@@ -30,7 +30,7 @@ def test_the_value_never_falls_as_the_threshold_falls(network):
         assert tight >= loose * (1 - 1e-12)
 
 
-@examples(90)
+@examples(50)
 @given(networks(alphas=PLAIN), st.floats(0, 8))
 def test_the_value_never_rises_as_more_ground_is_secured(network, radius):
     assert value(network, secured_radius=radius) <= value(network) * (1 + 1e-12)

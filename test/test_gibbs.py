@@ -46,7 +46,7 @@ def routes_of(network, acyclic) -> list[list[int]]:
     return [[place[step] for step in pairwise(route)] for route in routes]
 
 
-@examples(70)
+@examples(50)
 @given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
 def test_every_route_is_as_likely_as_its_weight_says(network, seed, size):
     case = forward(network)

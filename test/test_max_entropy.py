@@ -62,7 +62,7 @@ def check_entropy(strategy, slack: float) -> None:
 
 
 @pytest.mark.parametrize('method', METHODS)
-@examples(8)
+@examples(6)
 @given(seed=st.integers(0, 10**6), cells=st.integers(6, 16), detour=st.sampled_from(DETOURS),
        slack=st.sampled_from((0.01, 0.1)))
 def test_terrain(method, seed, cells, detour, slack):
@@ -71,7 +71,7 @@ def test_terrain(method, seed, cells, detour, slack):
     check_entropy(solve(network, options=options), slack)
 
 
-@examples(35)
+@examples(28)
 @given(networks(alphas=PLAIN), st.sampled_from(DETOURS))
 def test_any_network(network, detour):
     check_entropy(solve(network, options=StrategyOptions(max_detour=detour)), 0.01)
@@ -103,7 +103,7 @@ def test_the_papers_example():
 # The stages.
 
 
-@examples(35)
+@examples(28)
 @given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
        st.sampled_from((0.0, 0.01, 0.3)))
 def test_value_within_the_slack_of_the_linear_programs(network, detour, count, slack):

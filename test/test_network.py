@@ -20,7 +20,7 @@ GOOD = {
 }
 
 
-@examples(200)
+@examples(60)
 @given(networks())
 def test_lengths_and_ends(network):
     a, b = network.points[network.edges[:, 0]], network.points[network.edges[:, 1]]

@@ -71,14 +71,14 @@ points = st.tuples(eighths, eighths)
 cells = st.sets(st.tuples(*[st.integers(0, SIDE - 1)] * 2), min_size=1, max_size=6)
 
 
-@examples(200)
+@examples(120)
 @given(points, points, cells)
 def test_segments_against_exact_clipping(a, b, blocked):
     expected = not any(meets(a, b, cell) for cell in blocked)
     assert clear(field_of(blocked), a, b) == expected
 
 
-@examples(200)
+@examples(120)
 @given(points, points, cells, st.sampled_from((1, 2, 3, 5, 8, 13, 20)))
 def test_clearance_against_exact_distances(a, b, blocked, reach):
     reach = Fraction(reach, 8)
@@ -86,7 +86,7 @@ def test_clearance_against_exact_distances(a, b, blocked, reach):
     assert clear(field_of(blocked), a, b, float(reach)) == (nearest > reach**2)
 
 
-@examples(200)
+@examples(120)
 @given(st.integers(0, 10**9))
 def test_any_directions_against_dense_sampling(seed):
     rng = np.random.default_rng(seed)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import documented_keys
+from commands import documented_keys, run_here
 from games import paper_example
 
 from ambush_planner import solve
@@ -42,11 +42,11 @@ def done(tmp_path_factory):
     """The folder of a full run."""
     pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
     folder = tmp_path_factory.mktemp('paper') / 'new folder'
-    process = run('-o', str(folder))
-    assert process.returncode == 0, process.stdout + process.stderr
-    assert 'NOT ok' not in process.stdout
-    assert (folder / 'tables.md').read_text() in process.stdout
-    told = (process.stdout + process.stderr).splitlines()
+    done = run_here(paper, '-o', folder)
+    assert done.code == 0, done.out + done.err
+    assert 'NOT ok' not in done.out
+    assert (folder / 'tables.md').read_text() in done.out
+    told = (done.out + done.err).splitlines()
     # Rows of Markdown stay whole, as do names of files.
     assert max(len(line) for line in told if line[:1] != '|' and str(folder) not in line) < 100
     return folder
@@ -55,11 +55,6 @@ def done(tmp_path_factory):
 @pytest.fixture(scope='module')
 def results(done):
     return json.loads((done / 'results.json').read_text())
-
-
-def run(*arguments: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, '-m', 'ambush_planner.tools.cli', 'paper', *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
 
 
 def test_the_environment_is_as_stated():

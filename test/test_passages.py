@@ -38,8 +38,9 @@ def crossing(risk_map, method='uniform_delaunay', **options):
 @pytest.mark.parametrize('method', DELAUNAY)
 @pytest.mark.parametrize('thickness', [1, 5])
 def test_a_door_of_one_cell_is_found_wherever_it_lies(method, thickness):
-    for row, column in itertools.product(range(6, 13), range(7, 14)):
-        crossing(walled(row, column, thickness), method)
+    for row in range(6, 13):
+        for column in range(7 + row % 2, 14, 2):  # as on a chessboard
+            crossing(walled(row, column, thickness), method)
 
 
 @pytest.mark.parametrize('clearance', [1.4, 1.49])

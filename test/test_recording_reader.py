@@ -76,12 +76,12 @@ def test_a_departure_reads_back_as_it_was_recorded(tmp_path):
     assert read.strategy == STRATEGY.data
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     rows=st.lists(
         st.tuples(st.sampled_from(('/a', '/tópic')), st.integers(0, 2**63 - 1), st.binary()),
         min_size=1,
-        max_size=20,
+        max_size=10,
     ),
     metadata=st.dictionaries(TEXT, TEXT),
     attachments=st.dictionaries(TEXT, st.binary()),

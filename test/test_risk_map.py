@@ -21,7 +21,7 @@ def flat(rows=3, columns=4, resolution=0.5, origin=(0.0, 0.0, 0.0)) -> RiskMap:
     return RiskMap(np.ones((rows, columns)), np.zeros((rows, columns), bool), resolution, origin)
 
 
-@examples(200)
+@examples(80)
 @given(origins, resolutions, st.integers(0, 10**6))
 def test_world_and_map_axes_round_trip(origin, resolution, seed):
     risk_map = flat(resolution=resolution, origin=origin)
@@ -30,7 +30,7 @@ def test_world_and_map_axes_round_trip(origin, resolution, seed):
     assert back == pytest.approx(uv, abs=1e-11 * (1 + np.hypot(*origin[:2]) + max(risk_map.size)))
 
 
-@examples(200)
+@examples(80)
 @given(origins, resolutions, st.integers(0, 2), st.integers(0, 3))
 def test_cell_centres_are_in_their_cells(origin, resolution, row, column):
     risk_map = flat(resolution=resolution, origin=origin)

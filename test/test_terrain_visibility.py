@@ -67,30 +67,29 @@ def test_all_cells_at_once_are_each_cell_alone(seed, reach, rays):
     np.testing.assert_allclose(views.approach, approach, rtol=1e-5)
 
 
-def line_of_sight(heights, here, there, options, resolution):
-    """Whether the line between two heads clears the ground, read bilinearly every 1/4 cell."""
-    a, b = np.array(here, float), np.array(there, float)
-    cells = np.hypot(*(b - a))
-    share = np.arange(0.25, cells, 0.25)[:, None] / cells
-    row, column = (a + share * (b - a)).T
+def lines_of_sight(heights, here, there, options):
+    """Whether each line between two heads clears the ground, read bilinearly every 1/4 cell."""
+    along = there - np.array(here, float)
+    cells = np.hypot(*along.T)[:, None]
+    # Beyond the other head it is read there again, where it is clear.
+    share = np.minimum(np.arange(0.25, cells.max(), 0.25) / cells, 1.0)
+    row, column = (here[k] + share * along[:, k, None] for k in (0, 1))
     r, c = np.floor(row).astype(int), np.floor(column).astype(int)
     r, c = np.minimum(r, heights.shape[0] - 2), np.minimum(c, heights.shape[1] - 2)
     u, v = row - r, column - c
     ground = ((1 - u) * (1 - v) * heights[r, c] + (1 - u) * v * heights[r, c + 1]
               + u * (1 - v) * heights[r + 1, c] + u * v * heights[r + 1, c + 1])
     start = heights[here] + options.vehicle_height
-    line = start + share[:, 0] * (heights[there] + options.person_height - start)
-    return bool((ground <= line).all())
+    line = start + share * (heights[tuple(there.T)][:, None] + options.person_height - start)
+    return (ground <= line).all(axis=1)
 
 
 def by_brute_force(heights, resolution, here, options):
     """Share of all cells within range that see the cell ``here``."""
-    seen = []
-    for there in np.ndindex(heights.shape):
-        distance = resolution * math.hypot(there[0] - here[0], there[1] - here[1])
-        if 0.0 < distance <= options.weapon_range:
-            seen.append(line_of_sight(heights, here, there, options, resolution))
-    return float(np.mean(seen))
+    there = np.argwhere(np.ones(heights.shape, bool))
+    distance = resolution * np.hypot(*(there - here).T)
+    there = there[(0.0 < distance) & (distance <= options.weapon_range)]
+    return float(lines_of_sight(heights, here, there, options).mean())
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -139,8 +138,8 @@ def test_whoever_stands_taller_sees_more():
 
 
 def test_tiles_and_their_number_change_nothing(monkeypatch):
-    heights = hills((50, 70), 1, 10.0, 3.0)
-    heights[10:20, 30:35] = np.nan
+    heights = hills((30, 40), 1, 10.0, 3.0)
+    heights[10:20, 20:25] = np.nan
     elevation = Elevation(heights, 10.0)
     whole = viewshed(elevation, ViewOptions(150.0))
     monkeypatch.setattr(visibility, 'TILE', (7, 13))
@@ -148,7 +147,7 @@ def test_tiles_and_their_number_change_nothing(monkeypatch):
     parts = viewshed(elevation, ViewOptions(150.0), told.append)
     np.testing.assert_array_equal(whole.exposure, parts.exposure)
     np.testing.assert_array_equal(whole.approach, parts.approach)
-    assert told == sorted(told) and told[-1] == 1.0 and len(told) == 48
+    assert told == sorted(told) and told[-1] == 1.0 and len(told) == 20
 
 
 @given(st.floats(1.0, 400.0), st.sampled_from([4, 64, 128]))
