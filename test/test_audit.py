@@ -12,7 +12,7 @@ from audit_oracles import drawn, routes_with_probabilities, run
 from games import examples, networks, paper_example, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binom, chi2
+from scipy.stats import chi2
 
 from ambush_planner import InvalidOption, Network, solve
 from ambush_planner.audit import departures as auditing
@@ -20,7 +20,6 @@ from ambush_planner.audit.departures import FEWEST_DEPARTURES, TESTS
 from ambush_planner.audit.draws import ManyRoutes, NotAuditable
 from ambush_planner.audit.tallies import identical_pairs
 from ambush_planner.core.routes import route_edges
-from ambush_planner.tools.audit_figures import quantile
 
 FALSE_ALARM = 1e-6
 
@@ -217,13 +216,3 @@ def test_too_few_departures_and_rates_out_of_range_are_refused(paper):
 @pytest.mark.parametrize('rate', [0.001, 0.01, 0.05, 0.5])
 def test_the_smallest_p_value_can_always_be_a_finding(rate):
     assert 1.0 / (auditing._resamples(rate, 1, 1) + 1) <= rate / len(TESTS)
-
-
-# Picture
-
-
-@pytest.mark.parametrize('q', [0.005, 0.5, 0.995])
-@pytest.mark.parametrize('n', [1, 6, 300])
-def test_the_band_around_published_frequencies_is_the_binomial_laws(n, q):
-    probability = np.linspace(0.0, 1.0, 101)
-    np.testing.assert_array_equal(quantile(q, n, probability), binom.ppf(q, n, probability))
