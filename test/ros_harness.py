@@ -56,7 +56,7 @@ def free_domain():
 @contextmanager
 def spinning(node, executor):
     """Spin the node in a thread that is joined in the end: a thread left would abort Python."""
-    stop, failed = threading.Event(), []
+    stop, failed, name = threading.Event(), [], node.get_name()
 
     def spin():
         try:
@@ -76,7 +76,7 @@ def spinning(node, executor):
         executor.shutdown()
         node.destroy_node()
         if failed:
-            raise AssertionError(f'{node.get_name()} stopped spinning') from failed[0]
+            raise AssertionError(f'{name} stopped spinning') from failed[0]
 
 
 @contextmanager

@@ -48,7 +48,8 @@ class PlannerNode(LifecycleNode):
     Unconfigured it has parameters, diagnostics, and services that refuse; inactive it listens as
     well; active it answers. It is active from the start unless ``autostart`` is false.
 
-    Callbacks never wait, so any executor will do. One of a single thread answers soonest.
+    Callbacks never wait, so one thread is enough for them, and answers soonest. With several,
+    rclpy's executor can raise ``InvalidHandle`` when the node is cleaned up while messages arrive.
 
     Raises
     ------
