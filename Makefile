@@ -32,7 +32,7 @@ demo: $(VENV)/.demo
 paper: $(VENV)/.demo
 	$(BIN)/ambush_paper
 
-# Files of tests side by side. test/conftest.py ends a run that hangs or loses a worker.
+# Files of tests side by side. test/guard.py ends a run that hangs or loses a worker.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
 # pytest exits 5, and so fails this target, when it finds no test.

@@ -112,14 +112,12 @@ def main() -> int:
     )
     options = parser.parse_args()
     try:
-        found = [
-            each for recording in (True, False)
-            for each in departures(options.calls, recording, options.nodes, (PERIOD, 0.0))
-        ]
         parts = (
             beside_results(beside_a_solve(options.samples, PERIOD)),
             map_results(large_maps(options.maps, CELLS)),
-            departure_results(found, options.calls, options.nodes),
+            departure_results(
+                departures(options.calls, options.nodes, (PERIOD, 0.0)), options.calls,
+                options.nodes),
         )
     except FAILURES as error:
         say(f'node_latency: {error}')

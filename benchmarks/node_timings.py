@@ -159,17 +159,20 @@ def node_here() -> Iterator[PlannerNode]:
         rclpy.try_shutdown(context=context)
 
 
-def departures(
-    calls: int, recording: bool, nodes: int, periods: tuple[float, ...]
-) -> list[Departures]:
-    """Departures on a known strategy; with period 0 each follows the one before at once."""
-    parameters = {'network.target_nodes': nodes, **PATH, 'recording.enabled': recording}
+def departures(calls: int, nodes: int, periods: tuple[float, ...]) -> list[Departures]:
+    """Departures on a known strategy, recorded and not; with period 0 back to back."""
+    parameters = {'network.target_nodes': nodes, **PATH}
+    found = []
     with scratch() as folder, running_node(folder, parameters) as rig:
         with Caller(rig.domain, rig.process.check) as caller:
             caller.give(field(CELLS, RESOLUTION), START, GOAL)
             caller.new_route()
         with empty_service(rig.domain):
-            return [departures_every(rig, calls, recording, period) for period in periods]
+            for recording in (True, False):
+                with Caller(rig.domain, rig.process.check) as caller:
+                    caller.set_parameters({'recording.enabled': recording})
+                found += [departures_every(rig, calls, recording, each) for each in periods]
+    return found
 
 
 def departures_every(rig: Rig, calls: int, recording: bool, period: float) -> Departures:

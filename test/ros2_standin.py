@@ -14,10 +14,10 @@ from pathlib import Path
 def serve_map(node, arguments):
     """Publish the map latched, as map_server does once it is active, until the end."""
     import rclpy
-    from ros_harness import LATCHED
     from std_msgs.msg import Header
 
     from ambush_planner.ros.conversions import occupancy_to_ros
+    from ambush_planner.ros.qos import LATCHED
     from ambush_planner.terrain.map_file import read_map
 
     options = dict(each.split(':=') for each in arguments if ':=' in each)

@@ -16,9 +16,11 @@ from audit_samples import START, departure, drawn, parameters, record, sample_pl
 from commands import run_here
 from damage import flips, truncations
 from matplotlib.image import imread
+from scipy.stats import binom
 
 from ambush_planner.recording.mcap_file import MAGIC, decode
 from ambush_planner.tools import audit, report
+from ambush_planner.tools.audit_figures import quantile
 
 RNG = np.random.default_rng(12)
 
@@ -302,3 +304,10 @@ def test_damaged_files_are_refused_with_a_message(good, tmp_path, capsys, tool, 
             assert same == decode(data)
         assert 'Traceback' not in told + progress
         assert not node_numbers(told + progress)
+
+
+@pytest.mark.parametrize('q', [0.005, 0.5, 0.995])
+@pytest.mark.parametrize('n', [1, 6, 300])
+def test_the_pictures_band_is_the_binomial_laws(n, q):
+    probability = np.linspace(0.0, 1.0, 101)
+    np.testing.assert_array_equal(quantile(q, n, probability), binom.ppf(q, n, probability))

@@ -11,6 +11,7 @@ from pathlib import Path
 import interfaces
 import pytest
 from action_msgs.msg import GoalStatus
+from handed_on import halt_workers
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -200,6 +201,7 @@ def test_cancelling_takes_one_goal_back_and_leaves_the_others(action, submitted)
         asked = goals.client.send('new_route')
         wait_until(lambda: len(submitted) == 3, 'the requests')
         goals.client.diagnostics(state='solving')
+        halt_workers()
         assert goals.cancel(one) == 1
         assert goals.result(one)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.diagnostics()['state'] == 'solving', 'the others wait for this solve'
@@ -214,6 +216,7 @@ def test_a_solve_that_nobody_waits_for_any_more_ends(action):
     with asking(action, None, LONG) as goals:
         handle = goals.send()
         goals.client.diagnostics(state='solving')
+        halt_workers()
         assert goals.cancel(handle) == 1
         goals.client.diagnostics(state='ready')
         assert goals.result(handle)[0] == GoalStatus.STATUS_CANCELED

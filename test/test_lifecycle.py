@@ -6,6 +6,7 @@ import time
 from contextlib import suppress
 
 import pytest
+from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
@@ -135,6 +136,7 @@ def test_whoever_waits_is_told_when_it_is_deactivated():
         client, manager = running.give(), Manager(running.client)
         waiting = [client.send('new_route'), client.send('replan')]
         client.diagnostics(state='solving')
+        halt_workers()
         manager.go(deactivate='inactive')
         wait_until(lambda: all(each.done() for each in waiting), 'the answers')
         assert not any(each.result().success for each in waiting)

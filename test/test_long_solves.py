@@ -8,7 +8,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from handed_on import workers
+from handed_on import halt_workers, workers
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
@@ -53,14 +53,14 @@ def solving(parameters=SLOW, halted=True):
             # The diagnostics tell of a solve before a worker has it.
             wait_until(begun.is_set, 'a worker to begin')
         if halted:
-            signal_workers(signal.SIGSTOP)
+            halt_workers()
         running.client.diagnostics(state='solving')
         yield running, future
 
 
-def signal_workers(number):
+def kill_workers():
     for pid in workers():
-        os.kill(pid, number)
+        os.kill(pid, signal.SIGKILL)
 
 
 def parameter(client, name):
@@ -177,7 +177,7 @@ def test_who_allows_another_time_waits_for_another_solve(submitted):
         use(running, {'max_planning_time': 1.0})
         impatient = client.send('new_route')
         wait_until(lambda: len(submitted) == before + 1, 'the request')
-        signal_workers(signal.SIGKILL)
+        kill_workers()
         assert 'ended by signal 9' in answer(future).message
         assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
 
@@ -229,7 +229,7 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
         wait_until(lambda: len(submitted) == before + 1, 'the request')
         client.publish('goal_pose', NORTH)
         client.publish('alpha_map', field(2))
-        signal_workers(signal.SIGKILL)
+        kill_workers()
         assert not answer(future).success
         assert answer(queued).success
         assert client.last('path', 2).poses[-1].pose.position.y == GOAL.pose.position.y
@@ -240,7 +240,7 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
 def test_a_worker_that_is_killed_is_an_error_answer_and_a_fresh_worker():
     with solving() as (running, future):
         client = running.client
-        signal_workers(signal.SIGKILL)
+        kill_workers()
         assert 'the worker process ended by signal 9' in answer(future).message
         client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
         use(running, {**QUICK, 'network.spacing': 4.0})

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handed_on import HandedOn, workers
+from handed_on import HandedOn, halt_workers, workers
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.core.construction import NetworkOptions
@@ -60,9 +60,20 @@ def queue(monkeypatch):
     queue.close()
 
 
+@pytest.fixture
+def queue_anew(monkeypatch):
+    """A queue whose first worker is started as a node's: its end is told by the system."""
+    first = iter([WorkerProcess])
+    monkeypatch.setattr(solve_queue, 'WorkerProcess', lambda: next(first, HandedOn.take)())
+    queue = SolveQueue()
+    yield queue
+    queue.close()
+
+
 def begun(queue):
-    """Wait until the worker has a solve to work on."""
+    """Wait until the worker has a solve to work on, for minutes if it were not halted."""
     wait_until(lambda: queue._running and queue._worker and queue._worker._ready, 'a solve')
+    halt_workers()
 
 
 def test_the_worker_finds_what_this_process_would(queue):
@@ -226,16 +237,12 @@ def test_cancel_ends_a_solve_of_minutes_and_the_next_one_works(queue):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_cancel_before_the_worker_has_started():
-    queue = SolveQueue()
-    try:
-        future = submit(queue, 'slow', slow_request())
-        assert queue.cancel()
-        with pytest.raises(SolveCancelled):
-            future.result(TIMEOUT)
-        assert submit(queue, 'key', request()).result(TIMEOUT)
-    finally:
-        queue.close()
+def test_cancel_before_the_worker_has_started(queue_anew):
+    future = submit(queue_anew, 'slow', slow_request())
+    assert queue_anew.cancel()
+    with pytest.raises(SolveCancelled):
+        future.result(TIMEOUT)
+    assert submit(queue_anew, 'key', request()).result(TIMEOUT)
 
 
 def test_what_was_submitted_can_be_cancelled_at_once(queue):
@@ -288,12 +295,12 @@ def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue):
     assert pid not in workers()
 
 
-def test_a_worker_that_died_while_idle_is_not_missed(queue):
-    submit(queue, 'key', request()).result(TIMEOUT)
-    (pid,) = workers()
+def test_a_worker_that_died_while_idle_is_not_missed(queue_anew):
+    submit(queue_anew, 'key', request()).result(TIMEOUT)
+    pid = queue_anew._worker._process.pid
     os.kill(pid, signal.SIGKILL)
     wait_until(lambda: _is_zombie(pid), 'the end of the worker')
-    assert submit(queue, 'key', request()).result(TIMEOUT)
+    assert submit(queue_anew, 'key', request()).result(TIMEOUT)
 
 
 def test_close_ends_everything_at_once():

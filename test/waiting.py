@@ -9,12 +9,12 @@ TIMEOUT = 60.0
 
 
 def wait_until(condition, what, timeout=TIMEOUT):
-    """Return the first true value of ``condition()``."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
+    """Return the first true value of ``condition()``, asked the less often the longer it takes."""
+    begin = time.monotonic()
+    while (waited := time.monotonic() - begin) < timeout:
         if value := condition():
             return value
-        time.sleep(0.002)
+        time.sleep(min(0.002 + 0.02 * waited, 0.01))
     raise AssertionError(f'not within {timeout} s: {what}')
 
 

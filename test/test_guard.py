@@ -60,9 +60,8 @@ def run(folder, *options, **tests):
 
 @contextmanager
 def started(folder, *options, **tests):
-    """Start pytest on these files with this suite's conftest.py."""
-    for name in ('conftest.py', 'leftovers.py'):
-        shutil.copy(HERE / name, folder)
+    """Start pytest on these files, guarded as this suite is."""
+    shutil.copy(HERE / 'guard.py', folder / 'conftest.py')
     (folder / 'child.py').write_text(CHILD)
     for name, text in tests.items():
         (folder / f'{name}.py').write_text(text)
