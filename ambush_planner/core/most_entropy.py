@@ -23,8 +23,6 @@ from scipy.sparse import csr_matrix
 from .arrays import FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
-# Multiplier that a limit starts with.
-SMALL_START = 0.1
 MAX_EVALUATIONS = 1500
 # Evaluations before Newton's method takes over, the most limits that it moves at once, and the
 # multiplications that its Hessians may take.
@@ -37,6 +35,8 @@ ROUNDING = 1e-9
 RUNAWAY = 1e16
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
+# Limits with less than this to spare take part in the search.
+FAR = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
 # Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
@@ -50,6 +50,10 @@ NEARLY, NEGLIGIBLE_USE = 0.1, 1e-7
 
 class _Done(Exception):
     """Ends a search from within."""
+
+
+class _Joining(Exception):
+    """Another limit joins the search."""
 
 
 @dataclass
@@ -102,7 +106,11 @@ class _Search:
         self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
         self.evaluations = evaluations
         self.found = GibbsStrategy(np.empty(0), np.empty(0))
-        self.share = np.empty(0)
+        self.share = self.gradient = np.empty(0)
+        # Where a limit is used up in portions of c, its use scatters with a variance of about c.
+        portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
+        self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
+        self.moved = np.zeros(len(portion), dtype=bool)
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
@@ -124,16 +132,46 @@ class _Search:
         late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
         if reached or found.infeasible or late:
             raise _Done
-        return value, 1.0 - used + self.softness * total
+        self.gradient = 1.0 - used + self.softness * total
+        return value, self.gradient
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+        """L-BFGS-B in the few limits that are near; another joins when it is the worst."""
+        last, v = self.found.evaluations + evaluations, start
+        self(v)
+        while self.found.evaluations < last:
+            self.moved |= (v > 0.0) | (self.gradient < FAR)
+            with contextlib.suppress(_Joining):
+                self._quasi_newton(v, last - self.found.evaluations)
+                if not self._joining():
+                    return
+            v = self.found.multipliers
+
+    def _quasi_newton(self, start: FloatArray, evaluations: int) -> None:
         # Who solves nothing does without it: it is a seventh of what loading the package takes.
         from scipy.optimize import fmin_l_bfgs_b
 
+        moved, v = np.flatnonzero(self.moved), np.zeros(len(start))
+        unit = self.unit[moved]
+
+        def function(scaled: FloatArray) -> tuple[float, FloatArray]:
+            v[moved] = scaled * unit
+            value, gradient = self(v)
+            return value, gradient[moved] * unit
+
+        def check(_: FloatArray) -> None:
+            if self._joining():
+                raise _Joining
+
         fmin_l_bfgs_b(
-            self, start, bounds=[(0.0, None)] * len(start), m=CORRECTIONS, factr=5.0, pgtol=1e-12,
-            maxfun=evaluations, maxiter=evaluations,
+            function, start[moved] / unit, bounds=[(0.0, None)] * len(moved), m=CORRECTIONS,
+            factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations, callback=check,
         )
+
+    def _joining(self) -> bool:
+        """Whether the limit that is exceeded most has no part in the search yet."""
+        worst = int(self.gradient.argmin())
+        return not self.moved[worst] and self.gradient[worst] < -self.tolerance
 
     def newton(self) -> None:
         """Damped Newton steps in the limits that count most."""
