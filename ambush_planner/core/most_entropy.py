@@ -20,7 +20,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from .arrays import FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
 MAX_EVALUATIONS = 1500
@@ -110,7 +110,6 @@ class _Search:
         # Where a limit is used up in portions of c, its use scatters with a variance of about c.
         portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
         self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
-        self.moved = np.zeros(len(portion), dtype=bool)
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
@@ -136,42 +135,35 @@ class _Search:
         return value, self.gradient
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
-        """L-BFGS-B in the few limits that are near; another joins when it is the worst."""
-        last, v = self.found.evaluations + evaluations, start
-        self(v)
+        """L-BFGS-B in the limits that are near; when another is the worst, it joins."""
+        last, moved = self.found.evaluations + evaluations, np.zeros(len(start), dtype=bool)
+        self(start)
         while self.found.evaluations < last:
-            self.moved |= (v > 0.0) | (self.gradient < FAR)
+            moved |= (self.found.multipliers > 0.0) | (self.gradient < FAR)
             with contextlib.suppress(_Joining):
-                self._quasi_newton(v, last - self.found.evaluations)
-                if not self._joining():
-                    return
-            v = self.found.multipliers
+                self._descend(moved, last - self.found.evaluations)
+                return
 
-    def _quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+    def _descend(self, moved: BoolArray, evaluations: int) -> None:
+        """L-BFGS-B in the limits ``moved`` (R,), from where the search is."""
         # Who solves nothing does without it: it is a seventh of what loading the package takes.
         from scipy.optimize import fmin_l_bfgs_b
 
-        moved, v = np.flatnonzero(self.moved), np.zeros(len(start))
-        unit = self.unit[moved]
+        part, v = np.flatnonzero(moved), self.found.multipliers.copy()
+        unit = self.unit[part]
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            v[moved] = scaled * unit
+            v[part] = scaled * unit
             value, gradient = self(v)
-            return value, gradient[moved] * unit
-
-        def check(_: FloatArray) -> None:
-            if self._joining():
+            worst = gradient.argmin()
+            if not moved[worst] and gradient[worst] < -self.tolerance:
                 raise _Joining
+            return value, gradient[part] * unit
 
         fmin_l_bfgs_b(
-            function, start[moved] / unit, bounds=[(0.0, None)] * len(moved), m=CORRECTIONS,
-            factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations, callback=check,
+            function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS, factr=5.0,
+            pgtol=1e-12, maxfun=evaluations, maxiter=evaluations,
         )
-
-    def _joining(self) -> bool:
-        """Whether the limit that is exceeded most has no part in the search yet."""
-        worst = int(self.gradient.argmin())
-        return not self.moved[worst] and self.gradient[worst] < -self.tolerance
 
     def newton(self) -> None:
         """Damped Newton steps in the limits that count most."""
