@@ -35,6 +35,8 @@ ROUNDING = 1e-9
 RUNAWAY = 1e16
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
+# The most that a line search may make of one, in its unit: far enough out to prove what cannot be.
+MOST_SCALED = 1e10
 # Limits with less than this to spare take part in the search.
 FAR = 0.7
 # Correction pairs of L-BFGS.
@@ -153,7 +155,7 @@ class _Search:
         unit = self.unit[part]
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            v[part] = scaled * unit
+            v[part] = np.minimum(scaled, MOST_SCALED) * unit
             value, gradient = self(v)
             worst = gradient.argmin()
             if not moved[worst] and gradient[worst] < -self.tolerance:
