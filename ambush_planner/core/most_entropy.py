@@ -6,8 +6,10 @@ the one of greatest route entropy if v >= 0 minimises the convex function
     log Z(C' v) + sum v,        gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
 For every strategy with C p <= 1 that function is at least its entropy, so at least 0: a value
-below 0 proves that there is none. The search begins with L-BFGS-B and, where few limits are tight,
-ends with Newton's method in the multipliers of those, damped as Levenberg and Marquardt do.
+below 0 proves that there is none. The search begins with L-BFGS-B, each multiplier in a unit that
+brings the Hessian's diagonal near 1; only limits that are near take part, the others stay at 0.
+Where few limits are tight it ends with Newton's method in the multipliers of those, damped as
+Levenberg and Marquardt do.
 """
 
 from __future__ import annotations
@@ -109,7 +111,7 @@ class _Search:
         self.evaluations = evaluations
         self.found = GibbsStrategy(np.empty(0), np.empty(0))
         self.share = self.gradient = np.empty(0)
-        # Where a limit is used up in portions of c, its use scatters with a variance of about c.
+        # Where a limit is used up in portions of c, its use has a variance of about c.
         portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
         self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
 
