@@ -19,7 +19,7 @@ HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far
 NEAR_EDGE = 1.5  # spacings from the map's outer edge
 AWAY = 10.0  # spacings from start and goal
-PLACES = 64  # along an edge, where it is looked whether the map's edge is near
+PLACES = 64  # along an edge or a path, where it is looked at
 
 
 @dataclass(frozen=True)
@@ -135,3 +135,25 @@ def least_near_edge(strategy: Strategy, risk_map: RiskMap, spacing: float) -> fl
         np.append(np.full(count, value), length), balance.tocsr(), ends, method='highs',
     )
     return float(best.fun / length)
+
+
+def apart(paths: list[FloatArray], distance: float) -> int:
+    """How many different ones there are among paths (L, 3).
+
+    Two are the same if at equal shares of their lengths neither x nor y differs by more than
+    ``distance`` [m]. Each path is held against one of every kind before it.
+    """
+    kinds = np.empty((len(paths), PLACES, 2))
+    count = 0
+    for path in paths:
+        gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))))
+        places = np.linspace(0.0, gone[-1], PLACES)
+        here = np.stack([np.interp(places, gone, xy) for xy in path[:, :2].T], axis=1)
+        alike = np.arange(count)
+        for step in (PLACES // 4, 1):  # most differ at a few places already
+            off = np.abs(kinds[alike, ::step] - here[::step]).max(axis=(1, 2), initial=0.0)
+            alike = alike[off <= distance]
+        if len(alike) == 0:
+            kinds[count] = here
+            count += 1
+    return count

@@ -15,7 +15,7 @@ from time import process_time
 from timeit import repeat
 
 import numpy as np
-from drives import AWAY, Drive, least_near_edge, least_turning, measure, turning_of
+from drives import AWAY, Drive, apart, least_near_edge, least_turning, measure, turning_of
 from grid_planner import shortest_line
 from grounds import GROUNDS, Ground
 from maps import SIDE, block
@@ -36,7 +36,7 @@ from ambush_planner import (
 from ambush_planner.core.arrays import FloatArray
 from ambush_planner.core.construction import METHODS, chosen_spacing
 from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import different_paths, driven_path, tight_turns
+from ambush_planner.core.driven_path import driven_path, tight_turns
 from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
 from ambush_planner.tools.demo_figures import FixedRoute, draw_fixed_routes
 from ambush_planner.tools.figures import (
@@ -116,7 +116,7 @@ def run(ground: Ground, departures: int, nodes: int) -> Trial:
         float(np.mean([least_turning(corridors, route) for route in routes])),
         least_near_edge(strategy, risk_map, spacing),
         float(np.hypot(*np.diff(grid, axis=0).T).sum()), turning_of(grid),
-        different_paths(paths, SAME * spacing), 1e3 * seconds / len(paths),
+        apart(paths, SAME * spacing), 1e3 * seconds / len(paths),
     )
 
 

@@ -66,6 +66,15 @@ def submitted(monkeypatch):
     return keys
 
 
+@pytest.fixture(scope='module')
+def fewer_draws():
+    """Audits compare with as many draws as of many strategies: p-values are exact with any."""
+    from ambush_planner.audit import departures
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(departures, 'RESAMPLES', departures.RESAMPLES_OF_MANY)
+        yield
+
+
 class Guard:
     """Watches over a run from its first process, which is the only one without xdist."""
 

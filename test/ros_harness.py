@@ -16,7 +16,7 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rclpy.context import Context
-from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -26,7 +26,7 @@ from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
-from ambush_planner.ros.planner_node import THREADS, PlannerNode
+from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.qos import REQUESTS
 from ambush_planner.worker import solve_queue
 
@@ -56,7 +56,7 @@ def free_domain():
 @contextmanager
 def spinning(node, executor):
     """Spin the node in a thread that is joined in the end: a thread left would abort Python."""
-    stop, failed = threading.Event(), []
+    stop, failed, name = threading.Event(), [], node.get_name()
 
     def spin():
         try:
@@ -76,7 +76,7 @@ def spinning(node, executor):
         executor.shutdown()
         node.destroy_node()
         if failed:
-            raise AssertionError(f'{node.get_name()} stopped spinning') from failed[0]
+            raise AssertionError(f'{name} stopped spinning') from failed[0]
 
 
 @contextmanager
@@ -222,8 +222,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )
-        executor = MultiThreadedExecutor(THREADS, context=own)
-        stack.enter_context(spinning(planner, executor))
+        stack.enter_context(spinning(planner, SingleThreadedExecutor(context=own)))
         node = Node('client', context=other, namespace=planner.get_namespace())
         client = Client(node, planner.get_fully_qualified_name())
         stack.enter_context(spinning(node, SingleThreadedExecutor(context=other)))

@@ -163,6 +163,7 @@ def test_holms_method():
 # The whole
 
 
+@pytest.mark.usefixtures('fewer_draws')
 @examples(40)
 @given(networks(), st.integers(FEWEST_DEPARTURES, 9), st.integers(0, 9))
 def test_any_departures_of_any_network_can_be_audited(network, count, seed):

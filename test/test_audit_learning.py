@@ -15,6 +15,8 @@ from ambush_planner.audit.draws import ManyRoutes
 from ambush_planner.audit.learning import LEARNT, _until_pair, learning_from, repeat_probability
 from ambush_planner.audit.tallies import LONGEST_LAG
 
+pytestmark = pytest.mark.usefixtures('fewer_draws')
+
 
 @pytest.fixture(scope='module')
 def terrain():

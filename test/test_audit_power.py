@@ -18,6 +18,8 @@ FALSE_ALARM = 1e-6
 RUNS = 60
 RATE = 0.05
 
+pytestmark = pytest.mark.usefixtures('fewer_draws')
+
 
 @pytest.fixture(scope='module')
 def terrain():

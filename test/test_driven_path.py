@@ -201,8 +201,18 @@ def test_many_paths_are_as_one_by_one_and_counted():
     paths = driven_paths(corridors, routes, 0.3)
     for path, route in zip(paths, routes, strict=True):
         assert np.array_equal(path, driven_path(corridors, route, 0.3))
-    assert different_paths(paths, 0.01) == 3
-    assert different_paths(paths, 100.0) == 1
+    assert different_paths(corridors, routes) == 3
+
+
+def test_routes_that_are_shortened_alike_are_one_path():
+    corridors = corridors_on(open_map(), (1.2, 1.3), (8.7, 8.4))
+    routes = [some_route(corridors.network, seed) for seed in range(300)]
+    once = list({route.tobytes(): route for route in routes}.values())
+    paths = [path.round(6).tobytes() for path in driven_paths(corridors, once, 0.3)]
+    shortened = [corridors.shortened(route).tobytes() for route in once]
+    made = set(zip(shortened, paths, strict=True))
+    assert len(made) == len(set(shortened)) == different_paths(corridors, routes)
+    assert len(set(paths)) <= len(made) < len(once)
 
 
 @examples(30)

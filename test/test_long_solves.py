@@ -8,11 +8,11 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from handed_on import workers
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
-from test_solve_queue import workers
 
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
@@ -35,8 +35,11 @@ def use(running, parameters):
 
 
 @contextmanager
-def solving(parameters=SLOW, service='new_route'):
-    """A node in the middle of a long solve, and the future of the answer that waits for it."""
+def solving(parameters=SLOW, halted=True):
+    """A node in the middle of a long solve, and the future of the answer that waits for it.
+
+    The worker is halted where ``halted``: nothing here waits for what it works out.
+    """
     with stage(parameters=QUICK) as running:
         running.give(field(), (5.0, 50.0), (95.0, 50.0))
         assert running.client.call('new_route').success
@@ -46,11 +49,18 @@ def solving(parameters=SLOW, service='new_route'):
         begun, solve = threading.Event(), WorkerProcess.solve
         with mock.patch.object(
                 WorkerProcess, 'solve', lambda *given: (begun.set(), solve(*given))[1]):
-            future = running.client.send(service)
+            future = running.client.send('new_route')
             # The diagnostics tell of a solve before a worker has it.
             wait_until(begun.is_set, 'a worker to begin')
+        if halted:
+            signal_workers(signal.SIGSTOP)
         running.client.diagnostics(state='solving')
         yield running, future
+
+
+def signal_workers(number):
+    for pid in workers():
+        os.kill(pid, number)
 
 
 def parameter(client, name):
@@ -65,7 +75,7 @@ def answer(future):
 
 
 def test_everything_else_answers_meanwhile(submitted):
-    with solving() as (running, future):
+    with solving(halted=False) as (running, future):
         client, before = running.client, len(submitted)
         waiting = [future, *(client.send('new_route') for _ in range(50))]
         wait_until(lambda: len(submitted) == before + 50, 'the requests')
@@ -95,7 +105,7 @@ def test_cancel_ends_it_and_says_so():
 
 
 def test_the_time_is_up():
-    with solving({**SLOW, 'max_planning_time': 1.0}) as (running, future):
+    with solving({**SLOW, 'max_planning_time': 1.0}, halted=False) as (running, future):
         assert answer(future).message.startswith('no plan after max_planning_time, 1 s')
         running.client.diagnostics(code='TIMEOUT', state='ready')
 
@@ -167,8 +177,7 @@ def test_who_allows_another_time_waits_for_another_solve(submitted):
         use(running, {'max_planning_time': 1.0})
         impatient = client.send('new_route')
         wait_until(lambda: len(submitted) == before + 1, 'the request')
-        for pid in workers():
-            os.kill(pid, signal.SIGKILL)
+        signal_workers(signal.SIGKILL)
         assert 'ended by signal 9' in answer(future).message
         assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
 
@@ -220,8 +229,7 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
         wait_until(lambda: len(submitted) == before + 1, 'the request')
         client.publish('goal_pose', NORTH)
         client.publish('alpha_map', field(2))
-        for pid in workers():
-            os.kill(pid, signal.SIGKILL)
+        signal_workers(signal.SIGKILL)
         assert not answer(future).success
         assert answer(queued).success
         assert client.last('path', 2).poses[-1].pose.position.y == GOAL.pose.position.y
@@ -232,8 +240,7 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
 def test_a_worker_that_is_killed_is_an_error_answer_and_a_fresh_worker():
     with solving() as (running, future):
         client = running.client
-        for pid in workers():
-            os.kill(pid, signal.SIGKILL)
+        signal_workers(signal.SIGKILL)
         assert 'the worker process ended by signal 9' in answer(future).message
         client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
         use(running, {**QUICK, 'network.spacing': 4.0})

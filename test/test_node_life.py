@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.srv import GetPlan
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
@@ -37,12 +37,12 @@ START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]
 
 
-def test_one_thread_is_enough():
-    """No callback waits: with a single-threaded executor all is answered, a solve or not."""
+def test_executors_of_several_threads_will_do():
+    """All other tests, and the node by itself, have one thread, which is enough."""
     with free_domain() as domain, ros_context(domain) as own, ros_context(domain) as other:
         planner = PlannerNode(context=own, parameter_overrides=SMALL)
         node = Node('client', context=other)
-        with spinning(planner, SingleThreadedExecutor(context=own)):
+        with spinning(planner, MultiThreadedExecutor(3, context=own)):
             client = Client(node)
             with spinning(node, SingleThreadedExecutor(context=other)):
                 client.publish('alpha_map', risk_grid())

@@ -55,7 +55,7 @@ def results(done):
 
 def run(*arguments: str) -> subprocess.CompletedProcess:
     command = [sys.executable, '-m', 'ambush_planner.tools.cli', 'paper', *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=115, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
 
 
 def test_the_environment_is_as_stated():

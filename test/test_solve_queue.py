@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handed_on import HandedOn
+from handed_on import HandedOn, workers
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.core.construction import NetworkOptions
@@ -58,20 +58,6 @@ def queue(monkeypatch):
     queue = SolveQueue()
     yield queue
     queue.close()
-
-
-def workers():
-    """Process ids of the worker processes of this process that a queue has."""
-    found, idle = [], {worker._process.pid for worker in HandedOn.idle}
-    for folder in Path('/proc').glob('[0-9]*'):
-        try:
-            parent = int((folder / 'stat').read_text().rsplit(')', 1)[1].split()[1])
-            command = (folder / 'cmdline').read_bytes()
-        except OSError:
-            continue
-        if parent == os.getpid() and b'ambush_planner.worker' in command:
-            found.append(int(folder.name))
-    return [pid for pid in found if pid not in idle]
 
 
 def begun(queue):
@@ -148,7 +134,7 @@ def test_a_full_queue_refuses_at_once_and_says_what_is_busy(queue):
 def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
     ready = threading.Event()
     monkeypatch.setattr(
-        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and WorkerProcess())
+        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and HandedOn.take())
     queue = SolveQueue()
     try:
         solves = [submit(queue, k, request(), size=1) for k in range(2)]
@@ -314,24 +300,26 @@ def test_close_ends_everything_at_once():
     queue = SolveQueue()
     running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
     begun(queue)
+    worker = Path(f'/proc/{queue._worker._process.pid}')
+    assert worker.exists()
     queue.close()
     for future in (running, waiting):
         with pytest.raises(SolveCancelled, match='shutting down'):
             future.result(0)
-    assert workers() == []
+    assert not worker.exists()
     with pytest.raises(SolveCancelled, match='shutting down'):
         submit(queue, 'key', request())
 
 
 ORPHAN = """
 import sys
-from test_solve_queue import begun, slow_request, submit, workers
+from test_solve_queue import begun, slow_request, submit
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 queue = SolveQueue()
 submit(queue, 'slow', slow_request())
 begun(queue)
-print(*workers(), flush=True)
+print(queue._worker._process.pid, flush=True)
 sys.stdin.read()
 """
 

@@ -59,10 +59,12 @@ class Group:
     def not_distinct(self, routes: Sequence[IndexArray]) -> int:
         """On how many days routes share some of the middle; ``routes`` of all departures."""
         found = 0
+        shares = {day.distinct for day in self.days}
+        middles = {share: Middle(self.strategy, share) for share in shares}
         for day, who in self.days.items():
             nodes = np.concatenate([routes[k] for k in who])
-            middle = Middle(self.strategy, day.distinct)
-            found += not middle.apart(nodes, np.zeros(len(nodes), np.int64), 1)[0]
+            none = np.zeros(len(nodes), np.int64)
+            found += not middles[day.distinct].apart(nodes, none, 1)[0]
         return found
 
     def draw_sets(self, sets: int, rng: np.random.Generator) -> Iterator[tuple[slice, Steps]]:

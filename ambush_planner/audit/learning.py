@@ -157,14 +157,21 @@ def _observe(
     after, caused = np.zeros(count), np.zeros(count - 1)
     if places == 0:
         return after, caused
-    seen = np.zeros(places)
+    seen, best = np.zeros(places), 0
     for k in range(count):
-        loss = losses[k].toarray().reshape(-1)
         if k > 0:
-            caused[k - 1] = loss[np.argmax(seen)]
-        seen += loss
-        after[k] = true[owner[k]][0, int(np.argmax(seen))]
+            caused[k - 1] = _cost(losses, k, best)
+        row = slice(losses.indptr[k], losses.indptr[k + 1])
+        seen[losses.indices[row]] += losses.data[row]
+        best = int(np.argmax(seen))
+        after[k] = _cost(true[owner[k]], 0, best)
     return after, caused
+
+
+def _cost(losses: csr_matrix, k: int, place: int) -> float:
+    """``losses[k, place]``, which scipy takes long for."""
+    row = slice(losses.indptr[k], losses.indptr[k + 1])
+    return float(losses.data[row][losses.indices[row] == place].sum())
 
 
 def _settled(reached: np.ndarray) -> int | None:

@@ -7,6 +7,7 @@ that makes too tight a turn, the margin is widened.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import islice, pairwise
 
@@ -28,8 +29,6 @@ ROUND = 0.3
 TURN = math.radians(20.0)
 # Routes whose paths are made at once, in whole arrays.
 AT_ONCE = 32
-# Along a path where it is compared with others.
-PLACES = 64
 
 # Start and goal [m].
 Ends = tuple[tuple[float, float], tuple[float, float]]
@@ -106,16 +105,20 @@ def driven_paths(
 
 def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_Leg]:
     """From stop to stop of a route: its places, and where it begins and ends [m]."""
-    network = corridors.network
-    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
-    points = list(map(tuple, network.points[route[at]].tolist()))
+    places = _places(corridors, route)
+    at = [places[0][0], *(leg[-1] for leg in places)]
+    points = list(map(tuple, corridors.network.points[at].tolist()))
     if ends is not None:
         points[0], points[-1] = ends
+    return list(zip(places, pairwise(points), strict=True))
+
+
+def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
+    """The places of a route from stop to stop."""
+    network = corridors.network
+    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
     places = route % network.place_count
-    return [
-        (places[first : last + 1], leg_ends)
-        for (first, last), leg_ends in zip(pairwise(at), pairwise(points), strict=True)
-    ]
+    return [places[first : last + 1] for first, last in pairwise(at)]
 
 
 def _driven_legs(
@@ -150,26 +153,18 @@ def tight_turns(poses: FloatArray, turning_radius: float) -> int:
     return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
 
 
-def different_paths(paths: list[FloatArray], distance: float) -> int:
-    """How many different ones there are among paths (L, 3).
+def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
+    """How many different paths the routes (K,) make, at most.
 
-    Two are the same if at equal shares of their lengths neither x nor y differs by more than
-    ``distance`` [m]. Each path is held against one of every kind before it.
+    Routes that ``Corridors.shortened`` takes to the same nodes have the same portals, hence the
+    very same path, and count once. Few others have it, too: those whose path runs straight through
+    portals at different nodes.
     """
-    kinds = np.empty((len(paths), PLACES, 2))
-    count = 0
-    for path in paths:
-        gone = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T))))
-        places = np.linspace(0.0, gone[-1], PLACES)
-        here = np.stack([np.interp(places, gone, xy) for xy in path[:, :2].T], axis=1)
-        alike = np.arange(count)
-        for step in (PLACES // 4, 1):  # most differ at a few places already
-            apart = np.abs(kinds[alike, ::step] - here[::step]).max(axis=(1, 2), initial=0.0)
-            alike = alike[apart <= distance]
-        if len(alike) == 0:
-            kinds[count] = here
-            count += 1
-    return count
+    once = {route.tobytes(): route for route in routes}.values()
+    return len({
+        tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
+        for route in once
+    })
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Lines:

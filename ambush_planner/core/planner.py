@@ -27,8 +27,8 @@ from .strategy import Strategy, StrategyOptions, solve
 
 # Tube with a reach, in distances of nodes.
 DEFAULT_TUBE = 0.35
-# Paths that are drawn to count the different ones, and how far these are apart [spacings].
-DRAWN, APART = 200, 0.1
+# Routes that are drawn to count their different paths.
+DRAWN = 1000
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,10 @@ class Plan:
 
     ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
     the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
-    was made with, but no less than the map's resolution [m]. ``different_paths`` is how many of
-    ``DRAWN`` paths differ; None: there was no time to count. ``order`` are the indices of the
-    stops of a trip as they are visited, and ``order_found`` tells how: 'given', 'best' or
-    'heuristic'.
+    was made with, but no less than the map's resolution [m]. ``different_paths`` is how many
+    different ones ``DRAWN`` routes make, at most; None: there was no time to count. ``order`` are
+    the indices of the stops of a trip as they are visited, and ``order_found`` tells how: 'given',
+    'best' or 'heuristic'.
     """
 
     network: Network
@@ -222,22 +222,13 @@ def plan_of(
     )
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
-        different = _different_paths(strategy, corridors, options.drive, spacing)
+        # Always of the same draws: the count tells nothing of what is drawn later.
+        drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
+        different = different_paths(corridors, drawn)
     seconds = time.monotonic() - begin
     return Plan(
         strategy.network, strategy, bottleneck, corridors, options, spacing, different, seconds
     )
-
-
-def _different_paths(
-    strategy: Strategy, corridors: Corridors, drive: DriveOptions, spacing: float
-) -> int:
-    """Always the same for the same strategy; a count tells nothing of what is drawn later."""
-    drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
-    routes = list({route.tobytes(): route for route in drawn}.values())  # each once
-    step = max(spacing, strategy.shortest_length / DRAWN)
-    paths = driven_paths(corridors, routes, step, drive.turning_radius)
-    return different_paths(paths, APART * spacing)
 
 
 def _solved(

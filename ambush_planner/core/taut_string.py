@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .arrays import FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray
 from .corridors import Corridors
 
 # Portals reach at most so far along their edges [lengths], so that those next to each other never
@@ -98,38 +98,45 @@ def taut_strings(
     (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route.
     """
     left, right = (portals.places(margin, side) for side in (1, -1))
-    ends = {1: left.tolist(), -1: right.tolist()}
-    first_side = np.where(_left_first(left, right), 1, -1).tolist()
+    first = np.where(_left_first(left, right), 1, -1)
+    side = np.stack((first, -first), axis=1)
+    xy = np.where(side[:, :, None] > 0, left[:, None], right[:, None])
+    steps = list(zip(side.ravel().tolist(), *xy.reshape(-1, 2).T.tolist(), strict=True))
     bounds = portals.bounds.tolist()
-    return [_taut_string(ends, first_side, *bounds[each : each + 2]) for each in routes]
+    return [_taut_string(steps, *bounds[each : each + 2]) for each in routes]
 
 
 def _taut_string(
-    ends: dict[int, list[list[float]]], first_side: list[int], first: int, end: int
+    steps: list[tuple[int, float, float]], first: int, end: int
 ) -> list[tuple[int, int]]:
-    """The corners of one line, through the portals from ``first`` to before ``end``."""
-    last = end - 1
-    corners, apex, k, half = [(first, 0)], ends[1][first], first + 1, 0
-    tip = {1: apex, -1: apex}
-    at = {1: first, -1: first}
-    while k <= last:
-        side = first_side[k] if half == 0 else -first_side[k]
-        (ax, ay), (x, y), (sx, sy), (ox, oy) = apex, ends[side][k], tip[side], tip[-side]
+    """The corners of one line, through the portals from ``first`` to before ``end``.
+
+    ``steps`` are the sides of all portals, the one that moves first before the other one, and where
+    they end.
+    """
+    corners, k = [(first, 0)], 2 * first + 2
+    _, ax, ay = steps[2 * first]  # the apex of the funnel
+    # By side, which are 1 and -1: where the tip is, as seen from the apex, and its step.
+    tip = [(0.0, 0.0, k - 2)] * 3
+    while k < 2 * end:
+        side, x, y = steps[k]
+        x, y = x - ax, y - ay
+        sx, sy, _ = tip[side]
         # The funnel is as wide as its tips say; a side moves in where the next end is within.
-        if side * ((sx - ax) * (y - ay) - (sy - ay) * (x - ax)) <= 0.0:
-            if tip[side] == apex or side * ((ox - ax) * (y - ay) - (oy - ay) * (x - ax)) > 0.0:
-                tip[side], at[side] = ends[side][k], k
+        if side * (sx * y - sy * x) <= 0.0:
+            ox, oy, other = tip[-side]
+            if side * (ox * y - oy * x) > 0.0 or sx == sy == 0.0:
+                tip[side] = x, y, k
             else:  # beyond the other side: a corner there, from which it goes on
-                corners.append((at[-side], -side))
-                apex, k, half = tip[-side], at[-side] + 1, 0
-                tip = {1: apex, -1: apex}
-                at = {1: at[-side], -1: at[-side]}
-                continue
-        k, half = (k, 1) if half == 0 else (k + 1, 0)
-    return [*(corner for corner in corners if corner[0] != last), (last, 0)]
+                corners.append((other // 2, -side))
+                _, ax, ay = steps[other]
+                tip = [(0.0, 0.0, other)] * 3
+                k = other // 2 * 2 + 1
+        k += 1
+    return [*(corner for corner in corners if corner[0] != end - 1), (end - 1, 0)]
 
 
-def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
+def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
     """Whether, from one portal to the next, the left end may move before the right one does.
 
     It may if the diagonal from the old right to the new left end lies between the portals.
@@ -137,7 +144,7 @@ def _left_first(left: FloatArray, right: FloatArray) -> list[bool]:
     old, new = right[:-1], left[1:]
     before = cross(old - left[:-1], new - left[:-1]) >= 0.0
     after = cross(right[1:] - old, new - old) >= 0.0
-    return [True, *(before & after).tolist()]
+    return np.append(True, before & after)
 
 
 def padded(values: FloatArray) -> FloatArray:

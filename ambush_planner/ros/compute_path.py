@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -13,7 +14,7 @@ from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
-from rclpy.executors import Executor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Header
 
@@ -62,8 +63,9 @@ class ComputePath:
         """Have the goals answered that have failed because the node ends, for a moment."""
         # A goal's end, its result, and the answer with it are tasks of the executor, one a spin.
         end = time.monotonic() + (_LAST_ANSWERS if self._waiting else 0.0)
-        while time.monotonic() < end:
-            executor.spin_once(timeout_sec=_SPIN)
+        with suppress(ExternalShutdownException):
+            while time.monotonic() < end:
+                executor.spin_once(timeout_sec=_SPIN)
 
     def _accepted(self, handle: Any) -> None:
         departure = self._requests.begin_plan(lambda: self._plan_request(handle.request))
@@ -72,7 +74,7 @@ class ComputePath:
 
     def _departed(self, departure: Future[Departure]) -> None:
         if not departure.cancelled() and departure.exception() is None:
-            self._requests.record(departure.result(), planned(departure.result()))
+            self._requests.answered(departure.result(), planned(departure.result()))
         self._wake.trigger()
 
     def _cancel(self, handle: Any) -> CancelResponse:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import secrets
-from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Pose
+from geometry_msgs.msg import Point, Pose
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
@@ -78,9 +77,9 @@ def path_between(rows: FloatArray, start: Pose, goal: Pose, header: Header) -> D
     The path ends where the last row lies, with the goal's orientation: a goal that was blocked has
     been moved there.
     """
-    goal = deepcopy(goal)
-    goal.position.x, goal.position.y = rows[-1, :2].tolist()
-    return DeparturePath(header, frozen_array(rows, np.float64), start, goal)
+    x, y = rows[-1, :2].tolist()
+    end = Pose(position=Point(x=x, y=y, z=goal.position.z), orientation=goal.orientation)
+    return DeparturePath(header, frozen_array(rows, np.float64), start, end)
 
 
 def _numbers(rows: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
-from rclpy.executors import Executor, ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
@@ -36,8 +36,6 @@ from .usage import check_arguments
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
 _LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
-# For requests, `cancel`, and all else; none of them waits for anything.
-THREADS = 3
 
 _M_MMAP_THRESHOLD, _LARGE = -3, 2**20  # malloc.h
 
@@ -50,8 +48,8 @@ class PlannerNode(LifecycleNode):
     Unconfigured it has parameters, diagnostics, and services that refuse; inactive it listens as
     well; active it answers. It is active from the start unless ``autostart`` is false.
 
-    Callbacks never wait, so any executor will do; one of ``THREADS`` threads lets a large map pass
-    beside the others.
+    Callbacks never wait, so one thread is enough for them, and answers soonest. With several,
+    rclpy's executor can raise ``InvalidHandle`` when the node is cleaned up while messages arrive.
 
     Raises
     ------
@@ -265,7 +263,7 @@ def main(args: list[str] | None = None) -> int:
             f'version {planner_version()}; it needs alpha_map, start_pose and goal_pose; '
             '~/new_route is a departure, once the node is active'
         )
-        executor = MultiThreadedExecutor(num_threads=THREADS)
+        executor = SingleThreadedExecutor()
         executor.add_node(node)
         # What is there by now stays: the collector need not look at it, which took 50 ms a time.
         gc.collect()

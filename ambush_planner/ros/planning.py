@@ -178,7 +178,7 @@ class Plans:
 
 def usable(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
     """Whether somebody can depart on a plan for a trip that may be a little different."""
-    if not trip.map.same_ground(held.trip.map) or _options(held.parameters) != _options(parameters):
+    if not trip.map.same_ground(held.trip.map) or not _alike(held.parameters, parameters):
         return False
     if held.moved and _goal(held.trip) != _goal(trip):
         return False
@@ -214,7 +214,7 @@ def _asks(held: HeldPlan, trip: Trip, parameters: NodeParameters) -> bool:
         held.trip.start_xy == trip.start_xy
         and _goal(held.trip) == _goal(trip)
         and _by_way_of(held.trip, held.parameters) == _by_way_of(trip, parameters)
-        and _options(held.parameters) == _options(parameters)
+        and _alike(held.parameters, parameters)
     )
 
 
@@ -226,7 +226,7 @@ def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
     limits = (each.planning.strategy.time_limit for each in (used, parameters))
     return (
         trip.map.same_ground(other.map)
-        and _options(used) == _options(parameters)
+        and _alike(used, parameters)
         and len(set(limits)) == 1  # another time limit is another solve
         and other.goal_tolerance == trip.goal_tolerance
         and _by_way_of(other, used) == _by_way_of(trip, parameters)
@@ -266,6 +266,11 @@ def _connected(held: HeldPlan, trip: Trip) -> bool:
         held.ground.clear(places[network.tails[steps]], places[network.heads[steps]], trip.map)
         for steps in (first, last)
     )
+
+
+def _alike(one: NodeParameters, other: NodeParameters) -> bool:
+    """Whether the same plan follows from the parameters; nearly always they are the same ones."""
+    return one is other or _options(one) == _options(other)
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:

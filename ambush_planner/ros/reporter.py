@@ -98,17 +98,20 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(
-        self, number: int, departure_id: str, tight_turns: int
-    ) -> tuple[RecordedMessage | None, str]:
-        """Tell of a departure; return what was published, and what is wrong with the recording."""
+    def departed(self, number: int, departure_id: str, tight_turns: int) -> RecordedMessage:
+        """Tell of a departure; return what was published."""
         with self._lock:
-            report = self._change(lambda status: replace(
-                status.without_problem('request'), departures=number, departure_id=departure_id,
-                tight_turns=tight_turns,
-            ))
-            failed = self._status.problems.get('recording')
-            return report, failed.message if failed else ''
+            self._status = replace(
+                self._status.without_problem('request'), departures=number,
+                departure_id=departure_id, tight_turns=tight_turns,
+            )
+            return self.report()
+
+    @property
+    def recording_trouble(self) -> str:
+        """What is wrong with the recording; '' for nothing."""
+        failed = self._status.problems.get('recording')
+        return failed.message if failed else ''
 
     def recording(self, enabled: bool) -> None:
         """Tell that recording was switched on or off."""
@@ -126,9 +129,10 @@ class Reporter:
                 status.with_problem('recording', failed), recording='failed'
             ))
 
-    def _change(self, change: Callable[[Status], Status]) -> RecordedMessage | None:
+    def _change(self, change: Callable[[Status], Status]) -> None:
         """Change the status, and publish it if it is another one then."""
         with self._lock:
             before = self._status
             self._status = replace(change(before), solving=self._solving())
-            return self.report() if self._status != before else None
+            if self._status != before:
+                self.report()

@@ -62,11 +62,11 @@ class Requests:
         planning = MutuallyExclusiveCallbackGroup()
         self._serve(
             Trigger, '~/new_route', lambda request: self._begin(lambda: self._depart(request)),
-            self._routed, planning, self.record,
+            self._routed, planning, self.answered,
         )
         self._serve(
             GetPlan, '~/get_plan', lambda request: self.begin_plan(lambda: request), planned,
-            planning, self.record,
+            planning, self.answered,
         )
         self._serve(
             Trigger, '~/replan',
@@ -88,9 +88,9 @@ class Requests:
 
         return self._begin(work)
 
-    def record(self, departure: Departure, response: Any) -> None:
-        """Have a departure recorded that is answered."""
-        self._dispatcher().record(departure, response)
+    def answered(self, departure: Departure, response: Any) -> None:
+        """Have a departure that is answered told of and recorded."""
+        self._dispatcher().answered(departure, response)
 
     def _serve(
         self,

@@ -44,6 +44,7 @@ _DISCOVERY_OF_INPUTS = 10.0  # s
 _LAST_RECEIPTS = 30.0  # s
 # A recording may state any times, and the system takes only so much at once.
 _LONGEST_SLEEP = 1e6  # s
+_ENDS = signal.SIGINT, signal.SIGTERM
 
 
 class NothingToPublish(AmbushPlannerError):
@@ -57,13 +58,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         # Shells start what is to run behind the prompt with SIGINT ignored.
-        ends = signal.SIGINT, signal.SIGTERM
-        before = [signal.signal(number, signal.default_int_handler) for number in ends]
+        before = [signal.signal(number, _end_once) for number in _ENDS]
         try:
             return _Replay(options, topics, console).run(for_ros)
         finally:
-            for number, handler in zip(ends, before, strict=True):
-                signal.signal(number, handler)
+            for number, handler in zip(_ENDS, before, strict=True):
+                if signal.getsignal(number) is _end_once:
+                    signal.signal(number, handler)
 
     return cli.run(parser, work, own)
 
@@ -223,6 +224,13 @@ class _Replay:
         if not wanted:
             raise NothingToPublish('none of these topics is an input')
         return wanted
+
+
+def _end_once(*_: object) -> None:
+    """Interrupt the replay; a second signal must not interrupt its end."""
+    for number in _ENDS:
+        signal.signal(number, lambda *_: None)
+    raise KeyboardInterrupt
 
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], list[str], list[str]]:

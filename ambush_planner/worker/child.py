@@ -29,13 +29,18 @@ _FIRST_OUT_OF_MEMORY = '500'
 
 
 def main() -> None:
-    """Serve on the socket whose descriptor is the first argument, until it is closed."""
+    """Work on the socket whose descriptor is the first argument."""
+    work_on(socket.socket(fileno=int(sys.argv[1])))
+
+
+def work_on(connection: socket.socket) -> None:
+    """Be a worker process until the socket is closed."""
     _be_a_worker()
     # The other side may be gone at any time, also when the stream is flushed as it is closed; then
     # there is nobody left to work for.
     with (
         suppress(EOFError, ConnectionError),
-        socket.socket(fileno=int(sys.argv[1])) as connection,
+        connection,
         connection.makefile('rwb') as stream,
     ):
         serve(stream)

@@ -39,22 +39,25 @@ class WorkerProcess:
     def __init__(self) -> None:
         ours, theirs = socket.socketpair()
         with theirs:
-            # The same modules as here, wherever this process has them from.
-            start = (
-                f'import sys; sys.path[:] = {sys.path!r}; '
-                'from ambush_planner.worker.child import main; main()'
-            )
-            self._process = subprocess.Popen(
-                [sys.executable, '-c', start, str(theirs.fileno())],
-                pass_fds=[theirs.fileno()],
-                stdin=subprocess.DEVNULL,
-                env={**_ONE_THREAD, **os.environ},
-                # Ctrl-C in a terminal is for the node, which then ends this process.
-                start_new_session=True,
-            )
+            self._process = self._start(theirs)
         self._socket = ours
         self._stream = ours.makefile('rwb')
         self._ready = self._killed = False
+
+    def _start(self, connection: socket.socket) -> subprocess.Popen[bytes]:
+        # The same modules as here, wherever this process has them from.
+        start = (
+            f'import sys; sys.path[:] = {sys.path!r}; '
+            'from ambush_planner.worker.child import main; main()'
+        )
+        return subprocess.Popen(
+            [sys.executable, '-c', start, str(connection.fileno())],
+            pass_fds=[connection.fileno()],
+            stdin=subprocess.DEVNULL,
+            env={**_ONE_THREAD, **os.environ},
+            # Ctrl-C in a terminal is for the node, which then ends this process.
+            start_new_session=True,
+        )
 
     @property
     def alive(self) -> bool:
