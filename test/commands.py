@@ -1,5 +1,6 @@
 """Commands run in this process, where a start of Python would add nothing."""
 
+import re
 import runpy
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -37,3 +38,10 @@ def run_benchmark(script, *arguments):
         except SystemExit as stop:
             code = stop.code or 0
     return SimpleNamespace(code=code, out=out.getvalue(), err=err.getvalue())
+
+
+def documented_keys(tool):
+    """The keys of the JSON object that a command's help promises."""
+    documented = re.search(r'--json: (\{.*?\})\n(?!")', tool.EPILOG, re.DOTALL)[1]
+    inner = re.sub(r'[\[{][^\[\]{}]*[\]}]', '', re.sub(r'\{[^{}]*\}', '', documented[1:-1]))
+    return set(re.findall(r'"(\w+)"', inner))

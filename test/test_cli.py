@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
+from commands import documented_keys
 from forging import one_verifier
 from matplotlib.figure import Figure
 from recording_samples import file_of, small_departure
@@ -193,9 +194,7 @@ def test_lines_are_short_names_relative_and_json_is_the_object_in_the_help(
     assert str(place) not in said and '\x1b' not in said
     assert module.main([*LINES[name].split(), '--json']) == code
     result = json.loads(capsys.readouterr().out)
-    documented = re.search(r'--json: (\{.*?\})\n(?!")', module.EPILOG, re.DOTALL)[1]
-    inner = re.sub(r'[\[{][^\[\]{}]*[\]}]', '', re.sub(r'\{[^{}]*\}', '', documented[1:-1]))
-    assert set(result) == set(re.findall(r'"(\w+)"', inner))
+    assert set(result) == documented_keys(module)
     assert result['verdict'] == cli.Exit(code).name.lower()
 
 

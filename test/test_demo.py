@@ -1,6 +1,7 @@
 """``ambush_demo`` as a user starts it, and what it leaves."""
 
 import csv
+import json
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ import pytest
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
 import rclpy
-from commands import run_here
+from commands import documented_keys, run_here
 from matplotlib.image import imread
 from rclpy.context import Context
 from rosbags.highlevel import AnyReader
@@ -22,7 +23,6 @@ from ambush_planner import StrategyOptions
 from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.risk_map import risk_map_from_occupancy
 from ambush_planner.tools import demo
-from ambush_planner.tools.demo import count_different
 from ambush_planner.tools.demo_client import DemoClient
 from ambush_planner.tools.demo_ground import GOAL, START
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
@@ -40,10 +40,18 @@ TYPES = {
 
 
 # The command on a quarter of its nodes, with one budget instead of four: test_frontier has more.
+# What --json says comes last.
 COMMAND = """
 import sys
 from ambush_planner.tools import demo
 demo.SPACING, demo.DETOURS, demo.SLACKS = 720.0, (1.2,), (0.01,)
+finish = demo.cli.Console.finish
+
+def with_json(console, code):
+    console._json = True
+    finish(console, code)
+
+demo.cli.Console.finish = with_json
 sys.exit(demo.main())
 """
 
@@ -111,7 +119,7 @@ def test_routes_meet_no_obstacle(recordings):
 
 
 def test_routes_differ(recordings):
-    assert count_different([positions(recording) for recording in recordings]) >= DEPARTURES - 1
+    assert len({positions(recording).tobytes() for recording in recordings}) >= DEPARTURES - 1
 
 
 def test_recordings_and_pictures_are_private(done):
@@ -145,6 +153,15 @@ def test_the_table_names_what_was_found(done):
     different, total = map(int, rows['different routes'].split(' of '))
     assert DEPARTURES - 1 <= different <= total == DEPARTURES
     assert float(rows['seconds'].split(';')[0]) > 0.0
+
+
+def test_lines_are_short_and_json_is_the_object_in_the_help(done):
+    told, begin, result = done[1].rpartition('\n{\n')
+    lines = [*told.splitlines(), *done[2].splitlines()]
+    assert max(len(line) for line in lines if str(done[0]) not in line) < 100
+    result = json.loads(begin + result)
+    assert set(result) == documented_keys(demo) and result['verdict'] == 'holds'
+    assert result['departures'] == DEPARTURES and result['folder'] == str(done[0])
 
 
 def test_progress_is_shown_step_by_step(done):
@@ -237,8 +254,3 @@ def test_a_domain_that_somebody_is_in_is_not_free():
     finally:
         node.destroy_node()
         rclpy.try_shutdown(context=context)
-
-
-def test_different_routes_are_counted():
-    route = np.array([[0.0, 0.0, 1.0], [1.0, 2.0, 3.0]])
-    assert count_different([route, route.copy(), route[:1], route + 1e-9]) == 3

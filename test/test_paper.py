@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import documented_keys
 from games import paper_example
 
 from ambush_planner import solve
@@ -45,6 +46,9 @@ def done(tmp_path_factory):
     assert process.returncode == 0, process.stdout + process.stderr
     assert 'NOT ok' not in process.stdout
     assert (folder / 'tables.md').read_text() in process.stdout
+    told = (process.stdout + process.stderr).splitlines()
+    # Rows of Markdown stay whole, as do names of files.
+    assert max(len(line) for line in told if line[:1] != '|' and str(folder) not in line) < 100
     return folder
 
 
@@ -144,6 +148,10 @@ def test_a_comparison_that_fails_fails_the_run(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(paper, 'report', lambda _: '')
     assert paper.main(['-o', str(tmp_path)]) == 1
     assert capsys.readouterr().err == 'ambush_paper: does not hold: one is more than two\n'
+    assert paper.main(['-o', str(tmp_path), '--json']) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == documented_keys(paper) and result['verdict'] == 'finding'
+    assert result['failed'] == ['one is more than two']
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from two_faced import assembled, encoded, split
 
 from ambush_planner.recording import read_departure, reader, recorder, recordings_in
 from ambush_planner.recording.mcap_file import decode, encode
+from ambush_planner.recording.metadata import Link
 from ambush_planner.review import case
 from ambush_planner.review.chain import together
 from ambush_planner.tools import verify as tool
@@ -448,4 +450,20 @@ def test_names_are_relative_to_where_the_command_is_run(runs, check, monkeypatch
     assert code == 0
     assert [each['file'] for each in found['departures']] == [
         str(path.relative_to(runs.parent)) for path in recordings_in(runs)
+    ]
+
+
+def test_departures_that_were_not_recorded_are_noted_also_before_the_first():
+    def recorded(session, number, follows=''):
+        place = Path(session, f'{session}_{number}.mcap')
+        metadata = SimpleNamespace(link=Link(follows=follows, sha256=follows))
+        return SimpleNamespace(path=place, sha256=place.name, number=number, metadata=metadata)
+
+    verdicts = [recorded('a', 3), recorded('a', 5, 'a_3.mcap'), recorded('b', 6, 'a_5.mcap'),
+                recorded('c', 1, 'b_6.mcap'), recorded('d', 2, 'c_1.mcap'), recorded('e', 4)]
+    told = [note.partition(';')[0] for note in tool._gaps(verdicts)]
+    assert told == [
+        'a: no recording of departures before 3',
+        'a: no recording of departures after 3 and before 5',
+        'e: no recording of departures before 4',
     ]

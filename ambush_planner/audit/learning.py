@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from ..core.arrays import FloatArray, IndexArray, frozen_array, sums
 from ..core.strategy import Strategy
 from .draws import ManyRoutes, Steps
-from .places import SAME_PLACE
+from .places import SAME_PLACE, numbered
 
 # An observer has learnt where to wait when he causes this share of the strategies' value.
 LEARNT = 0.9
@@ -127,10 +127,9 @@ def _by_place(
     """
     games = [strategy.game for _, strategy in strategies]
     points = [game.network.points[game.sites] for game in games]
-    known, index = np.unique(
-        np.rint(np.concatenate(points) / SAME_PLACE), axis=0, return_inverse=True
-    )
-    places = np.split(index.reshape(-1), np.cumsum([len(each) for each in points])[:-1])
+    number = numbered(np.rint(np.concatenate(points) / SAME_PLACE))
+    known = int(number.max(initial=-1)) + 1
+    places = np.split(number, np.cumsum([len(each) for each in points])[:-1])
     rows, columns, data, true = [], [], [], []
     for game, (many, _), step, who, place in zip(
         games, strategies, steps, members, places, strict=True
@@ -143,10 +142,10 @@ def _by_place(
         data.append(cost.data)
         true.append(csr_matrix(
             (game.site_losses(many.p), (np.zeros(len(place), np.int64), place)),
-            shape=(1, len(known)),
+            shape=(1, known),
         ))
     cells = np.concatenate(rows), np.concatenate(columns)
-    return csr_matrix((np.concatenate(data), cells), shape=(count, len(known))), true
+    return csr_matrix((np.concatenate(data), cells), shape=(count, known)), true
 
 
 def _observe(

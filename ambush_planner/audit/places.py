@@ -58,10 +58,7 @@ def ground_of(strategies: Sequence[ManyRoutes], length: float) -> Ground:
     low, high = points.min(axis=0), points.max(axis=0)
     square = max(SQUARE * length, float((high - low).max()) / _MOST_ACROSS, np.finfo(float).tiny)
     cell = np.floor((points - low) / square).astype(np.int64)
-    _, of_node = np.unique(cell, axis=0, return_inverse=True)
-    of_node = of_node.reshape(-1)
-    _, node = np.unique(np.rint(points / SAME_PLACE), axis=0, return_inverse=True)
-    node = node.reshape(-1)
+    of_node, node = numbered(cell), numbered(np.rint(points / SAME_PLACE))
     first = np.cumsum([0, *(len(network.points) for network in networks)])
     ends = np.concatenate([
         each.network.edges[each.used] + first[k] for k, each in enumerate(strategies)
@@ -88,6 +85,14 @@ def ground_of(strategies: Sequence[ManyRoutes], length: float) -> Ground:
         segments=points[ends[index]],
         inner=[_inner(network) for network in networks],
     )
+
+
+def numbered(rows: np.ndarray) -> IndexArray:
+    """Number rows (K, 2) in their order: (K,), the same where they are equal."""
+    # Much faster than np.unique(rows, axis=0), which compares them byte by byte.
+    x, y = (np.unique(column, return_inverse=True)[1] for column in rows.T)
+    number: IndexArray = np.unique(x * (y.max(initial=0) + 1) + y, return_inverse=True)[1]
+    return number
 
 
 def _spread(many: ManyRoutes, place: IndexArray) -> IndexArray:

@@ -214,8 +214,8 @@ def _rounded(
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide='ignore', invalid='ignore'):
         cut = margin[inner] / _leaves(turn, outward, after - before)
-    cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
-    cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
+        cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
+        cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
     turn, cut, tangent = (
         padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent)
@@ -257,8 +257,8 @@ def _reach(
 ) -> FloatArray:
     """Distance (C,) along lines through the points to the lines of portals; nan: no such line."""
     line = portals.leftward[portal]
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
+    found: FloatArray = np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
+    return found
 
 
 def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, IndexArray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -146,12 +147,15 @@ class Strategy:
     iterations: int
     law: Law | None = field(repr=False)
     start: Law | None = field(repr=False)
-    _sampler: RouteSampler = field(repr=False)
 
     @property
     def network(self) -> Network:
         """The network that the strategy is for."""
         return self.game.network
+
+    @cached_property
+    def _sampler(self) -> RouteSampler:
+        return RouteSampler(self.network, self.edge_probability)
 
     def sample_route(self, rng: np.random.Generator) -> IndexArray:
         """Draw a route (K,): node indices, source first, target last, none twice."""
@@ -303,7 +307,6 @@ def strategy_of(
         iterations=outcome.iterations,
         law=outcome.law,
         start=start,
-        _sampler=RouteSampler(network, p),
     )
 
 

@@ -15,7 +15,6 @@ from ..core.arrays import IndexArray, frozen_array
 from ..core.certificate import upper_bound
 from ..core.planner import Plan
 from ..core.risk_map import RiskMap
-from ..core.routes import RouteSampler
 from ..core.strategy import Strategy
 from ..recording import UnreadableRecording, read_departure
 from ..recording.metadata import LEAST_BITS, Metadata
@@ -136,7 +135,7 @@ def _law(case: Case, strategy: Strategy) -> Strategy:
     return replace(
         strategy, edge_probability=frozen_array(p, np.float64),
         visit_probability=frozen_array(strategy.game.visits(p), np.float64),
-        value=upper_bound(strategy.game, p), _sampler=RouteSampler(strategy.network, p),
+        value=upper_bound(strategy.game, p),
     )
 
 

@@ -149,13 +149,8 @@ class Dispatcher:
         """Tell of a departure that is answered, and have it recorded."""
         end = max(departure.end_ns, self._now())
         self._logger.info(f'departure {departure.number} ({departure.id})')
-        turning_radius = departure.held.plan.options.drive.turning_radius
-        report = self._reporter.departed(
-            departure.number, departure.id, tight_turns(departure.path.rows, turning_radius)
-        )
-        self._recordings.record(replace(
-            departure, others=(*departure.others, report), response=response, end_ns=end
-        ))
+        others = *departure.others, self._reporter.report()
+        self._recordings.record(replace(departure, others=others, response=response, end_ns=end))
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
@@ -245,10 +240,11 @@ class Dispatcher:
         route, path = drawn
         published = self._path_out(path, request)
         self._count = number
+        tight = tight_turns(path.rows, held.plan.options.drive.turning_radius)
+        trouble = self._reporter.departed(number, departure_id, tight)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
-            published, self._in_force.markers, request.begin_ns, max(leaving, self._now()),
-            self._reporter.recording_trouble,
+            published, self._in_force.markers, request.begin_ns, max(leaving, self._now()), trouble,
         ))
 
     def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:

@@ -57,7 +57,9 @@ class Reporter:
 
     def refresh(self) -> None:
         """Publish the diagnostics if a solve has begun or ended."""
-        self._change(lambda status: status)
+        with self._lock:
+            if self._status.solving != self._solving():
+                self.report()
 
     def failed(self, concern: str, error: Exception) -> None:
         """Tell what is wrong with a request, the map that just came, or the recording."""
@@ -98,20 +100,19 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(self, number: int, departure_id: str, tight_turns: int) -> RecordedMessage:
-        """Tell of a departure; return what was published."""
+    def departed(self, number: int, departure_id: str, tight_turns: int) -> str:
+        """Take note of a departure, to be told behind its answer by ``report``.
+
+        Before the answer, or it would forget errors of what came after it. Returns what is wrong
+        with the recording, '' for nothing.
+        """
         with self._lock:
             self._status = replace(
                 self._status.without_problem('request'), departures=number,
                 departure_id=departure_id, tight_turns=tight_turns,
             )
-            return self.report()
-
-    @property
-    def recording_trouble(self) -> str:
-        """What is wrong with the recording; '' for nothing."""
-        failed = self._status.problems.get('recording')
-        return failed.message if failed else ''
+            failed = self._status.problems.get('recording')
+            return failed.message if failed else ''
 
     def recording(self, enabled: bool) -> None:
         """Tell that recording was switched on or off."""

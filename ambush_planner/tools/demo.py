@@ -180,15 +180,10 @@ def table(
         *words.quantities(strategy),
         *((words.PLANNERS[name], f'mean loss {row.v_repeated:.2f} once it is known')
           for name, row in evaluate(strategy).items() if name != 'stochastic'),
-        ('different routes', f'{count_different(paths)} of {len(paths)}'),
+        ('different routes', f'{len({path.tobytes() for path in paths})} of {len(paths)}'),
         ('seconds', f'{total:.1f}; {first:.1f} for the first departure{further}'),
     ]
     return '\n' + '\n'.join(f'{name:<37} {told}' for name, told in rows)
-
-
-def count_different(paths: Sequence[FloatArray]) -> int:
-    """Number of paths (L, 3) that no earlier one equals."""
-    return len({np.ascontiguousarray(path).tobytes() for path in paths})
 
 
 main = cli.command(parser, _work)

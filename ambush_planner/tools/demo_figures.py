@@ -24,7 +24,6 @@ from .figures import (
     frame,
 )
 
-DOTS_PER_INCH = 130
 FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))), ('#117733', (0, (1, 1))))
 
 
@@ -45,7 +44,7 @@ def routes_figure(
     secured_radius: float = 0.0,
 ) -> Figure:
     """Left: the routes (K, 2) of departures. Right: routes of planners that leave no choice."""
-    figure = Figure(figsize=(15.0, 9.6), dpi=DOTS_PER_INCH, layout='compressed')
+    figure = Figure(figsize=(15.0, 9.6), layout='compressed')
     # Room for the legend below.
     figure.get_layout_engine().set(rect=(0.0, 0.045, 1.0, 0.955), w_pad=0.08)
     left, right = figure.subplots(1, 2)

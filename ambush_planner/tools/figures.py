@@ -149,14 +149,12 @@ def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
         axes.add_patch(circle)
 
 
-def draw_routes(
-    axes: Axes, routes: Sequence[FloatArray], colours: Sequence[str] = ROUTES
-) -> None:
+def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     """Draw routes (K, 2) as lines of different colours with a white edge."""
     for k, route in enumerate(routes):
         axes.plot(
             *np.asarray(route).T,
-            color=colours[k % len(colours)],
+            color=ROUTES[k % len(ROUTES)],
             linewidth=1.9,
             path_effects=HALO,
             solid_joinstyle='round',

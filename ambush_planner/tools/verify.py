@@ -48,7 +48,7 @@ What is not found, by somebody who corrects checksums and hashes:
 * in the diagnostics the state, the node's name, the solve's seconds, the kind of warning, how the
   strategy stands on a newer map, and trouble with a map or a recording, which the answer repeats
 * orientation and height of a goal in another frame than the map's; frames that a decompressor
-  skips; where departures are missing that were not recorded at all
+  skips; the last departures of a run that were not recorded at all (earlier ones get a note)
 
 Output: a line a departure, what does not hold below it; progress on standard error.
 --json: {"verdict", "departures": [{"file", "sha256", "number", "holds", "value", "problems",
@@ -94,7 +94,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
     # Of a file alone, nothing says which other ones should be there.
     faults, notes = together(verdicts, options.expect or '') if options.recordings.is_dir() or (
         options.expect) else ([], [])
-    notes += _gaps(verdicts)
+    notes += _gaps(verdicts) if options.recordings.is_dir() else []
     for fault in faults:
         console.line(console.marked('FAILS', False))
         console.item(fault)
@@ -155,13 +155,22 @@ def _as_json(verdict: Verdict) -> dict[str, Any]:
 
 def _gaps(verdicts: Iterable[Verdict]) -> list[str]:
     """Which departures of a run of the node were not recorded, a line for each such place."""
+    read = [(each, each.metadata) for each in verdicts if each.metadata]
+    known = {each.sha256: (each.path.parent, each.number) for each, _ in read}
     numbers: dict[Path, set[int]] = {}
-    for verdict in verdicts:
-        if verdict.number:
-            numbers.setdefault(verdict.path.parent, set()).add(verdict.number)
+    for each, metadata in read:
+        folder = each.path.parent
+        found = numbers.setdefault(folder, {0})  # before the first
+        found.add(each.number)
+        before, number = known.get(metadata.link.sha256, (folder, 0))
+        if before != folder and number == each.number - 1:
+            # That folder was full, and the run went on in this one.
+            found.discard(0)
+            found.add(number)
     return [
-        f'{cli.place(folder)}: no recording of departures after {before} and before {after}; '
-        'recording was off, it failed, or the files are missing'
+        f'{cli.place(folder)}: no recording of departures '
+        + (f'after {before} and before {after}; ' if before else f'before {after}; ')
+        + 'recording was off, it failed, or the files are missing'
         for folder, found in numbers.items()
         for before, after in pairwise(sorted(found)) if after > before + 1
     ]
