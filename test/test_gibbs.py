@@ -18,7 +18,7 @@ from ambush_planner import GameOptions, Network
 from ambush_planner.core.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.core.game import make_game
 from ambush_planner.core.gibbs import AcyclicNetwork
-from ambush_planner.core.most_entropy import SMALL_START, most_entropy
+from ambush_planner.core.most_entropy import most_entropy
 
 NEVER = math.inf
 
@@ -115,7 +115,7 @@ def test_the_optimum_is_clarabels(cells, reach):
     limits[-1] = max(limits[-1], 1.02 * shortest(network, acyclic))
     rows = vstack((hits, csr_matrix(lengths))).tocsr()
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
-    start = np.full(len(limits), SMALL_START)
+    start = np.zeros(len(limits))
     found = most_entropy(acyclic, scaled, start, -1.0, NEVER)
     most = most_route_entropy(network, acyclic.edge, rows, limits)
     if found.infeasible:
@@ -144,7 +144,7 @@ def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
         return
     part, acyclic = case
     out = (network.tails[acyclic.edge] == network.source) / tightness
-    found = most_entropy(acyclic, csr_matrix(out), np.array([SMALL_START]), 0.0, NEVER)
+    found = most_entropy(acyclic, csr_matrix(out), np.zeros(1), 0.0, NEVER)
     assert found.infeasible
     # And limits that can be kept are never called infeasible.
     kept = most_entropy(acyclic, csr_matrix(out * tightness), np.zeros(1), 1e-9, NEVER)
@@ -205,7 +205,7 @@ def test_a_soft_search_has_a_minimum_where_the_limits_cannot_be_kept():
     network = terrain_network(6, cells=8)
     part, acyclic = forward(network)
     rows = csr_matrix(8.0 * part.hits[:, acyclic.edge])
-    start = np.full(rows.shape[0], SMALL_START)
+    start = np.zeros(rows.shape[0])
     found = most_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1)
     assert not found.infeasible
     # At the minimum each limit is exceeded by softness * sum v at most.

@@ -25,7 +25,7 @@ from .flow_program import at_most_one
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .least_risk import LeastRisk, by_cut, first_part, least_risk, without_barred
-from .most_entropy import MAX_EVALUATIONS, SMALL_START, GibbsStrategy, most_entropy
+from .most_entropy import MAX_EVALUATIONS, GibbsStrategy, most_entropy
 from .routes import always_shortest
 
 # The least slack: values this near to the bound, relative, count as optimal.
@@ -237,9 +237,9 @@ class _Limits:
         self._first = np.minimum(self._room / np.maximum(mean, 1e-300), FIRST_PRICE)
 
     def start(self, warm: Law | None) -> FloatArray:
-        """Multipliers (R,) to start from: those of another law, or small ones."""
+        """Multipliers (R,) to start from: those of another law, or 0 for sites."""
         if warm is None or len(warm.sites) != self._game.node_count:
-            return np.concatenate((np.full(len(self._row), SMALL_START), self._first))
+            return np.concatenate((np.zeros(len(self._row)), self._first))
         sites = warm.sites[self._game.sites[self._row]] * self._most
         pairs = zip(warm.budgets, self._budgets, strict=True)
         budgets = np.array([price for price, b in pairs if b.binds]) * self._room

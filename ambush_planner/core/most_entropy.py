@@ -6,8 +6,10 @@ the one of greatest route entropy if v >= 0 minimises the convex function
     log Z(C' v) + sum v,        gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
 For every strategy with C p <= 1 that function is at least its entropy, so at least 0: a value
-below 0 proves that there is none. The search begins with L-BFGS-B and, where few limits are tight,
-ends with Newton's method in the multipliers of those, damped as Levenberg and Marquardt do.
+below 0 proves that there is none. The search begins with L-BFGS-B, each multiplier in a unit that
+brings the Hessian's diagonal near 1; only limits that are near take part, the others stay at 0.
+Where few limits are tight it ends with Newton's method in the multipliers of those, damped as
+Levenberg and Marquardt do.
 """
 
 from __future__ import annotations
@@ -20,11 +22,9 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from .arrays import FloatArray, IndexArray
+from .arrays import BoolArray, FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
-# Multiplier that a limit starts with.
-SMALL_START = 0.1
 MAX_EVALUATIONS = 1500
 # Evaluations before Newton's method takes over, the most limits that it moves at once, and the
 # multiplications that its Hessians may take.
@@ -37,6 +37,10 @@ ROUNDING = 1e-9
 RUNAWAY = 1e16
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
+# The most that a line search may make of one, in its unit: far enough out to prove what cannot be.
+MOST_SCALED = 1e10
+# Limits with less than this to spare take part in the search.
+FAR = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
 # Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
@@ -50,6 +54,10 @@ NEARLY, NEGLIGIBLE_USE = 0.1, 1e-7
 
 class _Done(Exception):
     """Ends a search from within."""
+
+
+class _Joining(Exception):
+    """Another limit joins the search."""
 
 
 @dataclass
@@ -102,7 +110,10 @@ class _Search:
         self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
         self.evaluations = evaluations
         self.found = GibbsStrategy(np.empty(0), np.empty(0))
-        self.share = np.empty(0)
+        self.share = self.gradient = np.empty(0)
+        # Where a limit is used up in portions of c, its use has a variance of about c.
+        portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
+        self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
@@ -124,15 +135,38 @@ class _Search:
         late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
         if reached or found.infeasible or late:
             raise _Done
-        return value, 1.0 - used + self.softness * total
+        self.gradient = 1.0 - used + self.softness * total
+        return value, self.gradient
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
+        """L-BFGS-B in the limits that are near; when another is the worst, it joins."""
+        last, moved = self.found.evaluations + evaluations, np.zeros(len(start), dtype=bool)
+        self(start)
+        while self.found.evaluations < last:
+            moved |= (self.found.multipliers > 0.0) | (self.gradient < FAR)
+            with contextlib.suppress(_Joining):
+                self._descend(moved, last - self.found.evaluations)
+                return
+
+    def _descend(self, moved: BoolArray, evaluations: int) -> None:
+        """L-BFGS-B in the limits ``moved`` (R,), from where the search is."""
         # Who solves nothing does without it: it is a seventh of what loading the package takes.
         from scipy.optimize import fmin_l_bfgs_b
 
+        part, v = np.flatnonzero(moved), self.found.multipliers.copy()
+        unit = self.unit[part]
+
+        def function(scaled: FloatArray) -> tuple[float, FloatArray]:
+            v[part] = np.minimum(scaled, MOST_SCALED) * unit
+            value, gradient = self(v)
+            worst = gradient.argmin()
+            if not moved[worst] and gradient[worst] < -self.tolerance:
+                raise _Joining
+            return value, gradient[part] * unit
+
         fmin_l_bfgs_b(
-            self, start, bounds=[(0.0, None)] * len(start), m=CORRECTIONS, factr=5.0, pgtol=1e-12,
-            maxfun=evaluations, maxiter=evaluations,
+            function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS, factr=5.0,
+            pgtol=1e-12, maxfun=evaluations, maxiter=evaluations,
         )
 
     def newton(self) -> None:
