@@ -73,9 +73,9 @@ class ComputePath:
         departure.add_done_callback(self._departed)
 
     def _departed(self, departure: Future[Departure]) -> None:
+        self._wake.trigger()
         if not departure.cancelled() and departure.exception() is None:
             self._requests.answered(departure.result(), planned(departure.result()))
-        self._wake.trigger()
 
     def _cancel(self, handle: Any) -> CancelResponse:
         """Take a goal back, unless its route is drawn."""
