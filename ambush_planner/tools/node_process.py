@@ -105,6 +105,11 @@ class NodeProcess:
         if error is None and code != 0:
             raise NodeFailed(f'the node ended with exit code {code} on SIGINT{self._last_words()}')
 
+    @property
+    def pid(self) -> int:
+        """The node's process id."""
+        return self._process.pid
+
     def check(self) -> None:
         """Raise NodeFailed if the node has ended."""
         code = self._process.poll()
