@@ -4,6 +4,7 @@ import multiprocessing
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 
 from ambush_planner.worker import child
 from ambush_planner.worker.process import WorkerProcess
@@ -54,6 +55,9 @@ class HandedOn(WorkerProcess):
         """Only a worker that has nothing to do is alive here: ``kill`` ends a solve."""
         self.at_work.remove(self)
         if self.alive:
+            # It may have been halted before the solve got to it.
+            with suppress(ProcessLookupError):
+                os.kill(self._process.pid, signal.SIGCONT)
             self.idle.append(self)
         else:
             super().close()
