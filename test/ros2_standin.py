@@ -29,6 +29,13 @@ def serve_map(node, arguments):
     rclpy.spin(node)
 
 
+def wait_for_map(node, topic):
+    """Return once the map is published and listened to, as map_server is active then."""
+    from waiting import wait_until
+
+    wait_until(lambda: node.count_publishers(topic) and node.count_subscribers(topic), topic)
+
+
 def type_of(name):
     package, folder, kind = name.split('/')
     return getattr(import_module(f'{package}.{folder}'), kind)
@@ -62,8 +69,6 @@ def main(arguments):
     match arguments:
         case ['run', 'ambush_planner', name, *rest]:
             os.execvp(name, [name, *rest])
-        case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
-            return  # it is active from the beginning
     import rclpy
 
     rclpy.init()
@@ -71,6 +76,8 @@ def main(arguments):
     match arguments:
         case ['run', 'nav2_map_server', 'map_server', '--ros-args', *rest]:
             serve_map(node, rest)
+        case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
+            wait_for_map(node, '/alpha_map')
         case ['topic', 'pub', '--once', topic, kind, text]:
             publish(node, topic, kind, text)
         case ['service', 'call', name, kind]:
