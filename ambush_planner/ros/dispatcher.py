@@ -146,11 +146,10 @@ class Dispatcher:
         return request.departure
 
     def answered(self, departure: Departure, response: Any) -> None:
-        """Tell of a departure that is answered, and have it recorded."""
+        """Log a departure that is answered, and have it recorded."""
         end = max(departure.end_ns, self._now())
         self._logger.info(f'departure {departure.number} ({departure.id})')
-        others = *departure.others, self._reporter.report()
-        self._recordings.record(replace(departure, others=others, response=response, end_ns=end))
+        self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, asked: Asked) -> Future[Plan]:
         """Solve anew for the map in force."""
@@ -241,10 +240,11 @@ class Dispatcher:
         published = self._path_out(path, request)
         self._count = number
         tight = tight_turns(path.rows, held.plan.options.drive.turning_radius)
-        trouble = self._reporter.departed(number, departure_id, tight)
+        report, trouble = self._reporter.departed(number, departure_id, tight)
         request.departure.set_result(Departure(
             departure_id, number, request.call, trip, parameters, held, source, route, path,
-            published, self._in_force.markers, request.begin_ns, max(leaving, self._now()), trouble,
+            published, (*self._in_force.markers, report), request.begin_ns,
+            max(leaving, self._now()), trouble,
         ))
 
     def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:

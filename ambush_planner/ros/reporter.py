@@ -100,11 +100,12 @@ class Reporter:
         """Tell that the plan in force is stale, and stays it."""
         self._change(lambda status: replace(status, stale=why))
 
-    def departed(self, number: int, departure_id: str, tight_turns: int) -> str:
-        """Take note of a departure, to be told behind its answer by ``report``.
+    def departed(
+        self, number: int, departure_id: str, tight_turns: int
+    ) -> tuple[RecordedMessage, str]:
+        """Tell of a departure; return what was published, and what is wrong with the recording.
 
-        Before the answer, or it would forget errors of what came after it. Returns what is wrong
-        with the recording, '' for nothing.
+        Both at once: the recording's diagnostics must bear out what the answer says of trouble.
         """
         with self._lock:
             self._status = replace(
@@ -112,7 +113,7 @@ class Reporter:
                 departure_id=departure_id, tight_turns=tight_turns,
             )
             failed = self._status.problems.get('recording')
-            return failed.message if failed else ''
+            return self.report(), failed.message if failed else ''
 
     def recording(self, enabled: bool) -> None:
         """Tell that recording was switched on or off."""

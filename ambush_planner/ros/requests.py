@@ -89,7 +89,7 @@ class Requests:
         return self._begin(work)
 
     def answered(self, departure: Departure, response: Any) -> None:
-        """Have a departure that is answered told of and recorded."""
+        """Have a departure that is answered logged and recorded."""
         self._dispatcher().answered(departure, response)
 
     def _serve(
