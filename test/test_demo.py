@@ -231,6 +231,21 @@ def test_an_interrupted_demo_takes_its_node_along(tmp_path):
     assert not nodes_of(tmp_path)
 
 
+def test_interrupts_of_the_demo_wait_for_the_next_check():
+    checks, passed = [], []
+    with pytest.raises(KeyboardInterrupt), demo._interrupts_held(lambda: checks.append(1)) as check:
+        check()
+        for number in signal.SIGINT, signal.SIGTERM:
+            signal.raise_signal(number)
+        passed.append(True)  # neither interrupts here
+        check()
+        passed.append(False)
+    assert (len(checks), passed) == (1, [True])
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt), demo._interrupts_held(lambda: None):
+        signal.raise_signal(signal.SIGINT)  # after the last check
+
+
 def nodes_of(folder: Path) -> list[str]:
     """Process ids of the nodes that record into ``folder``."""
     found = []

@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +72,6 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> int:
-    # Ended from outside, it still takes its node along.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     say = console.step
     folder = Path(os.path.abspath(options.output))
     folder.mkdir(parents=True, exist_ok=True)
@@ -126,7 +126,7 @@ def _departures(
     domain = free_domain()
     say(f'starting the node in ROS domain {domain}')
     node = NodeProcess(_node_parameters(folder), domain, folder / 'node.log')
-    with node, DemoClient(domain, node.check) as client:
+    with _interrupts_held(node.check) as check, node, DemoClient(domain, check) as client:
         client.wait_for_node()
         rows, columns = values.shape
         say(f'publishing the map ({columns} x {rows} cells), start and goal')
@@ -140,6 +140,31 @@ def _departures(
         say('stopping the node')
     say('the node ended with exit code 0')
     return paths, seconds
+
+
+@contextmanager
+def _interrupts_held(check: Callable[[], None]) -> Iterator[Callable[[], None]]:
+    """Yield ``check`` as a function where SIGINT and SIGTERM raise KeyboardInterrupt, too.
+
+    They do so nowhere else: rclpy turns an interrupt while it makes a message into a
+    RuntimeError, and the node's end must not be interrupted.
+    """
+    came = threading.Event()
+
+    def check_both() -> None:
+        if came.is_set():
+            raise KeyboardInterrupt
+        check()
+
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.signal(number, lambda *_: came.set()) for number in numbers]
+    try:
+        yield check_both
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came.is_set():
+        raise KeyboardInterrupt
 
 
 def _node_parameters(folder: Path) -> dict[str, object]:
