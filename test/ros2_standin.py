@@ -4,6 +4,7 @@ Command lines as theirs; ``ros2 run ambush_planner`` starts the real programs.
 """
 
 import os
+import signal
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +14,6 @@ from pathlib import Path
 
 def serve_map(node, arguments):
     """Publish the map latched, as map_server does once it is active, until the end."""
-    import rclpy
     from std_msgs.msg import Header
 
     from ambush_planner.ros.conversions import occupancy_to_ros
@@ -26,7 +26,7 @@ def serve_map(node, arguments):
     message = occupancy_to_ros(grid.values, grid.resolution, grid.origin, header)
     publisher = node.create_publisher(type(message), options['map'], LATCHED)
     publisher.publish(message)
-    rclpy.spin(node)
+    signal.pause()  # the middleware has threads of its own
 
 
 def wait_for_map(node, topic):
@@ -70,8 +70,10 @@ def main(arguments):
         case ['run', 'ambush_planner', name, *rest]:
             os.execvp(name, [name, *rest])
     import rclpy
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init()
+    # With rclpy's own handlers, a signal is lost on `spin` now and then, and it never ends.
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('standin')
     match arguments:
         case ['run', 'nav2_map_server', 'map_server', '--ros-args', *rest]:

@@ -59,13 +59,7 @@ class Tallies:
         place = self._ground.of_edge[k][steps.edge]
         places = len(self._ground.segments)
         cell = (steps.route // n) * places + place
-        if count * places <= 4 * len(cell):
-            self.passages[sets] += np.bincount(cell, minlength=count * places).reshape(
-                count, places
-            ).astype(np.uint16)
-        else:
-            cells, number = np.unique(cell, return_counts=True)
-            self.passages[sets].reshape(-1)[cells] += number.astype(np.uint16)
+        np.add.at(self.passages[sets].reshape(-1), cell, np.uint16(1))
         surprise = np.bincount(
             steps.route // n, weights=many.surprise[steps.edge], minlength=count
         )
