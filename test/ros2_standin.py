@@ -9,12 +9,16 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+ACTIVE = 'map_server/active'
+
 # What a command does not need is imported where it is needed: each one is a process.
 
 
 def serve_map(node, arguments):
     """Publish the map latched, as map_server does once it is active, until the end."""
     from std_msgs.msg import Header
+    from std_srvs.srv import Trigger
+    from waiting import wait_until
 
     from ambush_planner.ros.conversions import occupancy_to_ros
     from ambush_planner.ros.qos import LATCHED
@@ -25,15 +29,20 @@ def serve_map(node, arguments):
     header = Header(frame_id='map')
     message = occupancy_to_ros(grid.values, grid.resolution, grid.origin, header)
     publisher = node.create_publisher(type(message), options['map'], LATCHED)
+    # A latched message may take 3 s to a subscription that is found after it.
+    wait_until(publisher.get_subscription_count, f'a subscription of {options["map"]}')
     publisher.publish(message)
+    assert publisher.wait_for_all_acked()
+    node.create_service(Trigger, ACTIVE, lambda _, answer: answer)
     signal.pause()  # the middleware has threads of its own
 
 
-def wait_for_map(node, topic):
-    """Return once the map is published and listened to, as map_server is active then."""
+def wait_for_map(node):
+    """Return once the map has come through, as map_server is active then."""
+    from std_srvs.srv import Trigger
     from waiting import wait_until
 
-    wait_until(lambda: node.count_publishers(topic) and node.count_subscribers(topic), topic)
+    wait_until(node.create_client(Trigger, ACTIVE).service_is_ready, ACTIVE)
 
 
 def type_of(name):
@@ -79,7 +88,7 @@ def main(arguments):
         case ['run', 'nav2_map_server', 'map_server', '--ros-args', *rest]:
             serve_map(node, rest)
         case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
-            wait_for_map(node, '/alpha_map')
+            wait_for_map(node)
         case ['topic', 'pub', '--once', topic, kind, text]:
             publish(node, topic, kind, text)
         case ['service', 'call', name, kind]:

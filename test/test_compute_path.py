@@ -102,22 +102,27 @@ class Goals:
         fields = {'use_start': start is not None, **fields}
         if start is not None:
             fields['start'] = start
-        sent = self._client.send_goal_async(self.action.Goal(goal=goal, **fields))
-        wait_until(sent.done, 'the goal being taken')
-        assert sent.result().accepted
-        return sent.result()
+        wish = self.action.Goal(goal=goal, **fields)
+        handle = self._answer('the goal being taken', self._client.send_goal_async, wish)
+        assert handle.accepted
+        return handle
 
     def result(self, handle):
         """Return the status and the result of a goal, once it is there."""
-        got = handle.get_result_async()
-        wait_until(got.done, 'a result')
-        return got.result().status, got.result().result
+        answer = self._answer('a result', handle.get_result_async)
+        return answer.status, answer.result
 
     def cancel(self, handle):
         """Return how many goals are being cancelled."""
-        asked = handle.cancel_goal_async()
-        wait_until(asked.done, 'an answer to the wish to cancel')
-        return len(asked.result().goals_canceling)
+        answer = self._answer('an answer to the wish to cancel', handle.cancel_goal_async)
+        return len(answer.goals_canceling)
+
+    def _answer(self, what, send, *arguments):
+        """Send from the executor's thread: rclpy loses answers that come before it is done."""
+        sent = self.client.node.executor.create_task(send, *arguments)
+        wait_until(sent.done, 'the sending')
+        wait_until(sent.result().done, what)
+        return sent.result().result()
 
     def refused(self, **fields):
         """Return the code and the message of a goal that is given up."""

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -42,17 +43,19 @@ def test_every_command_works(tmp_path):
         # The wheels' bootstrap: for this process, not for those that it starts.
         environment.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None)
         environment.pop('LD_LIBRARY_PATH', None)
-        process = subprocess.Popen(
-            ['bash', '-ec', script], cwd=tmp_path, env=environment, text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True,
-        )
-        try:
-            told, _ = process.communicate(timeout=SECONDS)
-        finally:
+        # A file has an end, whoever of the background still holds it.
+        with (tmp_path / 'told').open('w') as output:
+            process = subprocess.Popen(
+                ['bash', '-ec', script], cwd=tmp_path, env=environment, stdout=output,
+                stderr=subprocess.STDOUT, start_new_session=True,
+            )
             try:
-                os.killpg(process.pid, signal.SIGKILL)
-            except ProcessLookupError:
-                pass
+                process.wait(SECONDS)
+            finally:
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                told = (tmp_path / 'told').read_text()
+                print(told)
     assert process.returncode in (0, 128 + signal.SIGTERM), told
     assert told.count('success=True') == 6, told
     folder = tmp_path / 'ambush_tutorial'
