@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import time
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from importlib import import_module
 from typing import Any
@@ -14,7 +12,6 @@ from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
-from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from std_msgs.msg import Header
 
@@ -27,7 +24,6 @@ from .requests import Requests, planned
 
 NAME = '~/compute_path_to_pose'
 _KEPT = 10  # s, as Nav2's planner server keeps results
-_LAST_ANSWERS, _SPIN = 0.5, 0.05  # s
 # What Nav2 calls it, where it has no name of its own for it.
 _NAV2_CODES = {'NO_START': 'TF_ERROR'}
 
@@ -58,14 +54,6 @@ class ComputePath:
         """End the action, before the node is destroyed."""
         if self.server is not None:
             self.server.destroy()
-
-    def answer_last(self, executor: Executor) -> None:
-        """Have the goals answered that have failed because the node ends, for a moment."""
-        # A goal's end, its result, and the answer with it are tasks of the executor, one a spin.
-        end = time.monotonic() + (_LAST_ANSWERS if self._waiting else 0.0)
-        with suppress(ExternalShutdownException):
-            while time.monotonic() < end:
-                executor.spin_once(timeout_sec=_SPIN)
 
     def _accepted(self, handle: Any) -> None:
         departure = self._requests.begin_plan(lambda: self._plan_request(handle.request))

@@ -92,11 +92,12 @@ class Dispatcher:
         return self._plans.solving
 
     def stop_solving(self) -> None:
-        """End all solves; requests that wait for a solve or a departure are refused."""
+        """End all solves, and refuse requests for good, the waiting ones too."""
         if self._told_to_end is None:
             self._told_to_end = time.monotonic()
         self._recordings.hurry()
         self._plans.close()
+        self._departures.finish()
 
     def pause(self) -> None:
         """Refuse requests, the waiting ones too; no route is drawn once this has returned."""

@@ -6,6 +6,7 @@ import ctypes
 import gc
 import signal
 import sys
+import time
 from contextlib import ExitStack, suppress
 from threading import Event
 from typing import Any, TypeVar
@@ -36,6 +37,7 @@ from .usage import check_arguments
 NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # s
 _LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
+_LAST_ANSWERS, _SPIN = 0.5, 0.05  # s
 
 _M_MMAP_THRESHOLD, _LARGE = -3, 2**20  # malloc.h
 
@@ -168,11 +170,18 @@ class PlannerNode(LifecycleNode):
         self._dispatcher, self._inputs, self._listening = None, None, None
 
     def stop_solving(self, executor: Executor | None = None) -> None:
-        """End all solves for good; answer waiting requests, and action goals by ``executor``."""
+        """End all solves for good; answer waiting requests, and action goals by ``executor``.
+
+        With an executor the node stays for a moment: an answer is lost where DDS tells first that
+        the node has gone, and a goal's answer is several tasks of the executor, one a spin.
+        """
         if self._dispatcher is not None:
             self._dispatcher.stop_solving()
         if executor is not None:
-            self._goals.answer_last(executor)
+            end = time.monotonic() + _LAST_ANSWERS
+            with suppress(ExternalShutdownException):
+                while time.monotonic() < end:
+                    executor.spin_once(timeout_sec=_SPIN)
 
     def destroy_node(self) -> None:
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
