@@ -22,7 +22,6 @@ from ros_harness import (
     risk_grid,
     ros_context,
     spinning,
-    wait_until,
 )
 
 from ambush_planner.ros.conversions import path_from_ros
@@ -129,12 +128,14 @@ def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number)
             (worker,) = ' '.join(each.read_text() for each in threads.glob('*/children')).split()
             ours = _shared_memory(process.pid) - _shared_memory('self') - shared
             assert exit_code(process, number) == 0
-            wait_until(lambda: all(each.done() for each in futures), 'the last answers')
-            assert {each.result().message for each in futures} == {'the planner is shutting down'}
+            # A client that stands still for longer than the node stays may miss its answer.
+            answers = {each.result().message for each in futures if each.done()}
+            assert answers <= {'the planner is shutting down'}
     assert not Path('/proc', worker).exists(), 'no orphan'
     assert not [path for path in ours if path.exists()]
     assert not list(tmp_path.rglob('*.tmp'))
     said = (tmp_path / 'output').read_text()
+    assert said.count('new_route: the planner is shutting down') == len(futures)
     assert 'Traceback' not in said and 'never retrieved' not in said
 
 
