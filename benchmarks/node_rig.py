@@ -46,11 +46,15 @@ MEGABYTE = 2.0**20
 EMPTY = 'empty'
 EMPTY_SERVICE = f"""
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from std_srvs.srv import Trigger
 rclpy.init()
 node = rclpy.create_node("empty")
 node.create_service(Trigger, "{PLANNER}/{EMPTY}", lambda _, answer: answer)
-rclpy.spin(node)
+try:
+    rclpy.spin(node)
+except ExternalShutdownException:
+    pass
 """
 TESTS = Path(__file__).resolve().parent.parent / 'test'
 
@@ -113,10 +117,10 @@ def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig
     """Start a node that records and logs in a folder, and stop it in the end; see NodeProcess."""
     # Read by the middleware in this process, and inherited by the node's.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    domain = free_domain()
     where = {'recording.directory': str(folder / 'recordings')}
-    with NodeProcess({**where, **parameters}, domain, folder / 'node.log') as process:
-        yield Rig(process, domain, folder)
+    with free_domain() as domain:
+        with NodeProcess({**where, **parameters}, domain, folder / 'node.log') as process:
+            yield Rig(process, domain, folder)
 
 
 @contextmanager
@@ -127,8 +131,12 @@ def empty_service(domain: int) -> Iterator[None]:
     try:
         yield
     finally:
-        process.kill()
-        process.wait()
+        process.terminate()  # killed, it could take the node along: they share memory
+        try:
+            process.wait(TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
 
 
 class StampingExecutor(SingleThreadedExecutor):
@@ -195,13 +203,36 @@ class Caller:
         return self._publishers[topic]
 
     def client(self, kind: type, name: str, depth: int = 10) -> Any:
-        """A client of a service of the planner, which has been found."""
+        """A client of a service of the planner; both have found each other."""
         if (name, depth) not in self._clients:
             service, qos = f'{PLANNER}/{name}', QoSProfile(depth=depth)
             made = self.node.create_client(kind, service, qos_profile=qos)
             self._clients[name, depth] = made
             self.wait(made.service_is_ready, f'the service {name}')
+            self._be_met()
         return self._clients[name, depth]
+
+    def _be_met(self) -> None:
+        """Return once the planner knows the clients there are: until then answers are lost.
+
+        It finds them in the order in which they were made, and answers this last one.
+        """
+        last = self.node.create_client(GetParameters, f'{PLANNER}/get_parameters')
+        self._ask_until_answered(last)
+        self.node.destroy_client(last)
+
+    def _ask_until_answered(self, client: Any) -> None:
+        """Call a service that changes nothing until it answers."""
+        what = f'an answer of {client.srv_name}'
+        self.wait(client.service_is_ready, what)
+        deadline = time.monotonic() + ANSWER_TIMEOUT
+        while True:
+            future = client.call_async(client.srv_type.Request())
+            try:
+                return self.wait(future.done, what, 2.0)
+            except NodeSilent:
+                if time.monotonic() > deadline:
+                    raise
 
     def send(self, kind: type, name: str, request: Any = None) -> Future:
         """Call a service of the planner; the future of the answer."""
@@ -214,18 +245,8 @@ class Caller:
         return future.result()
 
     def meet(self, name: str) -> None:
-        """Call a Trigger that does nothing until it answers.
-
-        Before both sides have found each other, DDS may lose an answer.
-        """
-        deadline = time.monotonic() + ANSWER_TIMEOUT
-        while True:
-            future = self.send(Trigger, name)
-            try:
-                return self.wait(future.done, f'an answer of {name}', 2.0)
-            except NodeSilent:
-                if time.monotonic() > deadline:
-                    raise
+        """Call a Trigger of another node, which does nothing, until it answers."""
+        self._ask_until_answered(self.client(Trigger, name))
 
     def new_route(self) -> None:
         """Depart between the latest start and goal. Raises Refused."""

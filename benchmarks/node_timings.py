@@ -148,15 +148,15 @@ def large_maps(count: int, cells: int) -> list[float]:
 @contextmanager
 def node_here() -> Iterator[PlannerNode]:
     """A planner node in this process, not spinning."""
-    context = Context()
-    rclpy.init(args=[], context=context, domain_id=free_domain())
-    off = Parameter('recording.enabled', value=False)
-    node = PlannerNode(context=context, parameter_overrides=[off])
-    try:
-        yield node
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
+    context, off = Context(), Parameter('recording.enabled', value=False)
+    with free_domain() as domain:
+        rclpy.init(args=[], context=context, domain_id=domain)
+        node = PlannerNode(context=context, parameter_overrides=[off])
+        try:
+            yield node
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)
 
 
 def departures(calls: int, nodes: int, periods: tuple[float, ...]) -> list[Departures]:

@@ -64,14 +64,24 @@ def publish(node, topic, kind, text):
 
 
 def call(node, name, kind):
-    import rclpy
-    from waiting import wait_until
+    from rcl_interfaces.srv import GetParameters
+    from waiting import TIMEOUT, wait_until
 
     client = node.create_client(type_of(kind), name)
     wait_until(client.service_is_ready, name)
+    # Until the server knows the client its answers are lost; it answers clients made later last.
+    later = node.create_client(GetParameters, f'{name.rpartition("/")[0]}/get_parameters')
+    wait_until(later.service_is_ready, later.srv_name)
+    wait_until(lambda: answer_of(node, later, 1.0), later.srv_name)
+    print(answer_of(node, client, TIMEOUT))
+
+
+def answer_of(node, client, seconds):
+    import rclpy
+
     future = client.call_async(client.srv_type.Request())
-    rclpy.spin_until_future_complete(node, future)
-    print(future.result())
+    rclpy.spin_until_future_complete(node, future, timeout_sec=seconds)
+    return future.result()
 
 
 def main(arguments):

@@ -25,12 +25,15 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
+from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.qos import REQUESTS
 from ambush_planner.worker import solve_queue
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+# A client that is slow for a moment keeps each message all the same.
+ALL_LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 FRAME = 'map'
 MARKER_TOPICS = ('edge_probabilities', 'mean_direction', 'ambush_sites', 'network', 'stops')
 # About 100 nodes: a solve takes milliseconds.
@@ -98,15 +101,16 @@ class Client:
         self.name = planner.lstrip('/')
         self.received = {}
         self._publishers = {}
-        self._keep(PathMessage, 'path', LATCHED)
-        self._keep(DiagnosticArray, '/diagnostics', 100)
-        for topic in MARKER_TOPICS:
-            self._keep(MarkerArray, topic, LATCHED)
+        # First, so that a planner whose reports come knows that answers are listened for.
         self._services = {
             name: node.create_client(kind, f'{planner}/{name}', qos_profile=REQUESTS)
             for name, kind in (('new_route', Trigger), ('replan', Trigger), ('cancel', Trigger),
                                ('get_plan', GetPlan))
         }
+        self._keep(PathMessage, 'path', ALL_LATCHED)
+        self._keep(DiagnosticArray, '/diagnostics', 100)
+        for topic in MARKER_TOPICS:
+            self._keep(MarkerArray, topic, ALL_LATCHED)
 
     def _keep(self, kind, topic, qos):
         self.received[topic] = []
@@ -126,6 +130,7 @@ class Client:
         """Call a service of the planner and return the future of its answer."""
         client = self._services[name]
         assert client.wait_for_service(timeout_sec=TIMEOUT), name
+        self.last('/diagnostics')
         return client.call_async(request or client.srv_type.Request())
 
     def call(self, name, request=None):
@@ -219,6 +224,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
+        stack.enter_context(mock.patch.object(dispatcher, '_LAST_RECORDINGS', TIMEOUT))
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )

@@ -100,6 +100,7 @@ def bad_stops(running):
         codes.append(_error_code(running.client))
         running.client.publish('via_poses', PoseArray())
         running.client.call_until('new_route', lambda answer: answer.success)
+        running.client.diagnostics(code='NONE')
     return '{}, {} or {}'.format(*codes)
 
 
@@ -193,6 +194,8 @@ def many_calls(_):
             executor = SingleThreadedExecutor(context=node.context)
             stack.enter_context(spinning(node, executor))
         assert all(client.wait_for_service(TIMEOUT) for client in clients)
+        name = clients[0].srv_name
+        wait_until(lambda: busy.planner.count_clients(name) == 1 + len(clients), 'all clients')
         futures = [client.call_async(Trigger.Request()) for _ in range(count // 4)
                    for client in clients]
         wait_until(lambda: all(future.done() for future in futures), f'{count} answers')

@@ -22,7 +22,7 @@ from rosbags.highlevel import AnyReader
 from ambush_planner import StrategyOptions
 from ambush_planner.core.obstacles import ObstacleField
 from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.tools import demo
+from ambush_planner.tools import demo, node_process
 from ambush_planner.tools.demo_client import DemoClient
 from ambush_planner.tools.demo_ground import GOAL, START
 from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
@@ -43,7 +43,7 @@ TYPES = {
 # What --json says comes last.
 COMMAND = """
 import sys
-from ambush_planner.tools import demo
+from ambush_planner.tools import demo, node_process
 demo.SPACING, demo.DETOURS, demo.SLACKS = 720.0, (1.2,), (0.01,)
 finish = demo.cli.Console.finish
 
@@ -206,11 +206,11 @@ def test_a_wrong_number_of_departures_is_refused(count, capsys):
 
 
 def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
-    domain = free_domain()
-    node = NodeProcess({'network.spacing': -1.0}, domain, tmp_path / 'log')
-    with pytest.raises(NodeFailed, match=r'(?s)exit code 1.*network\.spacing'):
-        with node, DemoClient(domain, node.check) as client:
-            client.wait_for_node()
+    with free_domain() as domain:
+        node = NodeProcess({'network.spacing': -1.0}, domain, tmp_path / 'log')
+        with pytest.raises(NodeFailed, match=r'(?s)exit code 1.*network\.spacing'):
+            with node, DemoClient(domain, node.check) as client:
+                client.wait_for_node()
 
 
 def test_an_interrupted_demo_takes_its_node_along(tmp_path):
@@ -261,11 +261,20 @@ def nodes_of(folder: Path) -> list[str]:
 
 def test_a_domain_that_somebody_is_in_is_not_free():
     context = Context()
-    domain = free_domain()
-    rclpy.init(context=context, domain_id=domain)
-    node = rclpy.create_node('somebody', context=context)
-    try:
-        assert not is_free(domain)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown(context=context)
+    with free_domain() as domain:
+        rclpy.init(context=context, domain_id=domain)
+        node = rclpy.create_node('somebody', context=context)
+        try:
+            assert not is_free(domain)
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown(context=context)
+
+
+def test_a_domain_that_somebody_has_chosen_is_not_chosen_again(monkeypatch):
+    with free_domain() as ours:
+        monkeypatch.setattr(node_process, 'DOMAINS', [ours])
+        with pytest.raises(NodeFailed, match='no ROS domain id is free'), free_domain():
+            pass
+    with free_domain() as again:
+        assert again == ours

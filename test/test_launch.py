@@ -25,9 +25,8 @@ from ros_harness import (
     ros_context,
     spinning,
     stage,
-    wait_until,
 )
-from waiting import TIMEOUT
+from waiting import TIMEOUT, answer_of
 
 from ambush_planner.ros.conversions import path_from_ros
 from ambush_planner.ros.parameters import PARAMETERS
@@ -107,10 +106,7 @@ def launched(tmp_path, **given):
 def parameters(node, planner, *names):
     """Values of parameters of a node."""
     client = node.create_client(GetParameters, f'{planner}/get_parameters')
-    wait_until(client.service_is_ready, 'the parameters')
-    asked = client.call_async(GetParameters.Request(names=names))
-    wait_until(asked.done, 'the values')
-    return asked.result().values
+    return answer_of(client, GetParameters.Request(names=names)).values
 
 
 def test_everything_that_the_file_names_is_there():

@@ -3,7 +3,6 @@
 import gc
 import threading
 import time
-from contextlib import suppress
 
 import pytest
 from handed_on import halt_workers
@@ -23,7 +22,7 @@ from ros_harness import (
     wait_until,
 )
 from test_node_life import threads
-from waiting import TIMEOUT
+from waiting import answer_of
 
 from ambush_planner.core.errors import AmbushPlannerError
 from ambush_planner.ros import planner_node
@@ -43,18 +42,8 @@ class Manager:
             client.node.create_client(kind, f'/{client.name}/{name}')
             for kind, name in ((ChangeState, 'change_state'), (GetState, 'get_state')))
         nothing = Transition(label='no such transition')
-        self._meet(self._change, ChangeState.Request(transition=nothing))
-        self._meet(self._state, GetState.Request())
-
-    def _meet(self, client, request):
-        """Ask until there is an answer: until the node knows the client, answers are lost."""
-        wait_until(client.service_is_ready, client.srv_name)
-        for _ in range(int(TIMEOUT)):
-            asked = client.call_async(request)
-            with suppress(AssertionError):
-                wait_until(asked.done, 'an answer', timeout=1.0)
-                return
-        raise AssertionError(f'no answer of {client.srv_name}')
+        answer_of(self._change, ChangeState.Request(transition=nothing))
+        answer_of(self._state, GetState.Request())
 
     def call(self, client, request):
         asked = client.call_async(request)

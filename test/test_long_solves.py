@@ -12,7 +12,8 @@ from handed_on import halt_workers, workers
 from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
-from ros_harness import TIMEOUT, pose, risk_grid, stage, wait_until
+from ros_harness import pose, risk_grid, stage, wait_until
+from waiting import TIMEOUT, answer_of
 
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
@@ -54,7 +55,7 @@ def solving(parameters=SLOW, halted=True):
             wait_until(begun.is_set, 'a worker to begin')
         if halted:
             halt_workers()
-        running.client.diagnostics(state='solving')
+            running.client.diagnostics(state='solving')
         yield running, future
 
 
@@ -65,8 +66,7 @@ def kill_workers():
 
 def parameter(client, name):
     get = client.node.create_client(GetParameters, '/ambush_planner/get_parameters')
-    assert get.wait_for_service(timeout_sec=TIMEOUT)
-    return answer(get.call_async(GetParameters.Request(names=[name]))).values[0]
+    return answer_of(get, GetParameters.Request(names=[name])).values[0]
 
 
 def answer(future):

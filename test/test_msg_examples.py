@@ -42,7 +42,9 @@ class Sender:
         """Call a service with an example, or with another request, and return the answer."""
         command = COMMANDS[name]
         if name not in self._clients:
+            known = self.planner.count_clients(command.name)
             self._clients[name] = self.client.node.create_client(command.type, command.name)
+            wait_until(lambda: self.planner.count_clients(command.name) > known, 'the client')
         client = self._clients[name]
         wait_until(client.service_is_ready, command.name)
         future = client.call_async(request or example(FILES[name]))

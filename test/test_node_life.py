@@ -27,7 +27,7 @@ from waiting import TIMEOUT
 
 from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recording import Recorder
-from ambush_planner.ros import dispatcher, planning
+from ambush_planner.ros import dispatcher, planning, recordings
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.errors import NoMap
 from ambush_planner.ros.planner_node import PlannerNode
@@ -112,6 +112,7 @@ def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
         return record(*arguments)
 
     monkeypatch.setattr(Recorder, 'record_departure', slow)
+    monkeypatch.setattr(recordings, '_PATIENCE', TIMEOUT)
     with stage(tmp_path) as running:
         client = running.give()
         try:
@@ -145,11 +146,20 @@ def test_a_response_is_recorded_as_it_was_sent(tmp_path):
         (p.pose.position.x, p.pose.position.y, p.pose.orientation.z) for p in plan.poses]
 
 
+def levels(client, code):
+    """The levels of all reports with this code that have come."""
+    return {
+        report.status[0].level for report in client.received['/diagnostics']
+        if code in [each.value for each in report.status[0].values]}
+
+
 def test_an_error_of_a_request_fades_and_a_state_stays():
     with stage(parameters={'diagnostics.error_hold': 0.5}) as running:
         client = running.client
         assert not client.call('new_route').success
-        assert client.diagnostics(code='NO_MAP')['level'] == DiagnosticStatus.ERROR
+        # It may be over before this looks.
+        (level,) = wait_until(lambda: levels(client, 'NO_MAP'), 'the error')
+        assert level == DiagnosticStatus.ERROR
         report = client.diagnostics(code='NONE')
         assert report['level'] == DiagnosticStatus.WARN, 'the inputs are still missing'
         assert report['message'] == 'waiting for alpha_map, start_pose, goal_pose'

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from ros_harness import (
     risk_grid,
     ros_context,
     spinning,
+    wait_until,
 )
 
 from ambush_planner.ros.conversions import path_from_ros
@@ -124,8 +125,7 @@ def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number)
             # The node takes requests in turn: by the last of these answers it has all of those.
             for _ in futures:
                 assert not client.get_plan(pose(0.0, 0.0, frame=''), pose(0.0, 0.0)).poses
-            threads = Path(f'/proc/{process.pid}/task')
-            (worker,) = ' '.join(each.read_text() for each in threads.glob('*/children')).split()
+            (worker,) = wait_until(lambda: _children(process.pid), 'a worker')
             ours = _shared_memory(process.pid) - _shared_memory('self') - shared
             assert exit_code(process, number) == 0
             # A client that stands still for longer than the node stays may miss its answer.
@@ -137,6 +137,13 @@ def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number)
     said = (tmp_path / 'output').read_text()
     assert said.count('new_route: the planner is shutting down') == len(futures)
     assert 'Traceback' not in said and 'never retrieved' not in said
+
+
+def _children(pid):
+    threads = Path(f'/proc/{pid}/task')
+    with suppress(OSError):  # a thread that has just ended
+        return ' '.join(each.read_text() for each in threads.glob('*/children')).split()
+    return []
 
 
 def _shared_memory(pid):

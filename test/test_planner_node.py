@@ -13,6 +13,7 @@ from ros_harness import (
     risk_grid,
     stage,
 )
+from waiting import unstamped, wait_until
 
 from ambush_planner.ros import ground
 from ambush_planner.ros.conversions import path_from_ros
@@ -58,10 +59,11 @@ def test_get_plan_publishes_what_it_answers(client):
 
 
 def test_departures_differ_and_solve_once(client):
-    assert differ(departures(client, 10)) >= 4
+    # The most probable two of the 42 paths have 0.35 together: fewer than three, 1 in 10^8.
+    assert differ(departures(client, 20)) >= 3
     for topic in MARKER_TOPICS:
         assert len(client.received[topic]) == 1, topic
-    client.diagnostics(departures='10', code='NONE')
+    client.diagnostics(departures='20', code='NONE')
 
 
 def test_a_new_goal_a_new_map_and_new_parameters_are_planned_anew(running):
@@ -167,6 +169,7 @@ def test_a_failed_recording_does_not_fail_the_departure(tmp_path):
         answer = client.call('new_route')
         assert answer.success
         assert 'is published on /path; recording failed at' in answer.message
+        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the disk')
         running.planner.set_parameters(
             [Parameter('recording.directory', value=str(tmp_path / 'good'))])
         client.diagnostics(recording='on')
@@ -249,7 +252,7 @@ def test_neither_seed_nor_route_is_told(capfd):
         client.diagnostics(departures='1')
         assert not client.get_plan(START, pose(5.0, 5.5)).poses
         client.diagnostics(code='GOAL_OCCUPIED')
-        said = str(client.received['/diagnostics']) + ''.join(capfd.readouterr())
+        said = str(client.received['/diagnostics']) + unstamped(''.join(capfd.readouterr()))
     assert 'the parameter seed is fixed' in said
     assert '987654321' not in said
     assert len(path) > 5

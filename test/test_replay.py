@@ -25,6 +25,13 @@ from ambush_planner.review.case import TYPES, Case
 from ambush_planner.tools import replay
 from ambush_planner.tools.replay_player import qos_from_yaml
 
+# The command, which finds who listens on a slow machine, too.
+COMMAND = f"""
+import sys
+from ambush_planner.tools import replay
+replay._DISCOVERY = {TIMEOUT}
+sys.exit(replay.main())
+"""
 # A message from the network may have up to three bytes of padding at its end.
 PADDING = 3
 
@@ -78,7 +85,9 @@ def listener(messages=()):
         found = Listener(node)
         for message in messages:
             if message.topic not in found.received:
-                found.listen(message.topic, TYPES[message.type], qos_from_yaml(message.qos))
+                qos = qos_from_yaml(message.qos)
+                qos.depth = max(qos.depth, 100)  # no later message takes an earlier one's place
+                found.listen(message.topic, TYPES[message.type], qos)
         with spinning(node, SingleThreadedExecutor(context=context)):
             yield found, domain
 
@@ -86,7 +95,7 @@ def listener(messages=()):
 @contextmanager
 def replaying(domain, *arguments):
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'replay', *map(str, arguments)],
+        [sys.executable, '-c', COMMAND, *map(str, arguments)],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1'},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )
@@ -98,9 +107,15 @@ def replaying(domain, *arguments):
         process.communicate()
 
 
-def replayed(domain, *arguments):
-    """The exit code of the command, run in this process, and what it said."""
+def replayed(domain, *arguments, patience=10.0):
+    """The exit code of the command, run in this process, and what it said.
+
+    It finds who listens on a slow machine, too; ``patience`` passes where some topics are unheard.
+    """
     with pytest.MonkeyPatch.context() as patch:
+        for name in ('_DISCOVERY', '_DISCOVERY_OF_INPUTS'):
+            patch.setattr(replay, name, TIMEOUT)
+        patch.setattr(replay, '_PATIENCE', patience)
         patch.setenv('ROS_DOMAIN_ID', str(domain))
         done = run_here(replay, *arguments)
     return done.code, done.err
@@ -143,14 +158,16 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
         one.save(tmp_path / f'run_{k}.mcap')
     path = [m for m in forger.messages if m.type.endswith('Path')]
     with listener(path) as (found, domain):
-        code, _ = replayed(domain, tmp_path, '--rate', '5', '--every', '1')
+        code, _ = replayed(domain, tmp_path, '--rate', '5', '--every', '1', patience=1.0)
         assert_received(found, path * 3)
         # Not the hours that passed between them, but 2 s, or less where the first came late.
         assert 0.5 < found.span() < 300.0
     assert code == 0
     for number in ('2', '-1'):
         with listener(path) as (found, domain):
-            assert replayed(domain, tmp_path, '--rate', '50', '--departure', number)[0] == 0
+            code, _ = replayed(
+                domain, tmp_path, '--rate', '50', '--departure', number, patience=1.0)
+            assert code == 0
             assert_received(found, path)
 
 
@@ -188,7 +205,7 @@ def test_only_some_topics_and_other_names(slow):
             kind = OccupancyGrid if topic == '/alpha_map' else PathMessage
             found.listen(topic, kind, LATCHED)
         remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
-        code, said = replayed(domain, slow, '--', '/path', '/goal_pose', *remap)
+        code, said = replayed(domain, slow, '--', '/path', '/goal_pose', *remap, patience=1.0)
         assert code == 0
         assert 'nobody listens to /goal_pose' in said
         wait_until(found.count, 'the path under its other name')

@@ -71,7 +71,10 @@ def queue_anew(monkeypatch):
 
 
 def begun(queue):
-    """Wait until the worker has a solve to work on, for minutes if it were not halted."""
+    """Wait until the worker has a solve to work on, for minutes if it were not halted.
+
+    A worker that was ready before may still be without it: enough for all but killing it.
+    """
     wait_until(lambda: queue._running and queue._worker and queue._worker._ready, 'a solve')
     halt_workers()
 
@@ -158,7 +161,8 @@ def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
         queue.close()
 
 
-def test_a_solve_in_the_background_gives_way(queue):
+def test_a_solve_in_the_background_gives_way(queue_anew):
+    queue = queue_anew
     submit(queue, 'slow', slow_request())
     begun(queue)
     outcomes = []
@@ -168,9 +172,10 @@ def test_a_solve_in_the_background_gives_way(queue):
     asked = submit(queue, 'asked', request(), size=1)
     for name, each in (('last', last), ('asked', asked)):
         each.add_done_callback(lambda done, name=name: outcomes.append(name))
-    (pid,) = workers()
-    os.kill(pid, signal.SIGKILL)
+    os.kill(queue._worker._process.pid, signal.SIGKILL)
     assert asked.result(TIMEOUT) and last.result(TIMEOUT)
+    # A future's result is there before its callbacks are called.
+    wait_until(lambda: len(outcomes) == 2, 'both')
     assert outcomes == ['asked', 'last']
 
 
@@ -215,12 +220,17 @@ def test_one_in_the_background_is_so_again_when_who_asked_for_it_leaves(queue):
 
 def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):
     """Who asks between the end of a solve and its outcome does not begin another one."""
-    solves, solve = [], WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *given: (solves.append(1), solve(*given))[1])
-    again = []
+    solves, again, heard, solve = [], [], threading.Event(), WorkerProcess.solve
+
+    def once_heard(worker, asked):
+        solves.append(asked)
+        assert heard.wait(TIMEOUT)
+        return solve(worker, asked)
+
+    monkeypatch.setattr(WorkerProcess, 'solve', once_heard)
     first = submit(queue, 'key', request())
     first.add_done_callback(lambda _: again.append(submit(queue, 'key', request())))
+    heard.set()
     first.result(TIMEOUT)
     wait_until(lambda: again, 'the callback')
     assert again[0].result(TIMEOUT) is first.result()
@@ -284,15 +294,16 @@ def test_an_error_on_this_side_is_answered_too(queue, monkeypatch):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue):
+def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue_anew):
+    queue = queue_anew
     future = submit(queue, 'slow', slow_request())
     begun(queue)
-    (pid,) = workers()
+    pid = queue._worker._process.pid
     os.kill(pid, signal.SIGKILL)
     with pytest.raises(WorkerFailed, match='the worker process ended by signal 9'):
         future.result(TIMEOUT)
     assert submit(queue, 'key', request()).result(TIMEOUT)
-    assert pid not in workers()
+    assert pid != queue._worker._process.pid
 
 
 def test_a_worker_that_died_while_idle_is_not_missed(queue_anew):

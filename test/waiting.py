@@ -1,8 +1,9 @@
 """Waiting for a condition, with a generous end."""
 
 import os
+import re
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 # s; discovery alone may take 3, on a busy machine a multiple. Only what fails waits so long.
 TIMEOUT = 60.0
@@ -18,6 +19,25 @@ def wait_until(condition, what, timeout=TIMEOUT):
     raise AssertionError(f'not within {timeout} s: {what}')
 
 
+def answer_of(client, request):
+    """Ask a service that changes nothing until it answers, and return the answer.
+
+    The first answers are lost where the server has not yet found the client that has found it.
+    """
+    wait_until(client.service_is_ready, client.srv_name)
+    for _ in range(int(TIMEOUT)):
+        asked = client.call_async(request)
+        with suppress(AssertionError):
+            wait_until(asked.done, 'an answer', timeout=1.0)
+            return asked.result()
+    raise AssertionError(f'no answer of {client.srv_name}')
+
+
+def unstamped(log):
+    """A log without its times, whose digits may be any."""
+    return re.sub(r'\[\d+\.\d{9}\] ', '', log)
+
+
 @contextmanager
 def stderr_in(path):
     """Have this process' stderr in a file, and yield what reads it so far.
@@ -28,7 +48,7 @@ def stderr_in(path):
     with path.open('wb') as file:
         os.dup2(file.fileno(), 2)
     try:
-        yield lambda: path.read_text(errors='replace')
+        yield lambda: unstamped(path.read_text(errors='replace'))
     finally:
         os.dup2(kept, 2)
         os.close(kept)

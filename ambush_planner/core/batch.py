@@ -82,8 +82,8 @@ def solve_many(
         solve that runs is not waited for; the executor may have to be told to end it.
     in_flight
         Problems that the executor holds at once, at least its number of workers to keep all busy;
-        0: twice the number of processors here. A worker that meets a map for the first time can
-        hand back no more problems than this.
+        0: twice the number of processors here. A worker that meets a map for the first time
+        seldom hands back more problems than this.
 
     Raises
     ------

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -123,10 +123,13 @@ def _departures(
     """Return the departures' paths (L, 3), and how long each took [s]."""
     # Read by the middleware in this process, and inherited by the node's.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    domain = free_domain()
-    say(f'starting the node in ROS domain {domain}')
-    node = NodeProcess(_node_parameters(folder), domain, folder / 'node.log')
-    with _interrupts_held(node.check) as check, node, DemoClient(domain, check) as client:
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain())
+        say(f'starting the node in ROS domain {domain}')
+        node = NodeProcess(_node_parameters(folder), domain, folder / 'node.log')
+        check = stack.enter_context(_interrupts_held(node.check))
+        stack.enter_context(node)
+        client = stack.enter_context(DemoClient(domain, check))
         client.wait_for_node()
         rows, columns = values.shape
         say(f'publishing the map ({columns} x {rows} cells), start and goal')

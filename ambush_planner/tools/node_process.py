@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import random
@@ -9,9 +10,12 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
+from typing import TextIO
 
 # Fast DDS finds others in domain d on UDP port 7400 + 250 d. Above domain 101 these ports are ones
 # that Linux gives to anybody; those up to 50 are left to people and tests.
@@ -27,8 +31,9 @@ class NodeFailed(Exception):
     """The node did not start, did not last, or did not end as it should."""
 
 
-def free_domain() -> int:
-    """Choose a ROS domain id at random among those that nobody on this machine is in.
+@contextmanager
+def free_domain() -> Iterator[int]:
+    """A ROS domain id, at random, that nobody on this machine is in or has from this function.
 
     Raises
     ------
@@ -36,9 +41,27 @@ def free_domain() -> int:
         All are taken.
     """
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        if is_free(domain):
-            return domain
+        # Whoever has just chosen a domain is not in it yet.
+        if (lock := _lock(domain)) is None:
+            continue
+        with lock:
+            if is_free(domain):
+                yield domain
+                return
     raise NodeFailed('no ROS domain id is free on this machine')
+
+
+def _lock(domain: int) -> TextIO | None:
+    """Lock a domain's file for as long as it is open; None where somebody else has it."""
+    with ExitStack() as unless_locked:
+        try:
+            path = Path(tempfile.gettempdir(), f'ambush_planner_domain_{domain}.lock')
+            file = unless_locked.enter_context(path.open('w'))
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            return None
+        unless_locked.pop_all()
+        return file
 
 
 def is_free(domain: int) -> bool:

@@ -229,7 +229,7 @@ class _Replay:
 def _end_once(*_: object) -> None:
     """Interrupt the replay; a second signal must not interrupt its end."""
     for number in _ENDS:
-        signal.signal(number, lambda *_: None)
+        signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
 
 
