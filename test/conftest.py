@@ -2,6 +2,7 @@
 
 import gc
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import guard
@@ -12,6 +13,11 @@ from hypothesis import HealthCheck, settings
 settings.register_profile('suite', deadline=None, derandomize='HUNT' not in os.environ,
                           database=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('suite')
+# The same examples, too, whatever modules a worker has imported: Hypothesis takes constants from
+# them, although it is derandomised.
+with suppress(ImportError, AttributeError):
+    from hypothesis.internal.conjecture import providers
+    providers._get_local_constants = lambda: providers._local_constants
 # Not by shared memory: there a process that is killed could crash others, and what a process
 # sends last is lost with it where the reader is slow. Demo and benchmarks set their own range.
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'

@@ -14,7 +14,7 @@ from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
 from test_recording_faults import listed, small_disk
-from waiting import TIMEOUT, stderr_in
+from waiting import TIMEOUT, stderr_in, unstamped
 
 from ambush_planner.recording import Recorder, durable
 from ambush_planner.ros import recordings as recordings_module
@@ -165,7 +165,7 @@ def test_an_error_that_nobody_expected_is_told_without_its_words(tmp_path, monke
             message = client.diagnostics(recording='failed')['message']
         departs(client)
         client.diagnostics(recording='on', code='NONE')
-    log = capfd.readouterr().err
+    log = unstamped(capfd.readouterr().err)
     assert 'internal error (ValueError)' in message
     assert 'in broken' in log
     assert '3.14159' not in log + message

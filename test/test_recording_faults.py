@@ -12,6 +12,7 @@ import time
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -173,8 +174,8 @@ class StoppedClock:
     """The wall clock of a machine without a battery: every session begins at the same time."""
 
     @staticmethod
-    def now():
-        return datetime(1970, 1, 1)
+    def now(tz):
+        return datetime(1970, 1, 1, tzinfo=tz)
 
 
 def test_sessions_that_begin_at_the_same_time(tmp_path, monkeypatch):
@@ -183,6 +184,23 @@ def test_sessions_that_begin_at_the_same_time(tmp_path, monkeypatch):
     name = 'ambush_planner_1970_01_01-00_00_00'
     assert [path.parent.name for path in paths] == [name, f'{name}-2', f'{name}-3']
     assert [path.name for path in paths] == [f'{path.parent.name}_0.mcap' for path in paths]
+
+
+def test_sessions_are_in_order_where_clocks_are_put_back(tmp_path, monkeypatch):
+    monkeypatch.setenv('TZ', 'Europe/Berlin')
+    time.tzset()
+    paths = []
+    try:
+        # The last Sunday of October: half past two, two, and half past two again.
+        for second in (1792888200, 1792890000, 1792891800):
+            clock = SimpleNamespace(now=lambda tz, at=second: datetime.fromtimestamp(at, tz))
+            monkeypatch.setattr(recorder_module, 'datetime', clock)
+            paths.append(record(Recorder(tmp_path), small_departure()))
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    follows = [read_departure(path).metadata.link.follows for path in paths]
+    assert follows == ['', *(path.name for path in paths[:2])]
 
 
 @pytest.mark.parametrize('stamps', [(5, 4, 3, 2), (0, 0, 0, 0), (7, 0, 7, 0), (0, 2**63 - 1, 1, 1)])

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timezone
 from itertools import count
 from pathlib import Path
 from threading import Lock
@@ -170,7 +170,8 @@ class _Session:
     """A new bag folder that grows by a file a departure, locked as long as it does."""
 
     def __init__(self, directory: Path) -> None:
-        stamp = datetime.now().strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
+        # UTC: the chain goes by these names, and clocks are put back in autumn.
+        stamp = datetime.now(timezone.utc).strftime(f'{SESSION_PREFIX}%Y_%m_%d-%H_%M_%S')
         with recording_to(directory):
             make_private_folders(directory)
             self._last = _last_recorded(directory)
