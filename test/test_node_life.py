@@ -147,7 +147,7 @@ def test_a_response_is_recorded_as_it_was_sent(tmp_path):
 
 
 def levels(client, code):
-    """The levels of all reports with this code that have come."""
+    """The levels of the reports with this code, of all that have come."""
     return {
         report.status[0].level for report in client.received['/diagnostics']
         if code in [each.value for each in report.status[0].values]}
