@@ -80,11 +80,11 @@ def call(node, name, kind):
     # Until the server knows the client its answers are lost; it answers clients made later last.
     later = node.create_client(GetParameters, f'{name.rpartition("/")[0]}/get_parameters')
     wait_until(later.service_is_ready, later.srv_name)
-    wait_until(lambda: answer_of(node, later, 1.0), later.srv_name)
-    print(answer_of(node, client, TIMEOUT))
+    wait_until(lambda: answer_within(1.0, node, later), later.srv_name)
+    print(answer_within(TIMEOUT, node, client))
 
 
-def answer_of(node, client, seconds):
+def answer_within(seconds, node, client):
     import rclpy
 
     future = client.call_async(client.srv_type.Request())

@@ -1,10 +1,7 @@
 """A running planner node and a client beside it, apart from every other test and process."""
 
-import fcntl
-import tempfile
 import threading
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from unittest import mock
 
 import numpy as np
@@ -29,6 +26,7 @@ from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.qos import REQUESTS
+from ambush_planner.tools.node_process import lock_domain
 from ambush_planner.worker import solve_queue
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -45,13 +43,9 @@ def free_domain():
     """A domain id that no other test on this machine uses at the same time."""
     # Those over 50 are the demo's and the benchmarks' (tools/node_process.py).
     for domain in range(1, 51):
-        path = Path(tempfile.gettempdir(), f'ambush_planner_test_domain_{domain}.lock')
-        with path.open('w') as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                continue
-            yield domain
+        if (lock := lock_domain(domain)) is not None:
+            with lock:
+                yield domain
             return
     raise RuntimeError('all domain ids from 1 to 50 are taken')
 

@@ -42,7 +42,7 @@ def free_domain() -> Iterator[int]:
     """
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
         # Whoever has just chosen a domain is not in it yet.
-        if (lock := _lock(domain)) is None:
+        if (lock := lock_domain(domain)) is None:
             continue
         with lock:
             if is_free(domain):
@@ -51,8 +51,8 @@ def free_domain() -> Iterator[int]:
     raise NodeFailed('no ROS domain id is free on this machine')
 
 
-def _lock(domain: int) -> TextIO | None:
-    """Lock a domain's file for as long as it is open; None where somebody else has it."""
+def lock_domain(domain: int) -> TextIO | None:
+    """Lock a domain for as long as the file is open; None where somebody else has it."""
     with ExitStack() as unless_locked:
         try:
             path = Path(tempfile.gettempdir(), f'ambush_planner_domain_{domain}.lock')
