@@ -30,9 +30,9 @@ demo: $(VENV)/.demo
 	$(BIN)/ambush_demo
 
 paper: $(VENV)/.demo
-	$(BIN)/ambush_paper
+	$(BIN)/python -m paper
 
-# Files of tests side by side. test/guard.py ends a run that hangs or loses a worker.
+# Files of tests side by side. test/watchdog.py ends a run that hangs or loses a worker.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
 # pytest exits 5, and so fails this target, when it finds no test.

@@ -38,7 +38,7 @@ setup(
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['tools/*.js', 'tools/*.rviz', 'tools/*.json']},
+    package_data={package_name: ['commands/*.js', 'commands/*.rviz', 'commands/*.json']},
     data_files=data_files,
     zip_safe=False,
     python_requires='>=3.10',
@@ -85,9 +85,9 @@ setup(
             'ambush_planner = ambush_planner.ros.planner_node:main',
             # One program: its name, or its first argument, says which command it is.
             *(
-                f'{name} = ambush_planner.tools.cli:main'
+                f'{name} = ambush_planner.commands.cli:main'
                 for name in (
-                    'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier', 'ambush_paper',
+                    'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier',
                     'ambush_recover',
                     'ambush_replay', 'ambush_report', 'ambush_table', 'ambush_terrain',
                     'ambush_verify', 'ambush_views',

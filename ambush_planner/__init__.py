@@ -1,9 +1,6 @@
 """Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
 
-from .core.batch import Problem, Solved, solve_many
-from .core.construction import NetworkOptions, build_network
-from .core.day import DayEffect, day_effect, sample_departures
-from .core.errors import (
+from .errors import (
     AmbushPlannerError,
     BudgetInfeasible,
     GoalBlocked,
@@ -17,14 +14,17 @@ from .core.errors import (
     StopBlocked,
     TimeLimit,
 )
-from .core.evaluation import evaluate
-from .core.frontier import FrontierRow, frontier
-from .core.game import GameOptions
-from .core.network import Network
-from .core.planner import PlanningOptions
-from .core.risk_map import RiskMap
-from .core.strategy import Strategy, StrategyOptions, solve
-from .core.trip import plan_trip
+from .game.game import GameOptions
+from .game.strategy import Strategy, StrategyOptions, solve
+from .maps.risk_map import RiskMap
+from .network.construction import NetworkOptions, build_network
+from .network.network import Network
+from .planning.evaluation import evaluate
+from .planning.frontier import FrontierRow, frontier
+from .planning.many import Problem, Solved, solve_many
+from .planning.plan import PlanningOptions
+from .planning.trip import plan_trip
+from .routes.days import DayEffect, day_effect, sample_departures
 
 __all__ = [
     'AmbushPlannerError',

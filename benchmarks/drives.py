@@ -11,9 +11,9 @@ from scipy.sparse import coo_array, vstack
 from scipy.spatial import cKDTree
 
 from ambush_planner import RiskMap, Strategy
-from ambush_planner.core.arrays import BoolArray, FloatArray, IndexArray
-from ambush_planner.core.corridors import Corridors
-from ambush_planner.core.taut_string import portals_along, taut_strings
+from ambush_planner.arrays import BoolArray, FloatArray, IndexArray
+from ambush_planner.routes.corridors import Corridors
+from ambush_planner.routes.taut_string import portals_along, taut_strings
 
 HAIRPIN = np.radians(120.0)  # change of heading within one spacing
 NEAR_ITSELF = 3.0  # spacings, beside the path; along it three times as far

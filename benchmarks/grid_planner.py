@@ -7,8 +7,8 @@ import heapq
 import numpy as np
 from grounds import Ground
 
-from ambush_planner.core.arrays import FloatArray
-from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.arrays import FloatArray
+from ambush_planner.maps.obstacles import ObstacleField
 
 STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 

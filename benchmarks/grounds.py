@@ -11,9 +11,9 @@ import numpy.typing as npt
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner import RiskMap
-from ambush_planner.core.obstacles import nearest_free_cell
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.tools import demo_ground as fault
+from ambush_planner.commands import demo_ground as fault
+from ambush_planner.maps.obstacles import nearest_free_cell
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
 # Maps of the Nav2 project, beside the checkout where there is one.
 DEPOT = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'nav2_depot'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ambush_planner import Network, NetworkOptions, RiskMap, build_network
-from ambush_planner.core.arrays import FloatArray
+from ambush_planner.arrays import FloatArray
 
 SIDE = 100.0  # of every map [m]
 

@@ -23,7 +23,7 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner import solve
-from ambush_planner.core.arrays import FloatArray
+from ambush_planner.arrays import FloatArray
 from ambush_planner.ros import markers
 
 REPEATS = 7

@@ -29,8 +29,8 @@ from std_srvs.srv import Trigger
 sys.path.append(str(node_rig.TESTS))
 from standin_types import grid_update, message_type  # noqa: E402
 
+from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
-from ambush_planner.ros.parameters import PARAMETERS
 
 Random = np.random.Generator
 GRID_UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')

@@ -34,7 +34,7 @@ from node_rig import (
 )
 from report import RESULTS, conditions, table, write_block
 
-from ambush_planner.ros.parameters import PARAMETERS
+from ambush_planner.planning.parameters import PARAMETERS
 
 # The node's solves are given up after this [s], so that one message costs no more.
 PLANNING_TIME = 2.0
@@ -50,7 +50,7 @@ UNKNOWN = re.compile(r'Traceback|internal error|^\S*Error at$', re.MULTILINE)
 
 
 @dataclass
-class Outcome:
+class Solution:
     """What was sent so far, and the node's memory [MB] after so many messages."""
 
     sent: Counter[str] = field(default_factory=Counter)
@@ -64,9 +64,9 @@ class WrongRoute(Exception):
     """With good inputs and its defaults the node did not plan as it should."""
 
 
-def fuzz(rig: Rig, caller: Caller, seed: int, numbers: range) -> Outcome:
+def fuzz(rig: Rig, caller: Caller, seed: int, numbers: range) -> Solution:
     """Send the messages with these numbers; the failures of node and caller go through."""
-    outcome, begin = Outcome(), time.monotonic()
+    outcome, begin = Solution(), time.monotonic()
     recent: deque[str] = deque(maxlen=SHOWN)
     every = min(WARM_UP, max(1, len(numbers) // 10))
     caller.watch_status()
@@ -126,7 +126,7 @@ def growth(memory: dict[int, float]) -> float:
     return 100.0 * (warm[-1] / warm[0] - 1.0) if warm else 0.0
 
 
-def results(outcome: Outcome, seed: int, unknown: int) -> str:
+def results(outcome: Solution, seed: int, unknown: int) -> str:
     """What was sent and what became of the node."""
     total = sum(outcome.sent.values())
     kinds = ', '.join(f'{count} {kind}' for kind, count in sorted(outcome.sent.items()))

@@ -36,7 +36,8 @@ from report import RESULTS, conditions, table, write_block
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ambush_planner.ros.conversions import occupancy_from_ros, occupancy_to_ros
+from ambush_planner.maps.ros_messages import occupancy_from_ros
+from ambush_planner.ros.conversions import occupancy_to_ros
 
 RESOLUTION = 0.5
 SIDE = 3  # cells, of an obstacle that is somewhere else each second

@@ -32,8 +32,8 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
-from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain
 
 FRAME = 'map'
 PLANNER = '/ambush_planner'

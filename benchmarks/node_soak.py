@@ -39,9 +39,9 @@ from node_rig import (
 )
 from report import RESULTS, conditions, table, write_block
 
-from ambush_planner.recording import recordings_in
-from ambush_planner.recording.bag_folder import FILE_NAME, listed_files
-from ambush_planner.review.verify import Verifier
+from ambush_planner.recordings import recordings_in
+from ambush_planner.recordings.bag_folder import FILE_NAME, listed_files
+from ambush_planner.recordings.verify import Verifier
 
 CELLS, RESOLUTION = 120, 0.5
 SIDE = 3  # cells, of an obstacle that is somewhere else at each departure

@@ -31,9 +31,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ambush_planner.commands.node_process import free_domain
 from ambush_planner.ros.conversions import occupancy_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
-from ambush_planner.tools.node_process import free_domain
 
 # A map of 100 m x 100 m.
 CELLS, RESOLUTION = 200, 0.5

@@ -20,8 +20,8 @@ from peers import Answer, EntropyProblem, clarabel_entropy, highs
 from problems import Problem, problem
 
 from ambush_planner import Network, Strategy, TimeLimit, solve
-from ambush_planner.core.cut import solve_by_cut
-from ambush_planner.core.game import make_game
+from ambush_planner.game.cut import solve_by_cut
+from ambush_planner.game.game import make_game
 
 # With this our side loads what it loads at its first use.
 WARM_UP = 'block:12'

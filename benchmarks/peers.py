@@ -19,9 +19,9 @@ import numpy as np
 from scipy.sparse import bmat, csc_matrix, csr_matrix, identity, vstack
 
 from ambush_planner import GameOptions, Network
-from ambush_planner.core.arrays import IndexArray
-from ambush_planner.core.game import make_game
-from ambush_planner.core.linear_program import linear_program
+from ambush_planner.arrays import IndexArray
+from ambush_planner.game.game import make_game
+from ambush_planner.game.linear_program import linear_program
 
 Answer = dict[str, Any]
 # What they call an answer that they stand by.

@@ -41,7 +41,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.core.strategy import CERTIFICATE_TOLERANCE
+from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE
 
 # Nodes up to which HiGHS judges, and how far it may be off: its own tolerances, relative.
 JUDGED, AGREES = 1500, 1e-5

@@ -33,19 +33,19 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.core.arrays import FloatArray
-from ambush_planner.core.construction import METHODS, chosen_spacing
-from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import driven_path, tight_turns
-from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
-from ambush_planner.tools.demo_figures import FixedRoute, draw_fixed_routes
-from ambush_planner.tools.figures import (
+from ambush_planner.arrays import FloatArray
+from ambush_planner.commands.demo_figures import FixedRoute, draw_fixed_routes
+from ambush_planner.commands.figures import (
     draw_ambush_sites,
     draw_ends,
     draw_risk_map,
     draw_routes,
     frame,
 )
+from ambush_planner.network.construction import METHODS, chosen_spacing
+from ambush_planner.planning.evaluation import energy_efficient_route, risk_avoiding_route
+from ambush_planner.routes.corridors import make_corridors
+from ambush_planner.routes.driven_path import driven_path, tight_turns
 
 SHOWN = 8
 # Two paths are the same if they are nowhere further apart than this [spacings].

@@ -21,8 +21,7 @@ from problems import TERRAIN_SECURED
 from report import RESULTS, conditions, table, write_block
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.core.planner import Plan, departure_paths
-from ambush_planner.tools.figures import (
+from ambush_planner.commands.figures import (
     draw_ambush_sites,
     draw_edges,
     draw_ends,
@@ -30,6 +29,7 @@ from ambush_planner.tools.figures import (
     draw_secured,
     frame,
 )
+from ambush_planner.planning.plan import Plan, departure_paths
 
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
 SPACING = 600.0

@@ -8,7 +8,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 
-from ambush_planner.audit.departures import Driven, audit
+from ambush_planner.recordings.audit_departures import Driven, audit
 
 
 def routes_with_probabilities(strategy):

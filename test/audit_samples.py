@@ -13,15 +13,15 @@ from rclpy.serialization import serialize_message
 from recording_samples import encoded_departure, new_route_call
 from std_msgs.msg import Header
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.game import GameOptions
-from ambush_planner.core.planner import PlanningOptions, plan
-from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
-from ambush_planner.core.strategy import StrategyOptions
-from ambush_planner.recording import Attachment, RecordedMessage
-from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import StrategyOptions
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.parameters import PARAMETERS
+from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.recordings import Attachment, RecordedMessage
+from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
-from ambush_planner.ros.parameters import PARAMETERS
 
 START_NS = 1_700_000_000_000_000_000
 DAY_NS = 86_400_000_000_000

@@ -2,13 +2,16 @@
 
 import gc
 import os
+import sys
 from contextlib import suppress
 from pathlib import Path
 
-import guard
 import pytest
+import watchdog
 from hypothesis import HealthCheck, settings
 
+# The paper's commands are not installed; at the end, so that an installed package comes first.
+sys.path.append(str(Path(__file__).resolve().parents[1]))
 # How fast the machine is decides nothing; HUNT looks for new examples, as in games.py.
 settings.register_profile('suite', deadline=None, derandomize='HUNT' not in os.environ,
                           database=None, suppress_health_check=[HealthCheck.too_slow])
@@ -28,12 +31,12 @@ os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
 def pytest_addoption(parser):
-    guard.pytest_addoption(parser)
+    watchdog.pytest_addoption(parser)
     parser.addoption('--kills', type=int, default=2, help='nodes to kill while they record')
 
 
 def pytest_configure(config):
-    guard.pytest_configure(config)
+    watchdog.pytest_configure(config)
     config.option.loadscopereorder = False  # xdist's: the files of most tests first
 
 
@@ -72,7 +75,7 @@ def submitted(monkeypatch):
 @pytest.fixture(scope='module')
 def fewer_draws():
     """Audits compare with as many draws as of many strategies: p-values are exact with any."""
-    from ambush_planner.audit import departures
+    from ambush_planner.recordings import audit_departures as departures
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(departures, 'RESAMPLES', departures.RESAMPLES_OF_MANY)
         yield

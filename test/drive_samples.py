@@ -15,8 +15,8 @@ from ambush_planner import (
     StartBlocked,
     build_network,
 )
-from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.paths import shortest_path
+from ambush_planner.network.shortest_paths import shortest_path
+from ambush_planner.routes.corridors import make_corridors
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay')
 

@@ -13,10 +13,10 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from ambush_planner.core.certificate import upper_bound
-from ambush_planner.core.routes import always, shortest_route
-from ambush_planner.recording import RecordedMessage, recordings_in, type_name
-from ambush_planner.review.case import Case
+from ambush_planner.game.certificate import upper_bound
+from ambush_planner.game.route_sampler import always, shortest_route
+from ambush_planner.recordings import RecordedMessage, recordings_in, type_name
+from ambush_planner.recordings.recorded_case import Case
 
 
 def cell_at(forger, node):

@@ -13,10 +13,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from recording_samples import encoded_departure
 from ros_harness import pose, stage
 
-from ambush_planner.recording import Attachment, read_departure, recordings_in, type_name
-from ambush_planner.review.case import TYPES
-from ambush_planner.review.verify import Verifier
-from ambush_planner.tools import verify
+from ambush_planner.commands import verify
+from ambush_planner.recordings import Attachment, read_departure, recordings_in, type_name
+from ambush_planner.recordings.recorded_case import TYPES
+from ambush_planner.recordings.verify import Verifier
 
 TEXTS = ('parameters', 'route_entropy_source', 'route', 'trip', 'ends')
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)

@@ -21,12 +21,12 @@ from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recording import Attachment, RecordedMessage, type_name
-from ambush_planner.recording.mcap_file import encode
-from ambush_planner.recording.metadata import Link, chain_text, metadata_texts
-from ambush_planner.recording.recorder import departure_content
-from ambush_planner.recording.schemas import load_definition
-from ambush_planner.recording.strategy_file import NUMBERS
+from ambush_planner.recordings import Attachment, RecordedMessage, type_name
+from ambush_planner.recordings.mcap_file import encode
+from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
+from ambush_planner.recordings.recorder import departure_content
+from ambush_planner.recordings.schemas import load_definition
+from ambush_planner.recordings.strategy_file import NUMBERS
 
 # Its parsers are slow, and the tests' files all hold the same definitions.
 for _parser in ('get_types_from_idl', 'get_types_from_msg'):

@@ -28,9 +28,9 @@ def serve_map(node, arguments):
     from std_srvs.srv import Trigger
     from waiting import wait_until
 
+    from ambush_planner.maps.map_file import read_map
     from ambush_planner.ros.conversions import occupancy_to_ros
     from ambush_planner.ros.qos import LATCHED
-    from ambush_planner.terrain.map_file import read_map
 
     options = dict(each.split(':=') for each in arguments if ':=' in each)
     grid = read_map(Path(options['yaml_filename']))

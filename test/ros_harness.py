@@ -22,11 +22,11 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 from waiting import TIMEOUT, wait_until
 
+from ambush_planner.commands.node_process import lock_domain
 from ambush_planner.ros import dispatcher
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 from ambush_planner.ros.planner_node import PlannerNode
 from ambush_planner.ros.qos import REQUESTS
-from ambush_planner.tools.node_process import lock_domain
 from ambush_planner.worker import solve_queue
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions
-from ambush_planner.core import acyclic
-from ambush_planner.core.acyclic import (
+from ambush_planner.game import acyclic
+from ambush_planner.game.acyclic import (
     conserved,
     forward_part,
     order_potential,
@@ -28,7 +28,7 @@ from ambush_planner.core.acyclic import (
     rank_by,
     without_cycles,
 )
-from ambush_planner.core.game import make_game
+from ambush_planner.game.game import make_game
 
 
 def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:

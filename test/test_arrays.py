@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ambush_planner.core.arrays import frozen_array, sums
+from ambush_planner.arrays import frozen_array, sums
 
 
 def test_a_frozen_array_is_a_private_copy():

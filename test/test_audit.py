@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from scipy.special import chdtri  # scipy.stats takes long to import
 
 from ambush_planner import InvalidOption, Network, solve
-from ambush_planner.audit import departures as auditing
-from ambush_planner.audit.departures import FEWEST_DEPARTURES, TESTS
-from ambush_planner.audit.draws import ManyRoutes, NotAuditable
-from ambush_planner.audit.tallies import identical_pairs
-from ambush_planner.core.routes import route_edges
+from ambush_planner.game.route_sampler import route_edges
+from ambush_planner.recordings import audit_departures as auditing
+from ambush_planner.recordings.audit_departures import FEWEST_DEPARTURES, TESTS
+from ambush_planner.recordings.audit_draws import ManyRoutes, NotAuditable
+from ambush_planner.recordings.audit_tallies import identical_pairs
 
 FALSE_ALARM = 1e-6
 
@@ -76,7 +76,7 @@ def test_many_routes_lead_from_source_to_target_on_used_edges(network, seed):
 
 def test_sets_of_draws_are_complete_whatever_the_memory_allows(paper, monkeypatch):
     many = ManyRoutes(paper.network, paper.edge_probability)
-    monkeypatch.setattr('ambush_planner.audit.draws.ROUTES_AT_ONCE', 10)
+    monkeypatch.setattr('ambush_planner.recordings.audit_draws.ROUTES_AT_ONCE', 10)
     parts = list(many.draw_sets(4, 7, np.random.default_rng(0)))
     assert [sets.stop - sets.start for sets, _ in parts] == [2, 2, 2, 1]
     assert [steps.count for _, steps in parts] == [8, 8, 8, 4]

@@ -18,9 +18,9 @@ from damage import flips, truncations
 from matplotlib.image import imread
 from scipy.stats import binom
 
-from ambush_planner.recording.mcap_file import MAGIC, decode
-from ambush_planner.tools import audit, report
-from ambush_planner.tools.audit_figures import quantile
+from ambush_planner.commands import audit, report
+from ambush_planner.commands.audit_figures import quantile
+from ambush_planner.recordings.mcap_file import MAGIC, decode
 
 RNG = np.random.default_rng(12)
 

@@ -26,14 +26,14 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from recording_samples import encoded_departure
 
-from ambush_planner.audit.departures import Driven, audit
-from ambush_planner.core.game import GameOptions
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.recording import UnreadableRecording, read_departure, recordings_in
-from ambush_planner.recording.map_changes import map_changes_file
-from ambush_planner.recording.metadata import Link, chain_text
-from ambush_planner.review.case import Case
-from ambush_planner.review.departures import read_departures
+from ambush_planner.game.game import GameOptions
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.recordings import UnreadableRecording, read_departure, recordings_in
+from ambush_planner.recordings.audit_departures import Driven, audit
+from ambush_planner.recordings.map_changes import map_changes_file
+from ambush_planner.recordings.metadata import Link, chain_text
+from ambush_planner.recordings.recorded_case import Case
+from ambush_planner.recordings.recorded_departures import read_departures
 
 
 @pytest.fixture(scope='module')

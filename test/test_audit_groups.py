@@ -5,9 +5,9 @@ import pytest
 from games import terrain_network
 
 from ambush_planner import NotDistinct, StrategyOptions, sample_departures, solve
-from ambush_planner.audit.departures import audit
-from ambush_planner.audit.draws import NotAuditable
-from ambush_planner.audit.groups import Day, Driven, groups_of
+from ambush_planner.recordings.audit_departures import audit
+from ambush_planner.recordings.audit_draws import NotAuditable
+from ambush_planner.recordings.audit_groups import Day, Driven, groups_of
 
 pytestmark = pytest.mark.usefixtures('fewer_draws')
 

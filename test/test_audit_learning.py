@@ -10,10 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, StrategyOptions, solve
-from ambush_planner.audit.departures import Driven, audit
-from ambush_planner.audit.draws import ManyRoutes
-from ambush_planner.audit.learning import LEARNT, _until_pair, learning_from, repeat_probability
-from ambush_planner.audit.tallies import LONGEST_LAG
+from ambush_planner.recordings.audit_departures import Driven, audit
+from ambush_planner.recordings.audit_draws import ManyRoutes
+from ambush_planner.recordings.audit_learning import (
+    LEARNT,
+    _until_pair,
+    learning_from,
+    repeat_probability,
+)
+from ambush_planner.recordings.audit_tallies import LONGEST_LAG
 
 pytestmark = pytest.mark.usefixtures('fewer_draws')
 

@@ -7,10 +7,10 @@ import pytest
 from games import paper_example, terrain_network
 
 from ambush_planner import Network, solve
-from ambush_planner.audit.departures import TESTS, Driven, audit
-from ambush_planner.audit.draws import ManyRoutes
-from ambush_planner.core.paths import shortest_path
-from ambush_planner.core.routes import RouteSampler
+from ambush_planner.game.route_sampler import RouteSampler
+from ambush_planner.network.shortest_paths import shortest_path
+from ambush_planner.recordings.audit_departures import TESTS, Driven, audit
+from ambush_planner.recordings.audit_draws import ManyRoutes
 
 # Chance that a correct audit fails one of these tests; all seeds are fixed.
 FALSE_ALARM = 1e-6

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from ros_harness import pose, risk_grid, stage, wait_until
 from std_srvs.srv import Trigger
 
-from ambush_planner.recording import read_departure, recordings_in
+from ambush_planner.recordings import read_departure, recordings_in
 
 convert = pytest.importorskip('rosbags.convert.cli').main
 INPUTS = {'nav_msgs/msg/OccupancyGrid': OccupancyGrid, 'geometry_msgs/msg/PoseStamped': PoseStamped}

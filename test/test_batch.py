@@ -22,7 +22,7 @@ from ambush_planner import (
     solve,
     solve_many,
 )
-from ambush_planner.core import batch
+from ambush_planner.planning import many as batch
 
 # Each process is forked from one that has the package: none imports it anew.
 FRESH = multiprocessing.get_context('forkserver')

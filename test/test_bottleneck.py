@@ -12,7 +12,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.core.bottleneck import find_bottleneck
+from ambush_planner.game.bottleneck import find_bottleneck
 
 
 def corridor_network() -> Network:

@@ -19,9 +19,9 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.core.certificate import Budget, certify, lower_bound, upper_bound
-from ambush_planner.core.game import make_game
-from ambush_planner.core.strategy import CERTIFICATE_TOLERANCE, make_budgets
+from ambush_planner.game.certificate import Budget, certify, lower_bound, upper_bound
+from ambush_planner.game.game import make_game
+from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets
 
 SLACK = StrategyOptions().risk_slack
 
@@ -107,7 +107,7 @@ def test_a_bound_above_the_value_is_refused(monkeypatch):
     """Whatever lets it happen: it is never hidden."""
     given_ = case()
     monkeypatch.setattr(
-        'ambush_planner.core.certificate.lower_bound', lambda *_: 1.0001 * upper_bound(*given_[:2])
+        'ambush_planner.game.certificate.lower_bound', lambda *_: 1.0001 * upper_bound(*given_[:2])
     )
     with pytest.raises(SolverFailed, match='above the value'):
         certify(*given_)

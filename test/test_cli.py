@@ -14,15 +14,16 @@ from forging import one_verifier
 from matplotlib.figure import Figure
 from recording_samples import file_of, small_departure
 
-from ambush_planner.terrain.map_file import OccupancyMap, write_map
-from ambush_planner.tools import cli
+from ambush_planner.commands import cli
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
 
 READERS = ('audit', 'recover', 'replay', 'report', 'verify')
 
 
 def ambush(*arguments, **more):
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.commands.cli', *map(str, arguments)],
         capture_output=True, text=True, timeout=60, check=False, **more,
     )
 
@@ -39,7 +40,7 @@ def test_the_entry_lists_all_commands(capsys):
         assert stop.value.code == 2
 
 
-@pytest.mark.parametrize('name', [*READERS, 'demo', 'paper'])
+@pytest.mark.parametrize('name', [*READERS, 'demo'])
 def test_every_command_has_the_options_that_all_have(name, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([name, '--help'])
@@ -72,7 +73,7 @@ def test_the_name_of_the_program_says_the_command(tmp_path, monkeypatch, capsys)
 def test_a_missing_package_is_named():
     code = (
         'import sys\nsys.modules["rclpy"] = None\n'
-        'from ambush_planner.tools import cli\nsys.exit(cli.main(["verify", "x"]))'
+        'from ambush_planner.commands import cli\nsys.exit(cli.main(["verify", "x"]))'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 3 and 'rclpy is not installed; try: pip install' in done.stderr
@@ -83,13 +84,13 @@ def test_a_broken_pipe_is_silent(tmp_path):
     for k in range(30):
         (tmp_path / f'x_{k}.mcap').write_bytes(file_of(small_departure())[:-k - 1])
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'recover', str(tmp_path), '-q'],
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'recover', str(tmp_path), '-q'],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )
     process.stdout.close()
     assert 'Traceback' not in process.stderr.read()
     process.wait(60)
-    command = f'{sys.executable} -m ambush_planner.tools.cli verify {tmp_path} | head -n 1'
+    command = f'{sys.executable} -m ambush_planner.commands.cli verify {tmp_path} | head -n 1'
     done = subprocess.run(command, shell=True, capture_output=True, text=True, timeout=60)
     assert len(done.stdout.splitlines()) == 1
     assert 'Traceback' not in done.stderr and 'BrokenPipe' not in done.stderr
@@ -121,7 +122,7 @@ def test_colours_only_on_a_terminal(monkeypatch, capsys):
 
 @pytest.mark.parametrize(('line', 'word'), [
     ('ambush ver', 'verify'), ('ambush verify --exp', '--expect'),
-    ('ambush audit --fal', '--false'), ('ambush paper --do', '--docs'),
+    ('ambush audit --fal', '--false'), ('ambush demo --ou', '--output'),
 ])
 def test_words_are_completed(line, word, tmp_path):
     pytest.importorskip('argcomplete', reason='optional')
@@ -184,8 +185,8 @@ def test_lines_are_short_names_relative_and_json_is_the_object_in_the_help(
 ):
     monkeypatch.chdir(place)
     # Nobody is there to listen.
-    monkeypatch.setattr('ambush_planner.tools.replay._DISCOVERY', 0.0)
-    monkeypatch.setattr('ambush_planner.tools.terrain.terrain_figure', lambda *_: Figure((1, 1)))
+    monkeypatch.setattr('ambush_planner.commands.replay._DISCOVERY', 0.0)
+    monkeypatch.setattr('ambush_planner.commands.terrain.terrain_figure', lambda *_: Figure((1, 1)))
     module = cli._module(name)
     code = module.main(LINES[name].split())
     told = capsys.readouterr()

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner.ros.conditioned import Conditioned
+from ambush_planner.planning.conditioning import ConditionedStrategy
 
 
 def strategy_on(count, edges, flows, source=0, target=None):
@@ -58,7 +58,7 @@ def routes_of(strategy):
 def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
     strategy, lost = drawn
     left = [(route, chance) for route, chance in routes_of(strategy) if not lost[route].any()]
-    share, p = Conditioned(strategy).avoiding(lost)
+    share, p = ConditionedStrategy(strategy).avoiding(lost)
     assert share == pytest.approx(sum(chance for _, chance in left), abs=1e-12)
     wanted = np.zeros(len(lost))
     for route, chance in left:
@@ -68,5 +68,5 @@ def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
 
 def test_a_strategy_with_circles_has_no_condition():
     circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
-    share, p = Conditioned(circle).avoiding(np.zeros(4, bool))
+    share, p = ConditionedStrategy(circle).avoiding(np.zeros(4, bool))
     assert share == 0.0 and not p.any()

@@ -12,7 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from ros_harness import free_domain
 
-from ambush_planner.ros.parameters import PARAMETERS
+from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.ros.planner_node import PlannerNode
 
 ROOT = Path(__file__).resolve().parent.parent

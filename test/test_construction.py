@@ -20,10 +20,10 @@ from ambush_planner import (
     StartBlocked,
     build_network,
 )
-from ambush_planner.core.construction import expected_nodes
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.paths import distances_from
-from ambush_planner.core.sampling import lattice_points
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.network.construction import expected_nodes
+from ambush_planner.network.node_sampling import lattice_points
+from ambush_planner.network.shortest_paths import distances_from
 
 
 def open_map(rows=6, columns=8, origin=(0.0, 0.0, 0.0)) -> RiskMap:
@@ -199,7 +199,7 @@ def test_triangulating_part_by_part_gives_the_same_network(monkeypatch, method, 
         with monkeypatch.context() as patch:
             networks = []
             for part in (10**6, 40):
-                patch.setattr('ambush_planner.core.connectivity.PART', part)
+                patch.setattr('ambush_planner.network.connectivity.PART', part)
                 networks.append(build(risk_map, *free, method, spacing=1.0, seed=seed))
         whole, parts = networks
         np.testing.assert_array_equal(parts.points, whole.points)

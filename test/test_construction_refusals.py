@@ -16,7 +16,7 @@ from ambush_planner import (
     StartBlocked,
     build_network,
 )
-from ambush_planner.core.errors import GoalOutsideMap, StartOutsideMap
+from ambush_planner.errors import GoalOutsideMap, StartOutsideMap
 
 
 def blocked_map() -> RiskMap:

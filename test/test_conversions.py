@@ -12,19 +12,16 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, pose, risk_grid
 from steps import steps
 
-from ambush_planner.core.errors import InvalidRiskMap
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.ros.conversions import (
+from ambush_planner.errors import InvalidPose, InvalidRiskMap
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.ros_messages import (
     occupancy_from_ros,
-    occupancy_to_ros,
     path_from_ros,
-    path_to_ros,
     pose_from_ros,
-    pose_to_ros,
     position_from_ros,
     risk_map_from_ros,
 )
-from ambush_planner.ros.errors import InvalidPose
+from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
 NAN, INF = math.nan, math.inf
 coordinates = st.floats(-1e6, 1e6)

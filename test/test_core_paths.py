@@ -8,7 +8,7 @@ import pytest
 from games import examples, networks
 from hypothesis import given
 
-from ambush_planner.core.paths import (
+from ambush_planner.network.shortest_paths import (
     distances_from,
     on_some_route,
     reachable_from,

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
-from ambush_planner.core.cover import with_hiding_places
-from ambush_planner.core.planner import DriveOptions, PlanningOptions, plan, with_cover
+from ambush_planner.network.hiding_places import with_hiding_places
+from ambush_planner.planning.plan import DriveOptions, PlanningOptions, plan, with_cover
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)
 

@@ -9,13 +9,18 @@ from forging import NEW_ROUTE, Forger, record_runs
 from recording_samples import file_of, small_departure
 from ros_harness import free_domain
 
-from ambush_planner.recording import UnreadableRecording, messages, read_departure, recordings_in
-from ambush_planner.recording import repair as repairing
-from ambush_planner.recording.bag_folder import listed_files
-from ambush_planner.recording.mcap_file import whole_part
-from ambush_planner.recording.repair import repair
-from ambush_planner.review import verify_plan
-from ambush_planner.tools import audit, recover, replay, report, verify
+from ambush_planner.commands import audit, recover, replay, report, verify
+from ambush_planner.recordings import (
+    UnreadableRecording,
+    messages,
+    read_departure,
+    recordings_in,
+    verify_plan,
+)
+from ambush_planner.recordings import repair as repairing
+from ambush_planner.recordings.bag_folder import listed_files
+from ambush_planner.recordings.mcap_file import whole_part
+from ambush_planner.recordings.repair import repair
 from ambush_planner.worker.process import WorkerProcess
 
 PATIENCE = 30.0  # seconds of this process, for what takes a few at most

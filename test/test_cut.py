@@ -21,8 +21,8 @@ from games import (
 from hypothesis import given
 
 from ambush_planner import GameOptions, SolverFailed
-from ambush_planner.core.cut import GameValue, indifferent_ambusher, solve_by_cut
-from ambush_planner.core.game import make_game
+from ambush_planner.game.cut import GameValue, indifferent_ambusher, solve_by_cut
+from ambush_planner.game.game import make_game
 
 
 def solved(network) -> GameValue:

@@ -22,7 +22,7 @@ from ambush_planner import (
     sample_departures,
     solve,
 )
-from ambush_planner.core.day import Middle, _Beside, draw_days
+from ambush_planner.routes.days import Middle, _Beside, draw_days
 
 SHARES = st.sampled_from((0.0, 0.3, 0.5, 0.9, 1.0))
 

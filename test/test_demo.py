@@ -20,12 +20,12 @@ from rclpy.context import Context
 from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.tools import demo, node_process
-from ambush_planner.tools.demo_client import DemoClient
-from ambush_planner.tools.demo_ground import GOAL, START
-from ambush_planner.tools.node_process import NodeFailed, NodeProcess, free_domain, is_free
+from ambush_planner.commands import demo, node_process
+from ambush_planner.commands.demo_client import DemoClient
+from ambush_planner.commands.demo_ground import GOAL, START
+from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, is_free
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
 DEPARTURES = 5
 # The node promises to record what a route was drawn from and what was told about it.
@@ -43,7 +43,7 @@ TYPES = {
 # What --json says comes last.
 COMMAND = """
 import sys
-from ambush_planner.tools import demo, node_process
+from ambush_planner.commands import demo, node_process
 demo.SPACING, demo.DETOURS, demo.SLACKS = 720.0, (1.2,), (0.01,)
 finish = demo.cli.Console.finish
 
@@ -187,7 +187,7 @@ def test_an_output_that_is_a_file_is_refused(tmp_path):
 def test_what_is_not_installed_is_named(missing, argument, code, words):
     program = (
         f"import sys; sys.modules['{missing}'] = None\n"
-        f"from ambush_planner.tools.cli import main; sys.exit(main(['demo', '{argument}']))"
+        f"from ambush_planner.commands.cli import main; sys.exit(main(['demo', '{argument}']))"
     )
     process = subprocess.run(
         [sys.executable, '-c', program], capture_output=True, text=True, timeout=60, check=False
@@ -216,7 +216,7 @@ def test_a_node_that_cannot_start_is_told_with_its_words(tmp_path):
 def test_an_interrupted_demo_takes_its_node_along(tmp_path):
     process = subprocess.Popen(
         # More departures than it will get to.
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'demo', '-o', str(tmp_path),
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'demo', '-o', str(tmp_path),
          '-n', '100000'],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, solve
-from ambush_planner.core.discs import entering_edges
-from ambush_planner.core.game import make_game
+from ambush_planner.game.discs import entering_edges
+from ambush_planner.game.game import make_game
 
 # Points along each edge; what comes nearer to the circle than NEAR radii is not told apart.
 DENSE, NEAR = 2000, 1e-6

@@ -8,7 +8,13 @@ from games import HUNT
 from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
-from ambush_planner.core.planner import DriveOptions, PlanningOptions, depart, departure_paths, plan
+from ambush_planner.planning.plan import (
+    DriveOptions,
+    PlanningOptions,
+    depart,
+    departure_paths,
+    plan,
+)
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
 DRAWS = 1400 * HUNT

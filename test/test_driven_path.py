@@ -12,8 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import InvalidOption, Network, NetworkOptions, RiskMap, build_network
-from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import (
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.network.shortest_paths import shortest_path
+from ambush_planner.routes.corridors import make_corridors
+from ambush_planner.routes.driven_path import (
     MOST,
     different_paths,
     driven_path,
@@ -21,9 +23,7 @@ from ambush_planner.core.driven_path import (
     tight_turns,
     turn_radii,
 )
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.paths import shortest_path
-from ambush_planner.core.taut_string import portals_along
+from ambush_planner.routes.taut_string import portals_along
 
 
 def distance_to(points, line):

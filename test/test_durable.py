@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ambush_planner.recording import durable
-from ambush_planner.recording.durable import make_private_folders, write_durably
+from ambush_planner.recordings import durable_files as durable
+from ambush_planner.recordings.durable_files import make_private_folders, write_durably
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = b'whole' * 1000

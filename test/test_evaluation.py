@@ -11,7 +11,7 @@ from games import examples, least_weight, networks, paper_example, terrain_netwo
 from hypothesis import given
 
 from ambush_planner import GameOptions, Network, StrategyOptions, evaluate, solve
-from ambush_planner.core.evaluation import energy_efficient_route, risk_avoiding_route
+from ambush_planner.planning.evaluation import energy_efficient_route, risk_avoiding_route
 
 PLANNERS = ['stochastic', 'energy_efficient', 'risk_avoidance']
 

@@ -10,12 +10,12 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.planner import PlanningOptions, depart, plan
-from ambush_planner.core.risk_map import RiskMap
-from ambush_planner.paper.figures import binned_directions
-from ambush_planner.tools import figures
-from ambush_planner.tools.demo_figures import FixedRoute, routes_figure
+from ambush_planner.commands import figures
+from ambush_planner.commands.demo_figures import FixedRoute, routes_figure
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.plan import PlanningOptions, depart, plan
+from paper.figures import binned_directions
 
 
 @pytest.fixture(scope='module')

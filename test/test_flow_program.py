@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions
-from ambush_planner.core.flow_program import FlowProgram, at_most_one, conservation
-from ambush_planner.core.game import make_game
-from ambush_planner.core.strategy import make_budgets
+from ambush_planner.game.flow_program import FlowProgram, at_most_one, conservation
+from ambush_planner.game.game import make_game
+from ambush_planner.game.strategy import make_budgets
 
 
 def two_ways() -> Network:

@@ -19,9 +19,10 @@ from ambush_planner import (
     frontier,
     solve,
 )
-from ambush_planner.terrain import OccupancyMap, write_map
-from ambush_planner.tools import frontier as command
-from ambush_planner.tools.frontier import COLUMNS, read_risk_map
+from ambush_planner.commands import frontier as command
+from ambush_planner.commands.frontier import COLUMNS, read_risk_map
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
 
 # The law may leave a thousandth of the entropy unused, and up to a tenth of the slack.
 ENTROPY = 0.02

@@ -5,7 +5,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from ambush_planner.ros.futures import Turns, done
+from ambush_planner.ros.serial_executor import SerialExecutor, done
 
 
 class Ended(Exception):
@@ -19,7 +19,7 @@ def failed():
 
 @pytest.fixture
 def turns(failed):
-    made = Turns('turns', lambda: None, failed.append, lambda: Ended('over'))
+    made = SerialExecutor('turns', lambda: None, failed.append, lambda: Ended('over'))
     yield made
     made.close()
 
@@ -52,7 +52,7 @@ def test_an_error_is_the_outcome_or_told(turns, failed):
 
 
 def test_so_is_one_of_what_is_done_first(failed):
-    turns, outcome = Turns('turns', lambda: 1 / 0, failed.append, Ended), Future()
+    turns, outcome = SerialExecutor('turns', lambda: 1 / 0, failed.append, Ended), Future()
     turns.do(lambda: outcome.set_result(1), outcome)
     turns.close()
     assert isinstance(outcome.exception(0.0), ZeroDivisionError)

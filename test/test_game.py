@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
-from ambush_planner.core.cut import solve_by_cut
-from ambush_planner.core.game import make_game
+from ambush_planner.game.cut import solve_by_cut
+from ambush_planner.game.game import make_game
 
 
 def value(network, **options) -> float:

@@ -15,10 +15,10 @@ from route_entropy import most_route_entropy, route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, Network
-from ambush_planner.core.acyclic import forward_part, order_potential, rank_by
-from ambush_planner.core.game import make_game
-from ambush_planner.core.gibbs import AcyclicNetwork
-from ambush_planner.core.most_entropy import most_entropy
+from ambush_planner.game.acyclic import forward_part, order_potential, rank_by
+from ambush_planner.game.entropy_search import maximize_entropy
+from ambush_planner.game.game import make_game
+from ambush_planner.game.gibbs import AcyclicNetwork
 
 NEVER = math.inf
 
@@ -116,7 +116,7 @@ def test_the_optimum_is_clarabels(cells, reach):
     rows = vstack((hits, csr_matrix(lengths))).tocsr()
     scaled = rows.multiply(1.0 / limits[:, None]).tocsr()
     start = np.zeros(len(limits))
-    found = most_entropy(acyclic, scaled, start, -1.0, NEVER)
+    found = maximize_entropy(acyclic, scaled, start, -1.0, NEVER)
     most = most_route_entropy(network, acyclic.edge, rows, limits)
     if found.infeasible:
         assert np.isnan(most)
@@ -144,17 +144,17 @@ def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
         return
     part, acyclic = case
     out = (network.tails[acyclic.edge] == network.source) / tightness
-    found = most_entropy(acyclic, csr_matrix(out), np.zeros(1), 0.0, NEVER)
+    found = maximize_entropy(acyclic, csr_matrix(out), np.zeros(1), 0.0, NEVER)
     assert found.infeasible
     # And limits that can be kept are never called infeasible.
-    kept = most_entropy(acyclic, csr_matrix(out * tightness), np.zeros(1), 1e-9, NEVER)
+    kept = maximize_entropy(acyclic, csr_matrix(out * tightness), np.zeros(1), 1e-9, NEVER)
     assert not kept.infeasible and kept.excess <= 1e-9
 
 
 def test_no_limits_is_the_walk_by_numbers_of_routes():
     network = terrain_network(1, cells=7)
     _, acyclic = forward(network)
-    found = most_entropy(acyclic, csr_matrix((0, len(acyclic.edge))), np.empty(0), 0.0, NEVER)
+    found = maximize_entropy(acyclic, csr_matrix((0, len(acyclic.edge))), np.empty(0), 0.0, NEVER)
     count = networkx.DiGraph(network.edges[acyclic.edge].tolist())
     ways = {network.target: 1}
     for node in reversed(list(networkx.topological_sort(count))):
@@ -206,7 +206,7 @@ def test_a_soft_search_has_a_minimum_where_the_limits_cannot_be_kept():
     part, acyclic = forward(network)
     rows = csr_matrix(8.0 * part.hits[:, acyclic.edge])
     start = np.zeros(rows.shape[0])
-    found = most_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1)
+    found = maximize_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1)
     assert not found.infeasible
     # At the minimum each limit is exceeded by softness * sum v at most.
     assert found.excess == pytest.approx(0.1 * found.multipliers.sum(), rel=1e-2)

@@ -16,21 +16,21 @@ from rosbags.typesys import Stores, get_typestore
 from standin_types import grid_update, message_type
 from waiting import TIMEOUT
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.game import GameOptions
-from ambush_planner.core.network import Network
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.planner import PlanningOptions, plan
-from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
-from ambush_planner.core.strategy import solve
-from ambush_planner.recording import read_departure
-from ambush_planner.review.case import Case
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import solve
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.network.network import Network
+from ambush_planner.planning.changed_ground import ChangedGround, Standing
+from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.ros import subscriptions
 from ambush_planner.ros.cdr import read_grid_update
-from ambush_planner.ros.conversions import occupancy_from_ros, path_from_ros
-from ambush_planner.ros.ground import Ground, Standing
-from ambush_planner.ros.in_force import PlanInForce
-from ambush_planner.ros.map_in_force import MapInForce
+from ambush_planner.ros.current_map import CurrentMap
+from ambush_planner.ros.displayed_plan import DisplayedPlan
 from ambush_planner.worker.process import WorkerProcess
 
 SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)
@@ -43,7 +43,7 @@ ROUNDING = 1e-12
 
 
 def grid(values, origin=ORIGIN):
-    return MapInForce(None, values, RESOLUTION, origin)
+    return CurrentMap(values, RESOLUTION, origin, received=None)
 
 
 def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
@@ -53,7 +53,7 @@ def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
     made = plan(risk_map, *risk_map.to_world([START, GOAL]), options)
     on = grid(values, origin)
-    return made, on, Ground(made, on, OCCUPANCY)
+    return made, on, ChangedGround(made, on, OCCUPANCY)
 
 
 def rough(seed):
@@ -238,21 +238,21 @@ def shown(client):
 def test_updates_change_the_map_and_far_from_the_routes_not_the_strategy(running):
     client = running.client
     update(client, 0, 0, [[100, 100, 100]])
-    wait_until(lambda: running.planner._inputs.map_in_force().values[0, 2] == 100, 'the update')
+    wait_until(lambda: running.planner._inputs.current_map().values[0, 2] == 100, 'the update')
     assert client.call('new_route').success
     client.diagnostics(departures='2', stale='no', level=b'\1')
     assert shown(client) == 1
 
 
 def test_many_updates_at_once_are_looked_through_once(running, monkeypatch):
-    looked, review, go_on = [], PlanInForce.review, Event()
+    looked, review, go_on = [], DisplayedPlan.review, Event()
     monkeypatch.setattr(
-        PlanInForce, 'review', lambda *given: (looked.append(1), review(*given))[1])
+        DisplayedPlan, 'review', lambda *given: (looked.append(1), review(*given))[1])
     running.planner._dispatcher._departures.do(lambda: go_on.wait(TIMEOUT))  # a departure, say
     for column in range(20):
         update(running.client, column, 0, [[100]])
     try:
-        wait_until(lambda: (running.planner._inputs.map_in_force().values[0] == 100).all(),
+        wait_until(lambda: (running.planner._inputs.current_map().values[0] == 100).all(),
                    'the updates')
     finally:
         go_on.set()
@@ -344,7 +344,7 @@ def test_updates_that_do_not_fit_are_refused_and_the_map_stays(
     update(client, x, y, values, frame)
     report = client.diagnostics(code='INVALID_MAP')
     assert re.search(words, report['message'])
-    assert (running.planner._inputs.map_in_force().values == FLAT).all()
+    assert (running.planner._inputs.current_map().values == FLAT).all()
     update(client, 0, 0, [[11]])
     client.diagnostics(code='NONE')
 
@@ -363,7 +363,7 @@ def test_an_updated_map_is_recorded_whole(tmp_path):
     with stage(tmp_path) as running:
         client = running.give(risk_grid(FLAT))
         update(client, 3, 4, [[20, 30], [40, -1]])
-        wait_until(lambda: running.planner._inputs.map_in_force().values[4, 3] == 20, 'the update')
+        wait_until(lambda: running.planner._inputs.current_map().values[4, 3] == 20, 'the update')
         assert client.call('new_route').success
     (file,) = tmp_path.rglob('*.mcap')
     recorded = read_departure(file)
@@ -382,7 +382,7 @@ def test_what_a_departure_left_on_is_recorded(tmp_path):
         client = running.give(risk_grid(FLAT))
         assert client.get_plan(pose(1.5, 5.5), pose(8.5, 5.5)).poses
         update(client, 0, 0, [[100, 90]])
-        wait_until(lambda: running.planner._inputs.map_in_force().values[0, 0] == 100, 'the update')
+        wait_until(lambda: running.planner._inputs.current_map().values[0, 0] == 100, 'the update')
         assert client.get_plan(pose(1.6, 5.4), pose(8.5, 5.6)).poses
     first, second = map(read_departure, sorted(tmp_path.rglob('*.mcap')))
     assert first.metadata.ends == ((1.5, 5.5), (8.5, 5.5))
@@ -418,7 +418,7 @@ def test_a_costmap_has_obstacles_from_99_on():
 def test_maps_are_shared_and_not_copied():
     with stage() as running:
         running.give()
-        held = running.planner._inputs.map_in_force()
+        held = running.planner._inputs.current_map()
         assert not len(held.received.message.data)
         assert held.values.base is not None
         message = OccupancyGrid(header=header())
@@ -443,7 +443,7 @@ def test_a_start_moved_a_little_uses_the_steps_that_are_left(monkeypatch):
         # Away from the start, so that the cell meets this step only.
         x, y = firsts[np.argmax(firsts[:, 1])] * 0.8 + np.array([1.5, 5.5]) * 0.2
         column, row = int(x / 0.5), int(y / 0.5)
-        monkeypatch.setattr(PlanInForce, '_solve_anew', lambda *_: None)
+        monkeypatch.setattr(DisplayedPlan, '_solve_anew', lambda *_: None)
         update(client, column, row, [[100]])
         client.diagnostics(stale='yes')
         path = client.get_plan(pose(1.5, 5.45), pose(8.5, 5.5))

@@ -16,8 +16,8 @@ from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
 from waiting import TIMEOUT, unstamped
 
-from ambush_planner.recording import read_departure, recordings_in
-from ambush_planner.review.verify import Verifier
+from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.verify import Verifier
 from ambush_planner.worker.process import WorkerProcess
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'

@@ -5,7 +5,7 @@ import pytest
 from games import geometric_hits, quiet_network, terrain_network
 
 from ambush_planner import GameOptions, StrategyOptions, solve
-from ambush_planner.core.judged import revalue
+from ambush_planner.game.revaluation import revalue
 
 
 def with_alpha(network, alpha):

@@ -28,8 +28,8 @@ from ros_harness import (
 )
 from waiting import TIMEOUT, answer_of
 
-from ambush_planner.ros.conversions import path_from_ros
-from ambush_planner.ros.parameters import PARAMETERS
+from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.planning.parameters import PARAMETERS
 
 ROOT = Path(__file__).resolve().parent.parent
 FILE = ROOT / 'launch' / 'ambush_planner.launch.xml'

@@ -24,10 +24,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, TimeLimit
-from ambush_planner.core.certificate import lower_bound, upper_bound
-from ambush_planner.core.game import make_game
-from ambush_planner.core.least_risk import by_cut, least_risk, least_value
-from ambush_planner.core.strategy import make_budgets
+from ambush_planner.game.certificate import lower_bound, upper_bound
+from ambush_planner.game.game import make_game
+from ambush_planner.game.least_risk import by_cut, least_risk, least_value
+from ambush_planner.game.strategy import make_budgets
 
 NEVER = math.inf
 CLOSED = 1e-6

@@ -24,7 +24,7 @@ from ros_harness import (
 from test_node_life import threads
 from waiting import answer_of
 
-from ambush_planner.core.errors import AmbushPlannerError
+from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.ros import planner_node
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -142,11 +142,11 @@ def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
         changed = risk_grid()
         changed.data[20 * 4 + 2:20 * 4 + 18] = type(changed.data)('b', [100] * 16)
         client.publish('alpha_map', changed)
-        wait_until(lambda: running.planner._inputs.map_in_force().values[4, 5] == 100, 'the map')
+        wait_until(lambda: running.planner._inputs.current_map().values[4, 5] == 100, 'the map')
         assert not running.planner._dispatcher.solving
         manager.go(activate='active')
         wait_until(lambda: running.planner._dispatcher._in_force.held.trip.map
-                   is running.planner._inputs.map_in_force(), 'a new plan')
+                   is running.planner._inputs.current_map(), 'a new plan')
 
 
 def test_cleaned_up_it_forgets_all_but_its_parameters(tmp_path):

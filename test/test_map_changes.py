@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from ambush_planner.recording.map_changes import changed_map, map_changes_file
-from ambush_planner.recording.npz import BadAttachment
+from ambush_planner.recordings.map_changes import changed_map, map_changes_file
+from ambush_planner.recordings.npz import BadAttachment
 
 BEFORE = np.arange(12, dtype=np.int8).reshape(3, 4)
 

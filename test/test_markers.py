@@ -8,13 +8,13 @@ from ros_harness import header, risk_grid
 from steps import steps
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.game import GameOptions
-from ambush_planner.core.network import Network
-from ambush_planner.core.planner import PlanningOptions, plan
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.core.strategy import solve
-from ambush_planner.ros.conversions import risk_map_from_ros
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import solve
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.ros_messages import risk_map_from_ros
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.network.network import Network
+from ambush_planner.planning.plan import PlanningOptions, plan
 from ambush_planner.ros.markers import (
     ambush_sites,
     edge_probabilities,

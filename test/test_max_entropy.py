@@ -26,16 +26,16 @@ from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, SolverFailed, StrategyOptions, TimeLimit, solve
-from ambush_planner.core import max_entropy
-from ambush_planner.core.certificate import certify
-from ambush_planner.core.least_risk import least_risk
-from ambush_planner.core.max_entropy import max_entropy_strategy
-from ambush_planner.core.strategy import make_budgets
+from ambush_planner.game import strategy_solver as max_entropy
+from ambush_planner.game.certificate import certify
+from ambush_planner.game.least_risk import least_risk
+from ambush_planner.game.strategy import make_budgets
+from ambush_planner.game.strategy_solver import max_entropy_strategy
 
 DETOURS = (1.05, 1.2, 1.5, np.inf)
 
 
-def most_entropy(strategy, value: float, budget: float) -> float:
+def maximize_entropy(strategy, value: float, budget: float) -> float:
     """Clarabel's entropy on the strategy's own edges, losses up to ``value``; NaN: no answer."""
     game, network = strategy.game, strategy.network
     edges = np.flatnonzero(strategy.edge_probability > 0.0)
@@ -51,12 +51,12 @@ def most_entropy(strategy, value: float, budget: float) -> float:
 def check_entropy(strategy, slack: float) -> None:
     """Not more than anybody can have, nor less than what a tenth less of the slack allows."""
     budget = strategy.length_budget
-    most = most_entropy(strategy, strategy.value, budget * (1 + 1e-9))
+    most = maximize_entropy(strategy, strategy.value, budget * (1 + 1e-9))
     if not math.isnan(most):
         assert strategy.route_entropy <= most * (1 + 1e-5) + 1e-5
     least = strategy.lower_bound * (1 + 0.8 * slack)
     shortest = strategy.shortest_length
-    sure = most_entropy(strategy, least, shortest + 0.99 * (budget - shortest))
+    sure = maximize_entropy(strategy, least, shortest + 0.99 * (budget - shortest))
     if not math.isnan(sure):
         assert strategy.route_entropy >= sure * (1 - 5e-3) - 1e-3
 
@@ -95,7 +95,7 @@ def test_a_medium_game():
 def test_the_papers_example():
     """Seven routes, three columns' rows binding at 1/3: by Clarabel 1.90 nats, e^1.90 = 6.7."""
     strategy = solve(paper_example(), options=StrategyOptions(max_detour=np.inf))
-    most = most_entropy(strategy, 1 / 3, np.inf)
+    most = maximize_entropy(strategy, 1 / 3, np.inf)
     assert strategy.route_entropy == pytest.approx(most, abs=0.01)
     assert (strategy.edge_probability > 0.0).all()
 

@@ -7,7 +7,7 @@ from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from ros_harness import stage, wait_until
 from ros_yaml import EXAMPLES, command_of, example
 
-from ambush_planner.ros.conversions import pose_from_ros
+from ambush_planner.maps.ros_messages import pose_from_ros
 
 FILES = {path.stem: path for path in EXAMPLES.iterdir()}
 COMMANDS = {name: command_of(path) for name, path in FILES.items()}

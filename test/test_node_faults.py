@@ -16,7 +16,8 @@ from test_node_process import client_in, exit_code, node_process
 from test_recording_faults import listed, small_disk
 from waiting import TIMEOUT, stderr_in, unstamped
 
-from ambush_planner.recording import Recorder, durable
+from ambush_planner.recordings import Recorder
+from ambush_planner.recordings import durable_files as durable
 from ambush_planner.ros import recordings as recordings_module
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)

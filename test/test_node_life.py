@@ -25,13 +25,14 @@ from ros_harness import (
 )
 from waiting import TIMEOUT
 
-from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
-from ambush_planner.recording import Recorder
-from ambush_planner.ros import dispatcher, planning, recordings
+from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.recordings import Recorder
+from ambush_planner.ros import dispatcher, recordings
+from ambush_planner.ros import plan_cache as planning
 from ambush_planner.ros.diagnostics import Status, status_to_ros
-from ambush_planner.ros.errors import NoMap
+from ambush_planner.ros.error_codes import NoMap
 from ambush_planner.ros.planner_node import PlannerNode
-from ambush_planner.worker.errors import SolveCancelled
+from ambush_planner.worker.solve_errors import SolveCancelled
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 SMALL = [Parameter('network.spacing', value=1.0), Parameter('recording.enabled', value=False)]

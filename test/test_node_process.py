@@ -25,7 +25,7 @@ from ros_harness import (
     wait_until,
 )
 
-from ambush_planner.ros.conversions import path_from_ros
+from ambush_planner.maps.ros_messages import path_from_ros
 
 SEED = '987654321'
 

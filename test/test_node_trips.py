@@ -12,13 +12,13 @@ from geometry_msgs.msg import PoseArray
 from rclpy.parameter import Parameter
 from ros_harness import header, pose, stage, wait_until
 
-from ambush_planner.recording import read_departure, recordings_in
-from ambush_planner.recording.npz import BadAttachment, packed
-from ambush_planner.recording.strategy_file import strategy_file, strategy_from_file
-from ambush_planner.review.case import Case
-from ambush_planner.ros.conversions import path_from_ros
+from ambush_planner.commands import verify
+from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.npz import BadAttachment, packed
+from ambush_planner.recordings.recorded_case import Case
+from ambush_planner.recordings.strategy_file import strategy_file, strategy_from_file
 from ambush_planner.ros.inputs import MOST_STOPS
-from ambush_planner.tools import verify
 
 STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
 
@@ -152,7 +152,7 @@ def test_a_replayed_trip_is_planned_again(runs):
 def replay_in(domain, path):
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'replay', str(path), '--inputs-only'],
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'replay', str(path), '--inputs-only'],
         env=environment, timeout=60, check=False,
     ).returncode
 

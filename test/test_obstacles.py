@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import RiskMap
-from ambush_planner.core import obstacles
-from ambush_planner.core.obstacles import ObstacleField
+from ambush_planner.maps import obstacles
+from ambush_planner.maps.obstacles import ObstacleField
 
 SIDE = 5
 # Around the cells that are tried, so that the map's edge is out of play.

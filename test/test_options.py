@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
-from ambush_planner.core.options import check_at_least, check_flag, check_whole
+from ambush_planner.option_checks import check_at_least, check_flag, check_whole
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
 WRONG = (None, '2', [1.0], True, 1j, np.nan, -1)

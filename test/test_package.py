@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import setuptools
 
-from ambush_planner.tools.cli import COMMANDS
+from ambush_planner.commands.cli import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = 'ambush_planner'

@@ -13,11 +13,11 @@ from commands import documented_keys, run_here
 from games import paper_example
 
 from ambush_planner import solve
-from ambush_planner.core.errors import InvalidOption
-from ambush_planner.paper import command as paper
-from ambush_planner.paper import environment
-from ambush_planner.paper.report import NAMES, Comparison
-from ambush_planner.paper.results import PAPER_ENTROPY, SOLVERS, distinct_routes
+from ambush_planner.errors import InvalidOption
+from paper import command as paper
+from paper import environment
+from paper.report import NAMES, Comparison
+from paper.results import PAPER_ENTROPY, SOLVERS, distinct_routes
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENT = ROOT / 'docs' / 'paper.md'
@@ -109,7 +109,7 @@ def test_help_needs_no_matplotlib():
     for argument, code, words in (('--help', 0, '--output'), ('-oout', 3, 'try: pip install')):
         program = (
             "import sys; sys.modules['matplotlib'] = None\n"
-            f"from ambush_planner.tools.cli import main; sys.exit(main(['paper', '{argument}']))"
+            f"from ambush_planner.commands.cli import main; sys.exit(main(['paper', '{argument}']))"
         )
         process = subprocess.run(
             [sys.executable, '-c', program],
@@ -135,7 +135,7 @@ def test_a_document_that_cannot_be_renewed_is_told_before_anything_is_computed(t
 
 def test_a_comparison_that_fails_fails_the_run(tmp_path, monkeypatch, capsys):
     pytest.importorskip('matplotlib', reason='ambush_paper draws pictures')
-    from ambush_planner.paper import figures as paper_figures
+    from paper import figures as paper_figures
 
     wrong = Comparison('one is more than two', '-', '1 > 2', holds=False)
     monkeypatch.setattr(paper, '_compute', lambda *_: (None, [replace(wrong, holds=True), wrong]))

@@ -9,15 +9,15 @@ from rcl_interfaces.msg import ParameterType
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.errors import InvalidOption
-from ambush_planner.core.game import GameOptions
-from ambush_planner.core.planner import DriveOptions, PlanningOptions
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.core.strategy import StrategyOptions
-from ambush_planner.recording import Recorder
-from ambush_planner.ros.node_parameters import parameters_from
-from ambush_planner.ros.parameters import COMPRESSIONS, PARAMETERS
+from ambush_planner.errors import InvalidOption
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import StrategyOptions
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.node_parameters import parameters_from
+from ambush_planner.planning.parameters import COMPRESSIONS, PARAMETERS
+from ambush_planner.planning.plan import DriveOptions, PlanningOptions
+from ambush_planner.recordings import Recorder
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ambush_planner import NetworkOptions, NoRoute, RiskMap, build_network
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.paths import reachable_from
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.network.shortest_paths import reachable_from
 
 CELLS, SPACING = 24, 6.0
 DELAUNAY = ('uniform_delaunay', 'lattice_delaunay', 'random_delaunay')

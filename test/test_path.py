@@ -5,9 +5,9 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_harness import FRAME, pose, risk_grid, stage
 
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.ros.conversions import path_from_ros, risk_map_from_ros
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.ros_messages import path_from_ros, risk_map_from_ros
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 

@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import Header
 
-from ambush_planner.ros.paths import path_between
+from ambush_planner.ros.departure_path import path_between
 
 START = Pose(position=Point(x=0.1, y=0.2, z=0.3), orientation=Quaternion(z=0.6, w=0.8))
 GOAL = Pose(position=Point(x=7.0, y=8.0, z=-1.5), orientation=Quaternion(x=0.6, w=-0.8))

@@ -15,8 +15,8 @@ from ros_harness import (
 )
 from waiting import unstamped, wait_until
 
-from ambush_planner.ros import ground
-from ambush_planner.ros.conversions import path_from_ros
+from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.planning import changed_ground as ground
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 KEYS = {

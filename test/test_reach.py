@@ -23,7 +23,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.core.routes import route_edges
+from ambush_planner.game.route_sampler import route_edges
 
 ROUTES = 10_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.

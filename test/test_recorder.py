@@ -23,9 +23,9 @@ from recording_samples import (
     small_departure,
 )
 
-from ambush_planner.core.errors import AmbushPlannerError, InvalidOption
-from ambush_planner.recording import Recorder, RecordingFailed, recordings_in
-from ambush_planner.recording import recorder as recorder_module
+from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.recordings import Recorder, RecordingFailed, recordings_in
+from ambush_planner.recordings import recorder as recorder_module
 
 
 def mode(path):

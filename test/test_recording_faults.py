@@ -29,11 +29,11 @@ from recording_samples import (
 from std_msgs.msg import Header, String
 from waiting import TIMEOUT
 
-from ambush_planner.recording import Recorder, RecordingFailed, read_departure
-from ambush_planner.recording import recorder as recorder_module
-from ambush_planner.recording.mcap_file import decode
-from ambush_planner.recording.repair import repair
-from ambush_planner.recording.schemas import load_definition
+from ambush_planner.recordings import Recorder, RecordingFailed, read_departure
+from ambush_planner.recordings import recorder as recorder_module
+from ambush_planner.recordings.mcap_file import decode
+from ambush_planner.recordings.repair import repair
+from ambush_planner.recordings.schemas import load_definition
 
 NOBODY = 65534
 

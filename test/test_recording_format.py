@@ -28,9 +28,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
-from ambush_planner.recording import Recorder, RecordingFailed, schemas
-from ambush_planner.recording.metadata import KEYS
-from ambush_planner.recording.schemas import load_definition
+from ambush_planner.recordings import Recorder, RecordingFailed, schemas
+from ambush_planner.recordings.metadata import KEYS
+from ambush_planner.recordings.schemas import load_definition
 
 
 def service_calls():

@@ -27,8 +27,8 @@ from recording_samples import (
     trigger_events,
 )
 
-from ambush_planner.core.errors import AmbushPlannerError
-from ambush_planner.recording import (
+from ambush_planner.errors import AmbushPlannerError
+from ambush_planner.recordings import (
     Attachment,
     RecordedMessage,
     Recorder,
@@ -37,8 +37,8 @@ from ambush_planner.recording import (
     read_departure,
     recordings_in,
 )
-from ambush_planner.recording.mcap_file import COMPRESSIONS, decode, encode
-from ambush_planner.review.verify_file import file_faults
+from ambush_planner.recordings.mcap_file import COMPRESSIONS, decode, encode
+from ambush_planner.recordings.verify_file import file_faults
 
 TEXT = st.text(st.characters(codec='utf-8'))
 

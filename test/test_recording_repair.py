@@ -16,10 +16,10 @@ from recording_samples import (
 )
 from rosbags.highlevel import AnyReader
 
-from ambush_planner.recording import Recorder, recordings_in
-from ambush_planner.recording import repair as repairing
-from ambush_planner.recording.folder_lock import FolderLock
-from ambush_planner.recording.repair import repair
+from ambush_planner.recordings import Recorder, recordings_in
+from ambush_planner.recordings import repair as repairing
+from ambush_planner.recordings.folder_lock import FolderLock
+from ambush_planner.recordings.repair import repair
 
 
 @pytest.fixture

@@ -33,10 +33,10 @@ from two_faced import (
     split,
 )
 
-from ambush_planner.recording import UnreadableRecording
-from ambush_planner.recording.mcap_file import MAGIC, decode, whole_part
-from ambush_planner.recording.reader import read_departure
-from ambush_planner.review.verify_file import file_faults
+from ambush_planner.recordings import UnreadableRecording
+from ambush_planner.recordings.mcap_file import MAGIC, decode, whole_part
+from ambush_planner.recordings.reader import read_departure
+from ambush_planner.recordings.verify_file import file_faults
 
 SENT = small_departure()
 WHOLE = file_of(SENT)

@@ -8,9 +8,9 @@ import pytest
 from damage import flips, truncations
 from recording_samples import file_of, read_with_rosbags, record, small_departure
 
-from ambush_planner.recording import Recorder
-from ambush_planner.recording.mcap_file import decode
-from ambush_planner.tools import recover as tool
+from ambush_planner.commands import recover as tool
+from ambush_planner.recordings import Recorder
+from ambush_planner.recordings.mcap_file import decode
 
 SENT = small_departure()
 

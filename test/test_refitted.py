@@ -10,12 +10,12 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from ambush_planner import NetworkOptions, RiskMap, build_network
-from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import driven_path
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.paths import distances_from, shortest_path
-from ambush_planner.core.refitted import among_new_obstacles, with_end_at
-from ambush_planner.core.risk_map import to_world
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.risk_map import to_world
+from ambush_planner.network.shortest_paths import distances_from, shortest_path
+from ambush_planner.routes.corridor_update import among_new_obstacles, with_end_at
+from ambush_planner.routes.corridors import make_corridors
+from ambush_planner.routes.driven_path import driven_path
 
 
 def with_obstacles(risk_map, cells):

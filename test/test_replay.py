@@ -20,15 +20,15 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.recording import read_departure
-from ambush_planner.review.case import TYPES, Case
-from ambush_planner.tools import replay
-from ambush_planner.tools.replay_player import qos_from_yaml
+from ambush_planner.commands import replay
+from ambush_planner.commands.replay_player import qos_from_yaml
+from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.recorded_case import TYPES, Case
 
 # The command, which finds who listens on a slow machine, too.
 COMMAND = f"""
 import sys
-from ambush_planner.tools import replay
+from ambush_planner.commands import replay
 replay._DISCOVERY = {TIMEOUT}
 sys.exit(replay.main())
 """

@@ -16,11 +16,11 @@ from forging import NEW_ROUTE, Forger, record_runs
 from rclpy.qos import QoSProfile
 from ros_harness import free_domain
 
-from ambush_planner.recording.mcap_file import decode
-from ambush_planner.recording.qos import qos_to_yaml
-from ambush_planner.tools import replay
-from ambush_planner.tools.replay import main
-from ambush_planner.tools.replay_player import CannotPublish, Channel, Player, qos_from_yaml
+from ambush_planner.commands import replay
+from ambush_planner.commands.replay import main
+from ambush_planner.commands.replay_player import CannotPublish, Channel, Player, qos_from_yaml
+from ambush_planner.recordings.mcap_file import decode
+from ambush_planner.recordings.qos_text import qos_to_yaml
 
 LISTENER = """
 import rclpy
@@ -160,8 +160,8 @@ def test_a_listener_that_stands_still_for_a_while_loses_nothing(departure, tmp_p
 
         listener = started('-c', LISTENER, stdout=subprocess.PIPE)
         assert listener.stdout.readline() == 'listening\n'
-        replay = started('-m', 'ambush_planner.tools.cli', 'replay', str(tmp_path), '--every', '10',
-                         '--', '/goal_pose', stderr=subprocess.PIPE)
+        replay = started('-m', 'ambush_planner.commands.cli', 'replay', str(tmp_path),
+                         '--every', '10', '--', '/goal_pose', stderr=subprocess.PIPE)
         assert listener.stdout.readline() == 'received\n'
         listener.send_signal(signal.SIGSTOP)
         for name in ('1.mcap', '2.mcap'):

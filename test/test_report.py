@@ -15,11 +15,11 @@ from audit_samples import START, departure, drawn, parameters, record, sample_pl
 from forging import Forger
 from ros_harness import stage
 
-from ambush_planner.core.evaluation import evaluate
-from ambush_planner.recording import recordings_in
-from ambush_planner.review.departures import read_departures
-from ambush_planner.tools import report, report_map, report_words
-from ambush_planner.tools.report_sections import Section, sections_of
+from ambush_planner.commands import report, report_map, report_words
+from ambush_planner.commands.report_sections import Section, sections_of
+from ambush_planner.planning.evaluation import evaluate
+from ambush_planner.recordings import recordings_in
+from ambush_planner.recordings.recorded_departures import read_departures
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 VOID = {'meta', 'img', 'input'}

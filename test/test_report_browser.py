@@ -12,8 +12,8 @@ import report_browser
 from audit_samples import departure, drawn, parameters, record, sample_plan
 from matplotlib.image import imread
 
-from ambush_planner.tools import report
-from ambush_planner.tools.figures import AMBUSHER, ROUTES
+from ambush_planner.commands import report
+from ambush_planner.commands.figures import AMBUSHER, ROUTES
 
 MAP = 'figure.map'
 

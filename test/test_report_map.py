@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 
 pytest.importorskip('matplotlib', reason='the commands need matplotlib')
 
-from ambush_planner.core.risk_map import RiskMap
-from ambush_planner.tools import report_map
+from ambush_planner.commands import report_map
+from ambush_planner.maps.risk_map import RiskMap
 
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import InvalidOption, InvalidRiskMap, RiskMap
-from ambush_planner.core.risk_map import OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 
 origins = st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-7, 7))
 resolutions = st.floats(0.01, 100)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import RiskMap
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.room import KEPT, among_nodes, on_the_map
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.routes.corridor_geometry import KEPT, among_nodes, on_the_map
 
 WIDE = 1e6
 

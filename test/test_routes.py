@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.special import chdtri  # scipy.stats takes long to import
 
 from ambush_planner import Network, StrategyOptions, solve
-from ambush_planner.core.routes import RouteSampler, route_edges
+from ambush_planner.game.route_sampler import RouteSampler, route_edges
 
 # Chance that a correct sampler fails one of these suites: one in a million per test, seeds fixed.
 FALSE_ALARM = 1e-6

@@ -15,15 +15,15 @@ import pytest
 from handed_on import HandedOn, halt_workers, workers
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.core.construction import NetworkOptions
-from ambush_planner.core.errors import GoalBlocked, TimeLimit
-from ambush_planner.core.planner import PlanningOptions, PlanRequest
-from ambush_planner.core.risk_map import OccupancyOptions
-from ambush_planner.core.strategy import StrategyOptions
-from ambush_planner.core.trip import plan_from_request
+from ambush_planner.errors import GoalBlocked, TimeLimit
+from ambush_planner.game.strategy import StrategyOptions
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.plan import PlanningOptions, PlanRequest
+from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.process import WorkerProcess
+from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
 from ambush_planner.worker.solve_queue import SolveQueue
 
 

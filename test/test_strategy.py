@@ -38,9 +38,9 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.core.cut import indifferent_ambusher
-from ambush_planner.core.max_entropy import Outcome
-from ambush_planner.core.routes import always, shortest_route
+from ambush_planner.game.cut import indifferent_ambusher
+from ambush_planner.game.route_sampler import always, shortest_route
+from ambush_planner.game.strategy_solver import Solution
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)
@@ -252,9 +252,9 @@ def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
 
     def careless(game, budgets, *_):
         p = always(network, shortest_route(network, np.flatnonzero(game.playable)))
-        return Outcome(p, indifferent_ambusher(game), (0.0, 0.0), 7)
+        return Solution(p, indifferent_ambusher(game), (0.0, 0.0), 7)
 
-    monkeypatch.setattr('ambush_planner.core.strategy.max_entropy_strategy', careless)
+    monkeypatch.setattr('ambush_planner.game.strategy.max_entropy_strategy', careless)
     with pytest.raises(TimeLimit, match=r'not within 0\.01 .* after 7 steps') as caught:
         solve(network)
     strategy = caught.value.strategy
@@ -269,17 +269,17 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
     network = terrain_network(seed, cells=24)
     options = StrategyOptions(max_detour=1.3)
     first = solve(network, options=options)
-    again = solve(network, options=options, warm=first.law)
+    again = solve(network, options=options, warm=first.multipliers)
     assert again.iterations < first.iterations / 4
     near = StrategyOptions(max_detour=1.32, risk_slack=0.012)
-    cold, warm = solve(network, options=near), solve(network, options=near, warm=first.law)
+    cold, warm = solve(network, options=near), solve(network, options=near, warm=first.multipliers)
     assert warm.iterations < cold.iterations
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=5e-3)
     assert warm.value == pytest.approx(cold.value, rel=0.012)
 
 
 def test_a_law_of_another_network_is_no_start():
-    law = solve(terrain_network(1, cells=9)).law
+    law = solve(terrain_network(1, cells=9)).multipliers
     network = terrain_network(2, cells=10)
     cold, warm = solve(network), solve(network, warm=law)
     assert np.array_equal(cold.edge_probability, warm.edge_probability)

@@ -13,12 +13,12 @@ import pytest
 from commands import run_here
 
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network, solve
-from ambush_planner.core.errors import InvalidOption
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.terrain import OccupancyMap, read_map, write_map
-from ambush_planner.tools import table
-from ambush_planner.tools.table_file import COLUMNS, BadTable, TableFile, read_places
-from ambush_planner.tools.table_options import options_from
+from ambush_planner.commands import table
+from ambush_planner.commands.table_file import COLUMNS, BadTable, TableFile, read_places
+from ambush_planner.commands.table_options import options_from
+from ambush_planner.errors import InvalidOption
+from ambush_planner.maps.map_file import read_map, write_map
+from ambush_planner.maps.occupancy import OccupancyMap, risk_map_from_occupancy
 
 DEPOTS = 'name,x,y\nnorth,15,185\nsouth,15,15\n'
 CUSTOMERS = 'name, x, y, remark\nmill,185,95,steep\n"the old, bridge",175,25,\nblocked,95,95,\n'
@@ -107,7 +107,7 @@ def interrupted(folder, how):
     places = ''.join(f'c{k},185,{15 + k % 17 * 10}.{k}\n' for k in range(100))
     (folder / 'customers.csv').write_text('name,x,y\n' + places)
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'table',
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'table',
          *given(folder, '--set', 'network.spacing=7', '--jobs', '1')],
         stderr=subprocess.PIPE, text=True,
     )

@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from ambush_planner.core.obstacles import ObstacleField
-from ambush_planner.core.taut_string import Portals, portals_along, taut_strings
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.routes.taut_string import Portals, portals_along, taut_strings
 
 
 def string(portals, margin):

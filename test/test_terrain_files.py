@@ -7,8 +7,11 @@ import pytest
 import yaml
 from commands import run_here
 
-from ambush_planner.terrain import InvalidTerrain, OccupancyMap, read_map, read_raster, write_map
-from ambush_planner.tools import terrain
+from ambush_planner.commands import terrain
+from ambush_planner.maps import InvalidTerrain
+from ambush_planner.maps.elevation_file import read_raster
+from ambush_planner.maps.map_file import read_map, write_map
+from ambush_planner.maps.occupancy import OccupancyMap
 
 DEPOT = Path(__file__).parent.parent.parent / 'shared' / 'data' / 'nav2_depot'
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ambush_planner.terrain import (
+from ambush_planner.maps import (
     Elevation,
     InvalidTerrain,
     Raster,
@@ -14,7 +14,7 @@ from ambush_planner.terrain import (
     relative_depth,
     slope,
 )
-from ambush_planner.terrain.relief import disc_rectangles
+from ambush_planner.maps.relief import disc_rectangles
 
 
 def plane(rows, columns, north, east):

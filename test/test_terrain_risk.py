@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from ambush_planner.core.construction import NetworkOptions, build_network
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.terrain import (
+from ambush_planner.maps import (
     Elevation,
     InvalidTerrain,
     TerrainOptions,
     ViewOptions,
     terrain_map,
 )
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.network.construction import NetworkOptions, build_network
 
 
 def hills(seed=0, shape=(40, 50)):
@@ -110,7 +110,7 @@ def test_the_map_does_not_change_under_its_reader():
 @pytest.fixture(scope='module')
 def demo_ground():
     pytest.importorskip('matplotlib', reason="the demo's elevation model comes with matplotlib")
-    from ambush_planner.tools import demo_ground
+    from ambush_planner.commands import demo_ground
 
     return demo_ground
 

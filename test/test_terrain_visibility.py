@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
-from ambush_planner.terrain import Elevation, InvalidTerrain, ViewOptions, viewshed, visibility
-from ambush_planner.terrain.visibility import rays_of
+from ambush_planner.maps import Elevation, InvalidTerrain, ViewOptions, viewshed, visibility
+from ambush_planner.maps.visibility import rays_of
 
 
 def hills(shape, seed, height, width):

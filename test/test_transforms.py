@@ -20,9 +20,10 @@ from scipy.spatial.transform import Rotation
 from standin_types import message_type, tf_message
 from waiting import stderr_in, wait_until
 
+from ambush_planner.errors import InvalidPose
+from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.ros import transforms
-from ambush_planner.ros.conversions import path_from_ros, pose_from_ros
-from ambush_planner.ros.errors import FrameMismatch, InvalidPose
+from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF, TF_STATIC
 from ambush_planner.ros.tf_buffer import TransformBuffer
 from ambush_planner.ros.transforms import FrameTransforms

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ambush_planner.core import triangular
-from ambush_planner.core.triangular import UnitTriangle
+from ambush_planner.game import triangular
+from ambush_planner.game.triangular import UnitTriangle
 
 
 def refused(*_):

@@ -27,11 +27,11 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.core.construction import Roads
-from ambush_planner.core.corridors import make_corridors
-from ambush_planner.core.driven_path import driven_paths
-from ambush_planner.core.planner import DriveOptions, depart, departure_path, strategy_on
-from ambush_planner.core.trip import trip_network
+from ambush_planner.network.construction import Roads
+from ambush_planner.planning.plan import DriveOptions, depart, departure_path, strategy_on
+from ambush_planner.planning.trip import trip_network
+from ambush_planner.routes.corridors import make_corridors
+from ambush_planner.routes.driven_path import driven_paths
 
 # The tolerance of a certificate, and as much again.
 NEAR = 2e-5

@@ -4,8 +4,8 @@ import pytest
 from ros_harness import stage
 from standin_types import message_type
 
+from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.ros import compute_path, subscriptions
-from ambush_planner.ros.parameters import PARAMETERS
 from ambush_planner.ros.planner_node import main
 from ambush_planner.ros.usage import INTERFACE, check_arguments
 

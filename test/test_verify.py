@@ -16,17 +16,17 @@ from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, one_verifie
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
 
-from ambush_planner.core.construction import build_network
-from ambush_planner.core.planner import Route, departure_path, plan_on
-from ambush_planner.recording import read_departure, recordings_in
-from ambush_planner.recording.metadata import KEYS
-from ambush_planner.review.case import Case
-from ambush_planner.review.verify import Verifier
-from ambush_planner.review.verify_plan import strategy_faults
+from ambush_planner.commands import verify as tool
+from ambush_planner.network.construction import build_network
+from ambush_planner.planning.plan import Route, departure_path, plan_on
+from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.metadata import KEYS
+from ambush_planner.recordings.recorded_case import Case
+from ambush_planner.recordings.verify import Verifier
+from ambush_planner.recordings.verify_plan import strategy_faults
+from ambush_planner.ros.departure_path import path_between
 from ambush_planner.ros.dispatcher import Dispatcher
-from ambush_planner.ros.in_force import PlanInForce
-from ambush_planner.ros.paths import path_between
-from ambush_planner.tools import verify as tool
+from ambush_planner.ros.displayed_plan import DisplayedPlan
 
 SECRET_KEYS = ('route', 'route_entropy_source')
 
@@ -227,7 +227,7 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
 
 def test_departures_beside_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal moved a little, an obstacle that is new: routes are drawn until clear."""
-    monkeypatch.setattr(PlanInForce, '_solve_anew', lambda *_: None)
+    monkeypatch.setattr(DisplayedPlan, '_solve_anew', lambda *_: None)
     parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}
     with stage(tmp_path, parameters) as running:
         client = running.give()
@@ -288,7 +288,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.tools.cli', 'verify', *map(str, arguments)],
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'verify', *map(str, arguments)],
         env={**os.environ, 'ROS_PYTHON_CHECK_FIELDS': '1'},
         capture_output=True, text=True, timeout=60, check=False,
     )

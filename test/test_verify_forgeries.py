@@ -8,9 +8,9 @@ from forgeries import FORGERIES
 from forgeries_hidden import NOT_COVERED
 from forging import AGAIN, NEW_ROUTE, TEXTS, Forger, one_verifier, record_runs
 
-from ambush_planner.recording import read_departure
-from ambush_planner.recording.mcap_file import decode, encode
-from ambush_planner.tools import verify as tool
+from ambush_planner.commands import verify as tool
+from ambush_planner.recordings import read_departure
+from ambush_planner.recordings.mcap_file import decode, encode
 
 
 @pytest.fixture(scope='module')

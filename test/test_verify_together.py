@@ -17,12 +17,12 @@ from mcap.records import Channel, Schema
 from ros_harness import pose, stage
 from two_faced import assembled, encoded, split
 
-from ambush_planner.recording import read_departure, reader, recorder, recordings_in
-from ambush_planner.recording.mcap_file import decode, encode
-from ambush_planner.recording.metadata import Link
-from ambush_planner.review import case
-from ambush_planner.review.chain import together
-from ambush_planner.tools import verify as tool
+from ambush_planner.commands import verify as tool
+from ambush_planner.recordings import read_departure, reader, recorder, recordings_in
+from ambush_planner.recordings import recorded_case as case
+from ambush_planner.recordings.chain import together
+from ambush_planner.recordings.mcap_file import decode, encode
+from ambush_planner.recordings.metadata import Link
 
 
 @pytest.fixture(scope='module')
@@ -211,7 +211,7 @@ def test_the_commands_of_the_readme_sign_the_newest_hash(runs, tmp_path):
     for name, real in (('RUNS', runs), ('~/.ssh/id_ed25519', key), ('-I NAME', '-I me')):
         assert name in block
         block = block.replace(name, str(real))
-    shell = f'ambush() {{ "{sys.executable}" -m ambush_planner.tools.cli "$@"; }}\n{block}'
+    shell = f'ambush() {{ "{sys.executable}" -m ambush_planner.commands.cli "$@"; }}\n{block}'
 
     def run():
         return subprocess.run(['sh', '-e', '-c', shell], cwd=tmp_path, capture_output=True,

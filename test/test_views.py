@@ -14,10 +14,7 @@ from ros_yaml import EXAMPLES
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.core.risk_map import RiskMap
-from ambush_planner.ros import markers
-from ambush_planner.terrain.map_file import OccupancyMap, write_map
-from ambush_planner.tools.views import (
+from ambush_planner.commands.views import (
     FOXGLOVE,
     RVIZ,
     TOPICS,
@@ -26,6 +23,10 @@ from ambush_planner.tools.views import (
     rviz_text,
     scene_of,
 )
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.ros import markers
 
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
 # Width and height [m], and origin: the example, a depot, a country, a tall one, a rotated one.

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from ros_harness import risk_grid, stage
 
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network
-from ambush_planner.core import planner
-from ambush_planner.core.max_entropy import Law
-from ambush_planner.core.planner import PlanningOptions, WarmStart, plan
-from ambush_planner.core.risk_map import risk_map_from_occupancy
-from ambush_planner.recording import read_departure, recordings_in
-from ambush_planner.review.case import Case
-from ambush_planner.review.verify import Verifier
+from ambush_planner.game.strategy_solver import Multipliers
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.planning import plan as planner
+from ambush_planner.planning.plan import PlanningOptions, WarmStart, plan
+from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings.recorded_case import Case
+from ambush_planner.recordings.verify import Verifier
 
 ENDS = (1.5, 5.0), (10.5, 7.0)
 
@@ -46,7 +46,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     before = strategy_on(ground(seed), options)
     newest = ground(seed, changed)
     cold = strategy_on(newest, options)
-    warm = strategy_on(newest, options, WarmStart(before.network.points, before.law))
+    warm = strategy_on(newest, options, WarmStart(before.network.points, before.multipliers))
     assert (cold.start, warm.start is None) == (None, False)
     assert np.array_equal(warm.network.points, cold.network.points)
     assert warm.value <= cold.lower_bound * 1.01 * (1 + 1e-5)
@@ -59,13 +59,14 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
 
 def test_multipliers_are_those_of_the_nearest_node():
     made = plan(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
-    law = Law(np.array([1.0, 2.0]), (3.0, 4.0))
+    law = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     found = WarmStart(np.array([ENDS[0], ENDS[1]]), law).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
         *(made.network.points - ENDS[1]).T)
     assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))
     assert found.budgets == (3.0, 4.0)
-    assert WarmStart(made.network.points, made.strategy.law).on(made.network) is made.strategy.law
+    multipliers = made.strategy.multipliers
+    assert WarmStart(made.network.points, multipliers).on(made.network) is multipliers
 
 
 def test_stale_strategies_are_solved_from_their_law_which_is_recorded(tmp_path):

@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader
 from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import deserialize_message, serialize_message
 
-from ambush_planner.recording.mcap_file import MAGIC, decode, encode
+from ambush_planner.recordings.mcap_file import MAGIC, decode, encode
 
 PRIVATE = 0x80
 

@@ -21,7 +21,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ..core.arrays import FloatArray
+from ..arrays import FloatArray
 from .tf_buffer import Rigid, StampedTransform
 
 # Serialised messages begin with four bytes that say how the body is written: plain CDR, little

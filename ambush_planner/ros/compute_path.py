@@ -17,8 +17,8 @@ from std_msgs.msg import Header
 
 from .conversions import pose_to_ros
 from .departure_record import Departure
-from .errors import FrameMismatch, InvalidPlanner, NoStart, code_of
-from .guard import Guard
+from .error_boundary import ErrorBoundary
+from .error_codes import FrameMismatch, InvalidPlanner, NoStart, code_of
 from .qos import REQUESTS
 from .requests import Requests, planned
 
@@ -36,8 +36,8 @@ class ComputePath:
     whatever awaits something; one that is cancelled is taken back alone.
     """
 
-    def __init__(self, node: Node, guard: Guard, requests: Requests) -> None:
-        self._node, self._guard, self._requests = node, guard, requests
+    def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests) -> None:
+        self._node, self._guard, self._requests = node, error_boundary, requests
         self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
         # One group: no goal ends while a request to cancel it is half-way through.
         group = MutuallyExclusiveCallbackGroup()

@@ -18,18 +18,8 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from std_msgs.msg import Header
 
-from ..core.arrays import FloatArray
-from ..core.errors import InvalidRiskMap
-from ..core.risk_map import (
-    OccupancyOptions,
-    RiskMap,
-    check_occupancy,
-    risk_map_from_occupancy,
-)
-from .errors import InvalidPose
+from ..arrays import FloatArray
 
-# Of the squared norm, as Nav2 checks quaternions; covers rounding to float32.
-_UNIT_TOLERANCE = 1e-4
 _new: Any = object.__new__
 # Of Jazzy's messages; where others are used, they are made by their constructors.
 _SLOTS_ARE_KNOWN = all(
@@ -50,13 +40,6 @@ def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
     )
 
 
-def pose_from_ros(pose: Pose) -> tuple[float, float, float]:
-    """Return (x, y, yaw) [m, m, rad] of a pose in the plane."""
-    q = pose.orientation
-    yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
-    return pose.position.x, pose.position.y, yaw
-
-
 def occupancy_to_ros(
     values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float], header: Header
 ) -> OccupancyGrid:
@@ -68,60 +51,6 @@ def occupancy_to_ros(
     message.info.resolution = float(resolution)
     message.info.origin = pose_to_ros(*origin)
     return message
-
-
-def occupancy_from_ros(
-    message: OccupancyGrid,
-) -> tuple[npt.NDArray[np.int8], float, tuple[float, float, float]]:
-    """Return cell values (H, W), the resolution [m] and the origin (x, y, yaw), all checked.
-
-    Raises
-    ------
-    InvalidRiskMap
-        The map has no frame or no cells, its data is not width * height long, its resolution is
-        not positive, its origin not a pose in the plane, or a cell's value outside -1..100.
-    """
-    info = message.info
-    if not message.header.frame_id:
-        raise InvalidRiskMap('the map has no frame: header.frame_id is empty')
-    if info.width == 0 or info.height == 0:
-        raise InvalidRiskMap(f'the map is empty: width {info.width}, height {info.height}')
-    if len(message.data) != info.width * info.height:
-        raise InvalidRiskMap(
-            f'the map holds {len(message.data)} cells, but width {info.width} x height '
-            f'{info.height} is {info.width * info.height}'
-        )
-    origin = info.origin
-    if fault := _pose_fault(origin) or _tilt_fault(origin.orientation):
-        raise InvalidRiskMap(f"the map's origin: {fault}")
-    values = np.frombuffer(message.data, dtype=np.int8).reshape(info.height, info.width)
-    grid = values, float(info.resolution), pose_from_ros(origin)
-    check_occupancy(*grid)
-    return grid
-
-
-def risk_map_from_ros(message: OccupancyGrid, options: OccupancyOptions) -> RiskMap:
-    """Read the map's cell values as losses.
-
-    Raises
-    ------
-    InvalidRiskMap
-        The message is malformed, or a cell's value is outside -1..100.
-    """
-    return risk_map_from_occupancy(*occupancy_from_ros(message), options)
-
-
-def position_from_ros(pose: PoseStamped, name: str) -> tuple[float, float]:
-    """Return (x, y) [m] of the pose called ``name``.
-
-    Raises
-    ------
-    InvalidPose
-        A number is not finite, or the orientation is not a unit quaternion.
-    """
-    if fault := _pose_fault(pose.pose):
-        raise InvalidPose(f'{name}: {fault}')
-    return pose.pose.position.x, pose.pose.position.y
 
 
 def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> PathMessage:
@@ -157,35 +86,6 @@ def _stamped_pose(x: float, y: float, half: float, header: Header, check: bool) 
     stamped = _new(PoseStamped)
     stamped._header, stamped._pose, stamped._check_fields = header, pose, check
     return stamped
-
-
-def path_from_ros(path: PathMessage) -> FloatArray:
-    """Return the poses (L, 3) = (x, y, yaw) of a path."""
-    rows = [pose_from_ros(stamped.pose) for stamped in path.poses]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
-
-
-def _pose_fault(pose: Pose) -> str | None:
-    """Say what is wrong with a pose's numbers, if anything is."""
-    p, q = pose.position, pose.orientation
-    if not all(map(math.isfinite, (p.x, p.y, p.z))):
-        return f'position ({p.x}, {p.y}, {p.z}) is not finite'
-    norm = math.sqrt(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w)
-    if not abs(norm * norm - 1.0) <= _UNIT_TOLERANCE:
-        return (
-            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) is not a unit quaternion: '
-            f'its norm is {norm:.6g}'
-        )
-    return None
-
-
-def _tilt_fault(q: Quaternion) -> str | None:
-    if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
-        return (
-            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only a '
-            'rotation about z is possible'
-        )
-    return None
 
 
 def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:

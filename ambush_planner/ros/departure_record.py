@@ -17,18 +17,18 @@ from nav_msgs.srv import GetPlan
 from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 
-from ..core.planner import Route
-from ..recording import Attachment, RecordedMessage, type_name
-from ..recording.map_changes import MAP_CHANGES_FILE, map_changes_file
-from ..recording.metadata import VIA, metadata_texts
-from ..recording.strategy_file import STRATEGY_FILE
+from ..planning.node_parameters import NodeParameters
+from ..planning.plan import Route
+from ..recordings import Attachment, RecordedMessage, type_name
+from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
+from ..recordings.metadata import VIA, metadata_texts
+from ..recordings.strategy_file import STRATEGY_FILE
 from .cdr import plan_event_bytes
 from .conversions import fields_of
+from .current_map import Received
+from .departure_path import DeparturePath
 from .inputs import Trip
-from .map_in_force import Received
-from .node_parameters import NodeParameters
-from .paths import DeparturePath
-from .planning import HeldPlan
+from .plan_cache import CachedPlan
 from .qos import LATEST
 
 # `ros2 bag play` sends them that much before the request, which needs them.
@@ -69,7 +69,7 @@ class Departure:
     call: ServiceCall
     trip: Trip
     parameters: NodeParameters
-    held: HeldPlan
+    held: CachedPlan
     entropy_source: list[int]
     route: Route
     path: DeparturePath

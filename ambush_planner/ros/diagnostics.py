@@ -10,12 +10,12 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
-from ..core.bottleneck import Bottleneck
-from ..core.judged import open_gap
-from ..core.planner import DRAWN, Plan
-from ..worker.errors import SolveCancelled
-from .errors import OK_CODE, code_of
-from .ground import Standing
+from ..game.bottleneck import Bottleneck
+from ..game.revaluation import open_gap
+from ..planning.changed_ground import Standing
+from ..planning.plan import DRAWN, Plan
+from ..worker.solve_errors import SolveCancelled
+from .error_codes import OK_CODE, code_of
 
 _DIFFERENT = f'different_paths_of_{DRAWN}'
 

@@ -15,22 +15,22 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_srvs.srv import Trigger
 
-from ..core.driven_path import tight_turns
-from ..core.errors import AmbushPlannerError, InvalidOption
-from ..core.planner import Plan
-from ..recording import RecordedMessage
-from ..worker.errors import SolveCancelled, for_the_log
+from ..errors import AmbushPlannerError, InvalidOption
+from ..planning.node_parameters import NodeParameters, RecordingOptions
+from ..planning.plan import Plan
+from ..recordings import RecordedMessage
+from ..routes.driven_path import tight_turns
+from ..worker.solve_errors import SolveCancelled, for_the_log
+from .departure_path import DeparturePath, draw_path, route_entropy_source
 from .departure_record import Departure, ServiceCall
-from .errors import GroundChanges, NotActive
-from .futures import Turns
-from .in_force import PlanInForce
-from .inputs import Asked, Inputs, Trip
-from .node_parameters import NodeParameters, RecordingOptions
-from .outbox import Outbox
-from .paths import DeparturePath, draw_path, route_entropy_source
-from .planning import HeldPlan, Plans, usable
+from .displayed_plan import DisplayedPlan
+from .error_codes import GroundChanges, NotActive
+from .inputs import Inputs, Trip, TripRequest
+from .plan_cache import CachedPlan, PlanCache, usable
+from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
+from .serial_executor import SerialExecutor
 
 # Of the two seconds that the node has to end in: from being told to the last recording.
 _LAST_RECORDINGS = 1.0  # s
@@ -45,7 +45,7 @@ class _Request:
     """A departure that somebody waits for."""
 
     call: ServiceCall
-    asked: Asked
+    asked: TripRequest
     parameters: NodeParameters
     begin_ns: int
     departure: Future[Departure] = field(default_factory=Future)
@@ -64,19 +64,19 @@ class Dispatcher:
         self,
         parameters: NodeParameters,
         inputs: Inputs,
-        outbox: Outbox,
+        outbox: Publishers,
         reporter: Reporter,
         clock: Clock,
         logger: RcutilsLogger,
     ) -> None:
         self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
         self._reporter, self._clock, self._logger = reporter, clock, logger
-        self._plans = Plans(logger)
-        self._departures = Turns(
+        self._plans = PlanCache(logger)
+        self._departures = SerialExecutor(
             'departures', reporter.refresh, lambda error: reporter.failed('request', error),
             _shutting_down,
         )
-        self._in_force = PlanInForce(
+        self._in_force = DisplayedPlan(
             self._plans, inputs, outbox, reporter, clock, self._departures.do
         )
         self._count = 0
@@ -135,7 +135,7 @@ class Dispatcher:
             self._review_due = True
             self._departures.do(self._review)
 
-    def depart(self, call: ServiceCall, asked: Asked) -> Future[Departure]:
+    def depart(self, call: ServiceCall, asked: TripRequest) -> Future[Departure]:
         """Depart as asked, unless the future that is returned is cancelled before.
 
         Where paths are not published, a request must have them answered.
@@ -152,7 +152,7 @@ class Dispatcher:
         self._logger.info(f'departure {departure.number} ({departure.id})')
         self._recordings.record(replace(departure, response=response, end_ns=end))
 
-    def replan(self, asked: Asked) -> Future[Plan]:
+    def replan(self, asked: TripRequest) -> Future[Plan]:
         """Solve anew for the map in force."""
         self._refuse_contradictions()
         outcome: Future[Plan] = Future()
@@ -163,7 +163,7 @@ class Dispatcher:
             trip = self._inputs.locate(asked, parameters.robot)
             self._when_solved(self._plans.solve(trip, parameters), show, outcome)
 
-        def show(held: HeldPlan) -> None:
+        def show(held: CachedPlan) -> None:
             self._in_force.show(held)
             self._review()
             self._reporter.succeeded()
@@ -176,7 +176,7 @@ class Dispatcher:
         """End the solve that runs and all that wait; return how many there were."""
         return self._plans.cancel()
 
-    def _try(self, request: _Request, solved: HeldPlan | None = None) -> None:
+    def _try(self, request: _Request, solved: CachedPlan | None = None) -> None:
         """Depart on a plan that is there, or have one solved and try again with it."""
         if request.departure.cancelled():
             return
@@ -190,7 +190,7 @@ class Dispatcher:
         else:
             self._leave(held, trip, request)
 
-    def _wait(self, request: _Request, plan: Future[HeldPlan]) -> None:
+    def _wait(self, request: _Request, plan: Future[CachedPlan]) -> None:
         """Try again when the plan is there."""
         request.solves += 1
         if request.solves > _MOST_SOLVES:
@@ -202,12 +202,12 @@ class Dispatcher:
         self._when_solved(plan, lambda held: self._try(request, held), request.departure)
 
     def _when_solved(
-        self, solve: Future[HeldPlan], go_on: Callable[[HeldPlan], None], outcome: Future[Any]
+        self, solve: Future[CachedPlan], go_on: Callable[[CachedPlan], None], outcome: Future[Any]
     ) -> None:
         """Go on in the thread of departures; an error is the outcome."""
         self._reporter.refresh()
 
-        def solved(done: Future[HeldPlan]) -> None:
+        def solved(done: Future[CachedPlan]) -> None:
             self._departures.do(lambda: go_on(done.result()), outcome)
 
         solve.add_done_callback(solved)
@@ -215,7 +215,7 @@ class Dispatcher:
             lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
         )
 
-    def _leave(self, held: HeldPlan, trip: Trip, request: _Request) -> None:
+    def _leave(self, held: CachedPlan, trip: Trip, request: _Request) -> None:
         """Draw a route, publish its path, and tell."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()

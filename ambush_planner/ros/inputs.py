@@ -8,13 +8,14 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
-from ..core.errors import InvalidRiskMap
-from ..recording import type_name
+from ..errors import InvalidPose, InvalidRiskMap
+from ..maps.ros_messages import position_from_ros
+from ..planning.node_parameters import RobotOptions
+from ..recordings import type_name
 from .cdr import GridUpdate
-from .conversions import pose_to_ros, position_from_ros
-from .errors import InvalidPose, NoGoal, NoMap, NoStart
-from .map_in_force import MapInForce, Received, changed_map, map_from
-from .node_parameters import RobotOptions
+from .conversions import pose_to_ros
+from .current_map import CurrentMap, Received, changed_map, map_from
+from .error_codes import NoGoal, NoMap, NoStart
 from .qos import LATEST
 from .transforms import FrameTransforms
 
@@ -23,7 +24,7 @@ MOST_STOPS = 50
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class TripRequest:
     """From where to where somebody wants to go.
 
     ``start`` is None for where the robot is. The goal may be moved by ``goal_tolerance`` [m] where
@@ -40,7 +41,7 @@ class Asked:
 class Trip:
     """What was asked for, on a map; poses and positions [m] in the map's frame."""
 
-    map: MapInForce
+    map: CurrentMap
     start: Received
     goal: Received
     start_pose: PoseStamped
@@ -63,13 +64,13 @@ class Inputs:
 
     def __init__(self, transforms: FrameTransforms, start_topic: str) -> None:
         self._transforms, self._start_topic = transforms, start_topic
-        self._map: MapInForce | None = None
+        self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
         self._start: Received | None = None
         self._goal: Received | None = None
         self._via: Received | None = None
 
-    def accept_map(self, received: Received) -> MapInForce:
+    def accept_map(self, received: Received) -> CurrentMap:
         """Put a map in force and return it; one that equals the present one changes nothing.
 
         Raises
@@ -84,7 +85,7 @@ class Inputs:
             raise
         return self._put_in_force(new)
 
-    def update_map(self, update: GridUpdate) -> MapInForce:
+    def update_map(self, update: GridUpdate) -> CurrentMap:
         """Change some cells of the map in force, and return the map that is in force then.
 
         Raises
@@ -94,7 +95,7 @@ class Inputs:
         InvalidRiskMap
             The update does not fit the map; the map stays as it was.
         """
-        return self._put_in_force(changed_map(self.map_in_force(), update))
+        return self._put_in_force(changed_map(self.current_map(), update))
 
     def set_start(self, received: Received) -> None:
         """Depart from here from now on."""
@@ -117,7 +118,7 @@ class Inputs:
         }
         return tuple(name for name, here in parts.items() if not here)
 
-    def latest(self, robot: RobotOptions) -> Asked:
+    def latest(self, robot: RobotOptions) -> TripRequest:
         """Return the trip between the latest start and goal, by the latest stops, as asked for.
 
         Raises
@@ -125,23 +126,23 @@ class Inputs:
         NoMap, NoStart, NoGoal
             Something has not arrived.
         """
-        self.map_in_force()
+        self.current_map()
         if self._start is None and not robot.frame:
             raise NoStart(
                 'no start yet: publish one on start_pose or initialpose, or set robot_base_frame'
             )
         if self._goal is None:
             raise NoGoal('no goal yet: publish one on goal_pose')
-        return Asked(self._start, self._goal, via=self._via)
+        return TripRequest(self._start, self._goal, via=self._via)
 
-    def map_in_force(self) -> MapInForce:
+    def current_map(self) -> CurrentMap:
         """Return the map; raises NoMap as long as there is none."""
         if self._map is None:
             why = f'; the last one was refused: {self._refused}' if self._refused else ''
             raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
         return self._map
 
-    def locate(self, asked: Asked, robot: RobotOptions) -> Trip:
+    def locate(self, asked: TripRequest, robot: RobotOptions) -> Trip:
         """Return the trip on the map in force, with all poses where they are now.
 
         Raises
@@ -151,7 +152,7 @@ class Inputs:
         FrameMismatch, InvalidPose
             A pose cannot be brought into the map's frame, or its numbers are not a pose.
         """
-        present = self.map_in_force()
+        present = self.current_map()
         start, start_pose = self._start_of(asked.start, robot, present.frame)
         goal_pose = self._transforms.to_frame(
             asked.goal.message, 'goal', present.frame, robot.max_age
@@ -198,7 +199,7 @@ class Inputs:
             stops.append(position_from_ros(moved, name))
         return tuple(stops)
 
-    def _put_in_force(self, new: MapInForce) -> MapInForce:
+    def _put_in_force(self, new: CurrentMap) -> CurrentMap:
         present = self._map
         if present is None or not present.same_map(new):
             present = self._map = new

@@ -12,9 +12,9 @@ from geometry_msgs.msg import Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker
 
-from ..core.arrays import FloatArray, IndexArray
-from ..core.network import Network
-from ..core.strategy import Strategy
+from ..arrays import FloatArray, IndexArray
+from ..game.strategy import Strategy
+from ..network.network import Network
 from .cdr import marker_array
 
 # Edges and nodes used less than once in 10 000 departures are left out, and so are sites held that

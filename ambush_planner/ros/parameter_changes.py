@@ -6,15 +6,22 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from ..core.errors import InvalidOption
-from ..core.risk_map import MOST_LOSS
-from ..core.strategy import SOLVERS
-from .node_parameters import NodeParameters, parameters_from
-from .parameters import PARAMETERS
+from ..errors import InvalidOption
+from ..game.strategy import SOLVERS
+from ..maps.risk_map import MOST_LOSS
+from ..planning.node_parameters import NodeParameters, parameters_from
+from ..planning.parameters import PARAMETERS, Declaration
+
+_INT64_MAX = 2**63 - 1
 
 
 def declare_parameters(
@@ -36,7 +43,7 @@ def declare_parameters(
         One of them has the wrong type or is out of its range.
     """
     node.declare_parameters(
-        '', [(name, each.default, each.descriptor()) for name, each in PARAMETERS.items()]
+        '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
     )
     _warn_of_unknown(node)
     parameters = parameters_from(_values(node))
@@ -108,3 +115,23 @@ def _check_possible(changes: Mapping[str, Any]) -> None:
         else:
             return
     raise refused[0]
+
+
+def _descriptor(declaration: Declaration) -> ParameterDescriptor:
+    """Return what ``ros2 param describe`` shows."""
+    constraint = f'one of {", ".join(declaration.choices)}' if declaration.choices else ''
+    result = ParameterDescriptor(
+        description=declaration.description,
+        additional_constraints='read at the start only' if declaration.fixed else constraint,
+    )
+    if isinstance(declaration.default, float):
+        result.floating_point_range = [
+            FloatingPointRange(from_value=float(declaration.low), to_value=float(declaration.high))
+        ]
+    elif isinstance(declaration.default, int) and not isinstance(declaration.default, bool):
+        result.integer_range = [
+            IntegerRange(
+                from_value=int(declaration.low), to_value=int(min(declaration.high, _INT64_MAX))
+            )
+        ]
+    return result

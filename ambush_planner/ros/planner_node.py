@@ -18,16 +18,16 @@ from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedE
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
 
-from ..core.errors import InvalidOption
+from ..errors import InvalidOption
+from ..planning.node_parameters import NodeParameters
 from .compute_path import ComputePath
 from .departure_record import planner_version
 from .dispatcher import Dispatcher
-from .errors import NotActive
-from .guard import Guard, guard_services
+from .error_boundary import ErrorBoundary, guard_services
+from .error_codes import NotActive
 from .inputs import Inputs
-from .node_parameters import NodeParameters
-from .outbox import PLANS, STATUS, Outbox
 from .parameter_changes import declare_parameters
+from .publishers import PLANS, STATUS, Publishers
 from .reporter import Reporter
 from .requests import Requests
 from .subscriptions import Subscriptions
@@ -86,12 +86,12 @@ class PlannerNode(LifecycleNode):
             )
         self._reporter = Reporter(
             self.get_fully_qualified_name().lstrip('/'),
-            Outbox(self, STATUS),
+            Publishers(self, STATUS),
             self.get_clock(),
             lambda: self._dispatcher is not None and self._dispatcher.solving,
             self._settings.error_hold,
         )
-        self._guard = Guard(self.context, self.get_logger(), self._reporter.failed)
+        self._guard = ErrorBoundary(self.context, self.get_logger(), self._reporter.failed)
         self._reporter.recording(self._settings.recording.enabled)
         self._serve()
         self._closing.callback(lambda: self._configured.close())
@@ -148,7 +148,7 @@ class PlannerNode(LifecycleNode):
     def _configure(self) -> None:
         with ExitStack() as made:
             made.callback(self._forget)
-            outbox = Outbox(self, PLANS)
+            outbox = Publishers(self, PLANS)
             made.callback(outbox.close)
             self._transforms = FrameTransforms(self)
             made.callback(self._transforms.close)

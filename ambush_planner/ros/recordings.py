@@ -11,12 +11,13 @@ from pathlib import Path
 from threading import Condition, Thread
 from weakref import WeakKeyDictionary
 
-from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan
-from ..recording import Recorder, RecordingFailed
-from ..recording.repair import repair
-from ..recording.strategy_file import strategy_file
-from ..worker.errors import forget_frames, unexpected
+from ..errors import AmbushPlannerError
+from ..planning.node_parameters import RecordingOptions
+from ..planning.plan import Plan
+from ..recordings import Recorder, RecordingFailed
+from ..recordings.repair import repair
+from ..recordings.strategy_file import strategy_file
+from ..worker.solve_errors import forget_frames, unexpected
 from .departure_record import (
     Departure,
     attachments,
@@ -24,7 +25,6 @@ from .departure_record import (
     recorded_messages,
     recorded_metadata,
 )
-from .node_parameters import RecordingOptions
 
 # Writing [s] that may wait for the disk: little enough that all of it is done when the node is
 # told to end. The next departure waits until there is no more.

@@ -9,11 +9,11 @@ from threading import RLock
 
 from rclpy.clock import Clock
 
-from ..core.planner import Plan
-from ..recording import RecordedMessage
+from ..planning.changed_ground import Standing
+from ..planning.plan import Plan
+from ..recordings import RecordedMessage
 from .diagnostics import Status, status_to_ros
-from .ground import Standing
-from .outbox import Outbox
+from .publishers import Publishers
 
 
 class Reporter:
@@ -24,7 +24,7 @@ class Reporter:
     """
 
     def __init__(
-        self, name: str, outbox: Outbox, clock: Clock, solving: Callable[[], bool],
+        self, name: str, outbox: Publishers, clock: Clock, solving: Callable[[], bool],
         error_hold: float,
     ) -> None:
         self._name, self._outbox, self._clock, self._solving = name, outbox, clock, solving

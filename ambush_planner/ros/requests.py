@@ -14,17 +14,17 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 
-from ..core.errors import InvalidOption
-from ..core.planner import Plan
-from ..recording import type_name
+from ..errors import InvalidOption
+from ..planning.node_parameters import RobotOptions
+from ..planning.plan import Plan
+from ..recordings import type_name
+from .current_map import Received
 from .departure_record import Departure, ServiceCall
 from .dispatcher import Dispatcher
-from .futures import done
-from .guard import Guard
-from .inputs import Asked, Inputs
-from .map_in_force import Received
-from .node_parameters import RobotOptions
+from .error_boundary import ErrorBoundary
+from .inputs import Inputs, TripRequest
 from .qos import LATEST
+from .serial_executor import done
 from .services import DeferredService
 
 _Result = TypeVar('_Result')
@@ -46,12 +46,12 @@ class Requests:
     def __init__(
         self,
         node: Node,
-        guard: Guard,
+        error_boundary: ErrorBoundary,
         dispatcher: Callable[[], Dispatcher],
         inputs: Callable[[], Inputs],
         robot: Callable[[], RobotOptions],
     ) -> None:
-        self._node, self._guard, self.robot = node, guard, robot
+        self._node, self._guard, self.robot = node, error_boundary, robot
         self._dispatcher, self._inputs = dispatcher, inputs
         self._path, self._start, self._goal = (
             node.resolve_topic_name(name) for name in ('path', 'start_pose', 'goal_pose')
@@ -127,14 +127,14 @@ class Requests:
             failed.set_exception(error)
             return failed
 
-    def _latest(self) -> Asked:
+    def _latest(self) -> TripRequest:
         return self._inputs().latest(self.robot())
 
-    def _between(self, request: GetPlan.Request) -> Asked:
+    def _between(self, request: GetPlan.Request) -> TripRequest:
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
-        self._inputs().map_in_force()
-        return Asked(
+        self._inputs().current_map()
+        return TripRequest(
             _as_received(self._start, request.start),
             _as_received(self._goal, request.goal),
             request.tolerance,

@@ -13,12 +13,12 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from ..recording import type_name
+from ..recordings import type_name
 from .cdr import read_grid_update
-from .errors import UnreadableMessage
-from .guard import Guard
+from .current_map import CurrentMap, Received
+from .error_boundary import ErrorBoundary
+from .error_codes import UnreadableMessage
 from .inputs import Inputs
-from .map_in_force import MapInForce, Received
 from .qos import LATCHED, LATEST, UPDATES
 
 try:
@@ -40,14 +40,14 @@ class Subscriptions:
         self,
         node: Node,
         inputs: Inputs,
-        guard: Guard,
+        error_boundary: ErrorBoundary,
         pose_accepted: Callable[[], None],
         map_accepted: Callable[[], None],
     ) -> None:
-        self._node, self._guard = node, guard
+        self._node, self._guard = node, error_boundary
         self._all: list[Subscription] = []
         self._map_topic = node.resolve_topic_name('alpha_map')
-        self._map: MapInForce | None = None  # the last one that was told
+        self._map: CurrentMap | None = None  # the last one that was told
 
         def accept_map(got: Received) -> None:
             self._tell_map(inputs.accept_map(got))
@@ -96,7 +96,7 @@ class Subscriptions:
             'so that nothing of it arrives here: publish it transient local'
         )
 
-    def _tell_map(self, new: MapInForce) -> None:
+    def _tell_map(self, new: CurrentMap) -> None:
         before, self._map = self._map, new
         if new is before:
             return

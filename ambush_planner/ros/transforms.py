@@ -14,10 +14,10 @@ from rclpy.parameter import Parameter
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-from ..worker.errors import for_the_log, unexpected
+from ..maps.ros_messages import position_from_ros
+from ..worker.solve_errors import for_the_log, unexpected
 from .cdr import read_transforms
-from .conversions import position_from_ros
-from .errors import FrameMismatch
+from .error_codes import FrameMismatch
 from .qos import TF, TF_STATIC
 from .tf_buffer import Found, Rigid, TransformBuffer, TransformUnknown, normalised
 

@@ -9,7 +9,7 @@ from textwrap import fill
 
 from rclpy.utilities import remove_ros_args
 
-from .parameters import PARAMETERS
+from ..planning.parameters import PARAMETERS
 
 # What others see of the node: kind, name, type, what it is.
 INTERFACE = (

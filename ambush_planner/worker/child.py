@@ -16,10 +16,10 @@ from contextlib import suppress
 from io import BufferedRWPair
 from pathlib import Path
 
-from ..core.errors import AmbushPlannerError, TimeLimit
-from ..core.planner import Plan, PlanRequest
-from ..core.trip import plan_from_request
-from .errors import WorkerFailed, no_plan_in, unexpected
+from ..errors import AmbushPlannerError, TimeLimit
+from ..planning.plan import Plan, PlanRequest
+from ..planning.trip import plan_from_request
+from .solve_errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
 READY = 'ready'

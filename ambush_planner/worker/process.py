@@ -12,10 +12,10 @@ from contextlib import contextmanager, suppress
 from threading import TIMEOUT_MAX, Timer
 from typing import Any
 
-from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan, PlanRequest
+from ..errors import AmbushPlannerError
+from ..planning.plan import Plan, PlanRequest
 from .child import PICKLE_PROTOCOL
-from .errors import WorkerFailed, no_plan_in
+from .solve_errors import WorkerFailed, no_plan_in
 
 # Importing numpy and scipy from a cold disk takes its time.
 _START_LIMIT = 60.0

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from threading import Condition, Thread
 from typing import Generic, TypeVar
 
-from ..core.errors import AmbushPlannerError
-from ..core.planner import Plan, PlanRequest
-from .errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames, unexpected
+from ..errors import AmbushPlannerError
+from ..planning.plan import Plan, PlanRequest
 from .process import WorkerProcess
+from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames, unexpected
 
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'

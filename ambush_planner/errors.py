@@ -1,0 +1,87 @@
+"""The errors of the planner: each says what is wrong, where, and what to do about it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .game.strategy import Strategy
+
+
+class AmbushPlannerError(Exception):
+    """Base of every error that the planner raises on purpose."""
+
+
+class InvalidRiskMap(AmbushPlannerError, ValueError):
+    """The risk map is malformed: shape, resolution, origin or a cell's value."""
+
+
+class InvalidNetwork(AmbushPlannerError, ValueError):
+    """The network is malformed: points, alpha, edges, source or target."""
+
+
+class InvalidPose(AmbushPlannerError, ValueError):
+    """A pose is not finite or its orientation is not a unit quaternion."""
+
+
+class InvalidOption(AmbushPlannerError, ValueError):
+    """An option is out of its range, contradicts another one or is not available."""
+
+
+class StartBlocked(AmbushPlannerError):
+    """The start lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
+class GoalBlocked(AmbushPlannerError):
+    """The goal lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
+class StopBlocked(AmbushPlannerError):
+    """A stop lies in an obstacle, nearer to one than the clearance, or off the map."""
+
+
+class StartOutsideMap(StartBlocked):
+    """The start is not on the map."""
+
+
+class GoalOutsideMap(GoalBlocked):
+    """The goal is not on the map."""
+
+
+class StopOutsideMap(StopBlocked):
+    """A stop is not on the map."""
+
+
+class NoRoute(AmbushPlannerError):
+    """No route leads from the source to the target."""
+
+
+class BudgetInfeasible(AmbushPlannerError):
+    """No strategy fits the length budget (``max_detour``)."""
+
+
+class TimeLimit(AmbushPlannerError):
+    """The time limit passed before the strategy was found.
+
+    ``strategy`` is what was reached, with its own value, bound and gap; None if there was none.
+    """
+
+    def __init__(self, message: str, strategy: Strategy | None = None) -> None:
+        super().__init__(message)
+        self.strategy = strategy
+
+
+class NotDistinct(AmbushPlannerError):
+    """No day of so many convoys was drawn whose routes do not share their middle."""
+
+
+class SolverFailed(AmbushPlannerError):
+    """A solver stopped without a strategy whose certificate holds."""
+
+
+def shown(name: Path | str) -> str:
+    """Return a name of a file fit for a terminal: control characters and wrong bytes escaped."""
+    return ''.join(
+        each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
+    )

@@ -1,0 +1,208 @@
+"""An acyclic part of the network: one order of the nodes, and the edges that go forward in it.
+
+On such a part every strategy's p and x are probabilities and every drawn route is simple. The
+order is that of the *harmonic potential*: the voltage when the edges are resistors as long as they
+are, the source is at 0 and the target at 1. Every node but these two lies between its neighbours,
+so on a two-way network every node that can lie on a route has a forward edge out of it and one
+into it, and each edge is kept in one of its two directions. A strategy that has to stay possible
+comes first: its edges go forward, and the potential only decides between nodes that are free.
+"""
+
+from __future__ import annotations
+
+import heapq
+
+import numpy as np
+from scipy.sparse import coo_matrix, diags, identity
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from ..arrays import FloatArray, IndexArray, sums
+from ..network.network import Network
+from ..network.shortest_paths import edge_matrix
+from .game import Game
+
+# Nodes up to which the potential is solved for; beyond, progress takes its place.
+POTENTIAL_NODES = 250_000
+
+
+def order_potential(game: Game) -> FloatArray:
+    """A number for each node (N,) that rises from the source to the target; inf off every route."""
+    driven = np.zeros(game.node_count, dtype=bool)
+    driven[game.network.edges[game.playable]] = True
+    if driven.sum() > POTENTIAL_NODES:
+        return progress(game)
+    return harmonic_potential(game, np.flatnonzero(driven))
+
+
+def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
+    """Voltage (N,) with the source at 0 and the target at 1; inf off the nodes ``driven`` (K,)."""
+    network, edges = game.network, game.network.edges[game.playable]
+    lengths = network.lengths[game.playable]
+    conductance = 1.0 / np.maximum(lengths, 1e-9 * float(lengths.mean()) or 1.0)
+    place = np.full(game.node_count, -1)
+    place[driven] = np.arange(len(driven))
+    tail, head = place[edges].T
+    shape = (len(driven), len(driven))
+    one_way = coo_matrix((conductance, (tail, head)), shape=shape).tocsr()
+    joined = one_way + one_way.T
+    laplacian = diags(np.asarray(joined.sum(axis=1)).ravel()) - joined
+    potential = np.full(game.node_count, np.inf)
+    potential[network.source], potential[network.target] = 0.0, 1.0
+    inner = driven[(driven != network.source) & (driven != network.target)]
+    if len(inner):
+        rows = laplacian.tocsr()[place[inner]]
+        pull = -rows[:, [place[network.target]]].toarray().ravel()
+        system = rows[:, place[inner]].tocsc()
+        # Positive definite: pivots on the diagonal keep the order that fills in least. With so
+        # little fill, narrow panels are the fastest.
+        factor = splu(
+            system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1, panel_size=4,
+            options={'SymmetricMode': True},
+        )
+        potential[inner] = factor.solve(pull)
+    return potential
+
+
+def progress(game: Game) -> FloatArray:
+    """d(source, j) - d(j, target) over length [m] for each node (N,); inf off every route."""
+    network = game.network
+    ahead, behind = game.distances_ahead(network.lengths), game.distances_behind(network.lengths)
+    off = ~(np.isfinite(ahead) & np.isfinite(behind))
+    risen = np.where(off, np.inf, np.where(off, 0.0, ahead) - np.where(off, 0.0, behind))
+    risen[network.source], risen[network.target] = -np.inf, np.finfo(float).max
+    return risen
+
+
+def rank_by(potential: FloatArray) -> IndexArray:
+    """Position (N,) of each node in the order of the potential."""
+    rank = np.empty(len(potential), dtype=np.int64)
+    rank[np.argsort(potential, kind='stable')] = np.arange(len(potential))
+    return rank
+
+
+def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
+    """Position (N,) of each node in an order in which the edges of an acyclic p (M,) go forward.
+
+    Among the nodes whose predecessors under p are all placed, the one of least potential comes
+    next; the source is first and the target last.
+    """
+    network, n = game.network, game.node_count
+    potential = potential.copy()
+    potential[network.source] = -np.inf
+    # Nodes go by their number in the order of the potential: the heap is one of whole numbers.
+    number = rank_by(potential)
+    tail, head = number[network.edges[p > 0.0]].T
+    order = np.argsort(tail, kind='stable')
+    first = np.searchsorted(tail[order], np.arange(n + 1)).tolist()
+    heads = head[order].tolist()
+    waiting = np.bincount(head, minlength=n)
+    waiting[number[network.target]] += 1  # placed only when everything else is
+    free = np.flatnonzero(waiting == 0).tolist()  # in order, so a heap
+    pending = waiting.tolist()
+    rank = np.full(n, n, dtype=np.int64)
+    place = 0
+    while free:
+        node = heapq.heappop(free)
+        rank[node] = place
+        place += 1
+        for follower in heads[first[node] : first[node + 1]]:
+            pending[follower] -= 1
+            if pending[follower] == 0:
+                heapq.heappush(free, follower)
+    return rank[number]
+
+
+def forward_part(game: Game, rank: IndexArray) -> Game | None:
+    """The game on the edges along which ``rank`` (N,) rises; None if no route is among them."""
+    return game.restricted_to(rank[game.network.tails] < rank[game.network.heads])
+
+
+def without_cycles(network: Network, p: FloatArray) -> FloatArray:
+    """Return p less the flow that goes round in cycles: same trips, no node visited more often."""
+    p = p.copy()
+    while len(circling := _circling_edges(network, p)):
+        _cancel_cycles(network.edges, p, circling)
+    return p
+
+
+def is_acyclic(network: Network, p: FloatArray) -> bool:
+    """Tell whether the edges with p > 0 form no cycle."""
+    return len(_circling_edges(network, p)) == 0
+
+
+def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
+    """Edges with p > 0 that lie on a cycle of such edges: both ends in one strong component."""
+    used = np.flatnonzero(p > 0.0)
+    edges = network.edges[used]
+    graph = edge_matrix(edges, np.ones(len(used)), len(network.points))
+    _, component = connected_components(graph, directed=True, connection='strong')
+    same: IndexArray = used[component[edges[:, 0]] == component[edges[:, 1]]]
+    return same
+
+
+def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> None:
+    """Walk the circling edges; on meeting a node again, take the least p off that cycle."""
+    leaving: dict[int, list[int]] = {}
+    for k in circling.tolist():
+        leaving.setdefault(int(edges[k, 0]), []).append(k)
+    while leaving:
+        node = next(iter(leaving))
+        position, walk = {node: 0}, []
+        while leaving.get(node):
+            k = leaving[node][-1]
+            walk.append(k)
+            node = int(edges[k, 1])
+            if node in position:
+                _take_off(edges, p, walk[position[node] :], leaving)
+                break
+            position[node] = len(walk)
+        else:
+            # A dead end: what led here lies on no cycle any more.
+            leaving.pop(node, None)
+            if walk:
+                leaving[int(edges[walk[-1], 0])].pop()
+
+
+def _take_off(
+    edges: IndexArray, p: FloatArray, cycle: list[int], leaving: dict[int, list[int]]
+) -> None:
+    p[cycle] -= p[cycle].min()
+    for k in cycle:
+        if p[k] <= 0.0:
+            leaving[int(edges[k, 0])].remove(k)
+
+
+def conserved(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
+    """Turn an almost conserved p (M,) into an exact, acyclic strategy with the same shares.
+
+    Edges with p <= ``negligible`` are left out. Where p circles, the cycles are taken off first.
+    None: what is left holds no route.
+    """
+    part = game.restricted_to(p > negligible)
+    if part is None:
+        return None
+    network = game.network
+    flow = without_cycles(network, np.where(part.playable, p, 0.0))
+    part = part.restricted_to(flow > 0.0)
+    if part is None:
+        return None
+    flow = np.where(part.playable, flow, 0.0)
+    out = sums(network.tails, flow, game.node_count)
+    share = np.divide(flow, out[network.tails], out=np.zeros_like(flow), where=flow > 0.0)
+    x = _walk_visits(game, flow, share)
+    return np.where(part.playable, x[network.tails] * share, 0.0)
+
+
+def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
+    """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
+    network, n = game.network, game.node_count + 1
+    # In the order of the flow, the target last, the system is triangular: nothing fills in.
+    rank = rank_around(game, flow, np.zeros(game.node_count))
+    used = np.flatnonzero(flow > 0.0)
+    tail, head = rank[network.tails[used]], rank[network.heads[used]]
+    system = identity(n, format='csc') - coo_matrix((share[used], (head, tail)), shape=(n, n))
+    start = np.zeros(n)
+    start[rank[network.source]] = 1.0
+    factor = splu(system.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0)
+    return np.asarray(np.maximum(factor.solve(start), 0.0)[rank])

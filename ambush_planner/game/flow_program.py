@@ -1,0 +1,124 @@
+"""The linear program of the least value: as much flow as the sites and the budgets allow.
+
+With f = p / z in units of a loss near the value it is
+
+    maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
+
+because a budget's row is homogeneous in f. With k ambushers, the losses of any k sites must add up
+to at most 1: loss_j <= t + s_j with k t + sum s <= 1. The duals are the ambusher's q and the
+prices of the budgets.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix, hstack, vstack
+
+from ..arrays import FloatArray, IndexArray
+from ..errors import BudgetInfeasible, SolverFailed
+from . import highs
+from .certificate import Budget
+from .game import Game
+
+# Edges that are over a budget by this many times its room are as good as unused.
+MOST_EXCESS = 1e7
+
+
+class FlowProgram:
+    """The linear program on the edges of a game, and what its solution means."""
+
+    def __init__(self, game: Game, budgets: tuple[Budget, ...], unit: float) -> None:
+        self.game, self.budgets, self.unit = game, budgets, unit
+        self.edge = np.flatnonzero(game.playable)
+        hits = game.hits[:, self.edge]
+        self.row = np.flatnonzero(hits.getnnz(axis=1) > 0)
+        loss = game.loss[game.sites][self.row] / unit
+        out = (game.network.tails[self.edge] == game.network.source).astype(float)
+        over = [
+            csr_matrix(np.minimum(b.excess[self.edge] / b.room, MOST_EXCESS) - out)
+            for b in budgets if b.binds
+        ]
+        rows = csr_matrix(vstack([csr_matrix(hits[self.row].multiply(loss[:, None])), *over]))
+        limits = np.repeat([1.0, 0.0], [len(loss), len(over)])
+        rows_of_a, node = conservation(game)
+        inner = rows_of_a[node != game.network.source]
+        if game.ambushers > 1:
+            rows, limits, inner = _shared(rows, len(loss), inner, game.ambushers)
+        cost = np.zeros(rows.shape[1])
+        cost[: len(out)] = -out
+        self.program = highs.Program(cost, rows, limits, inner, np.zeros(inner.shape[0]))
+
+    def solve(self, solver: str, deadline: float) -> tuple[float, FloatArray, FloatArray]:
+        """Return |f|, f (M,) and the duals of the inequalities."""
+        try:
+            result = highs.run(self.program, solver, deadline, presolve=False)
+        except SolverFailed:
+            result = highs.run(self.program, 'simplex', deadline)
+        size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
+        if not size > 1e-12:
+            names = ' and '.join(b.option for b in self.budgets if b.binds)
+            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+        f = np.zeros(len(self.game.network.edges))
+        f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
+        return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+
+    def ambusher(self, duals: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
+        """q (N,) and the budgets' prices; a site too costly ever to be passed stays barred."""
+        sites, k = len(self.row), self.game.ambushers
+        q = np.zeros(self.game.node_count)
+        q[self.game.sites[self.row]] = duals[:sites]
+        # With several, the dual of the sum's row: no q_j is over it, and all may sum to less.
+        total = float(duals[-1]) if k > 1 else float(q.sum())
+        if not total > 0.0:
+            raise SolverFailed('the program has no ambusher')
+        price = iter(duals[sites:] / total * self.unit)
+        return at_most_one(q / total, k), tuple(
+            float(next(price)) / budget.room if budget.binds else 0.0 for budget in self.budgets
+        )
+
+
+def _shared(
+    rows: csr_matrix, sites: int, inner: csr_matrix, ambushers: int
+) -> tuple[csr_matrix, FloatArray, csr_matrix]:
+    """Rows, limits and conservation with columns for t and each site's s_j after the flow's."""
+    column = np.concatenate((np.zeros(sites, dtype=int), 1 + np.arange(sites)))
+    places = np.tile(np.arange(sites), 2), column
+    less = csr_matrix((np.full(2 * sites, -1.0), places), (rows.shape[0], 1 + sites))
+    total = np.concatenate((np.zeros(rows.shape[1]), [ambushers], np.ones(sites)))
+    limits = np.append(np.zeros(rows.shape[0]), 1.0)
+    nothing = csr_matrix((inner.shape[0], 1 + sites))
+    rows = vstack((hstack((rows, less)), csr_matrix(total)))
+    return csr_matrix(rows), limits, csr_matrix(hstack((inner, nothing)))
+
+
+def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
+    """Rows of ``A`` over the playable edges, and their nodes: all in use but the target.
+
+    The target's row follows from the others.
+    """
+    network = game.network
+    tail, head = network.edges[game.playable].T
+    column = np.arange(len(tail))
+    entries = np.concatenate((np.ones(len(tail)), -np.ones(len(tail))))
+    full = csr_matrix(
+        (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
+        shape=(game.node_count, len(tail)),
+    )
+    node = np.unique(tail)
+    return full[node], node
+
+
+def at_most_one(q: FloatArray, ambushers: int) -> FloatArray:
+    """Bring q (N,), which sums to the number of ambushers, below 1 everywhere."""
+    for _ in range(100):
+        over = q >= 1.0
+        missing = ambushers - float(np.minimum(q, 1.0).sum())
+        q = np.minimum(q, 1.0)
+        if missing <= 0.0:
+            break
+        rest = float(q[~over].sum())
+        if rest <= 0.0:
+            q[~over] += missing / max(int((~over).sum()), 1)
+            break
+        q[~over] *= 1.0 + missing / rest
+    return q

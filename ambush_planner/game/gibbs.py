@@ -1,0 +1,155 @@
+"""The Gibbs law of routes: of all strategies within given limits, the one of most route entropy.
+
+On an acyclic network let every edge e have a weight c_e, and draw a route with probability
+
+    P(route) = exp(-sum of c_e over its edges) / Z.
+
+With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1 it is the Markov chain that goes
+from i to k with probability exp(-c_ik) Z_k / Z_i: one pass backward and one forward over the edges
+in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural Computation
+21, 2009; the law is also known as maximum causal entropy).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ..arrays import FloatArray, IndexArray, sums
+from .game import Game
+from .triangular import UnitTriangle
+
+
+class AcyclicNetwork:
+    """The edges of an acyclic game in topological order, ready for the two passes.
+
+    ``edge`` (m,) are the network's edge indices, ``tail`` and ``head`` (m,) their positions in the
+    order, in which the source is 0 and the target n - 1.
+    """
+
+    def __init__(self, game: Game, rank: IndexArray) -> None:
+        network = game.network
+        edge = np.flatnonzero(game.playable)
+        used = np.unique(network.edges[edge])
+        nodes = used[np.argsort(rank[used], kind='stable')]
+        place = np.full(game.node_count, -1)
+        place[nodes] = np.arange(len(nodes))
+        tail, head = place[network.edges[edge]].T
+        order = np.lexsort((head, tail))
+        self.edge, self.tail, self.head = edge[order], tail[order], head[order]
+        self.count = len(nodes)
+        self._first = np.searchsorted(self.tail, np.arange(self.count + 1))
+        self._level = np.zeros(self.count)
+        # Row i of the matrix 1 - W: the diagonal, then the edges out of i.
+        indptr = self._first + np.arange(self.count + 1)
+        self._place = np.arange(len(self.edge)) + self.tail + 1
+        indices = np.empty(len(self.edge) + self.count, dtype=np.int64)
+        indices[indptr[:-1]] = np.arange(self.count)
+        indices[self._place] = self.head
+        self._one_less_w = UnitTriangle(indices, indptr)
+
+    def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+        """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
+
+        Weights are scaled by the partition function of the evaluation before; where that is too
+        far off for floating point its logarithm is found first.
+        """
+        scaled = self._scaled_partition(weights)
+        if scaled is None:
+            self._level = self._log_partition(weights)
+            scaled = self._exact_choice(weights), np.ones(self.count)
+        share, partition = scaled
+        share *= partition[self.head]
+        with np.errstate(divide='ignore', invalid='ignore'):
+            share /= partition[self.tail]
+        if not partition.min() > 0.0:
+            share[partition[self.tail] <= 0.0] = 0.0
+        self._level = self._level + np.log(np.maximum(partition, 1e-290))
+        p = self._forward(share)[self.tail]
+        p *= share
+        return float(self._level[0]), p, share
+
+    def deviations(
+        self, share: FloatArray, used: IndexArray, costs: FloatArray
+    ) -> FloatArray:
+        """How far each edge's choice moves the rest of a route's costs from their mean: (U, R).
+
+        For ``costs`` (U, R) of the edges ``used`` (U,), several costs that add up along the route,
+        the mean cost of what follows is one backward pass; the deviations of a route's edges are
+        the steps of a martingale, so the covariance of the costs is their products' sum over the
+        edges, weighed by p.
+        """
+        along = csr_matrix(
+            (share[used], (self.tail[used], np.arange(len(used)))), shape=(self.count, len(used))
+        )
+        ahead = self._behind(share, along @ costs)
+        moved: FloatArray = costs + ahead[self.head[used]] - ahead[self.tail[used]]
+        return moved
+
+    def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        factor = self._level[self.head]
+        last = np.zeros(self.count)
+        last[-1] = 1.0
+        with np.errstate(over='ignore', invalid='ignore'):
+            factor -= self._level[self.tail]
+            factor -= weights
+            np.exp(factor, out=factor)
+            if not np.isfinite(factor).all():
+                return None
+            partition = self._behind(factor, last)
+        good = np.isfinite(partition).all() and partition[0] > 1e-280 and partition.max() < 1e280
+        return (factor, partition) if good else None
+
+    def _exact_choice(self, weights: FloatArray) -> FloatArray:
+        """Probability (m,) of each edge at its tail where the levels are log Z itself."""
+        choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
+        return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
+
+    def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
+        """y with y_i = right_i + sum over edges out of i of factor * y_head."""
+        self._one_less_w.data[self._place] = -factor
+        return self._one_less_w.solve(right)
+
+    def _forward(self, share: FloatArray) -> FloatArray:
+        """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
+        first = np.zeros(self.count)
+        first[0] = 1.0
+        self._one_less_w.data[self._place] = -share
+        return self._one_less_w.solve(first, transposed=True)
+
+    def _log_partition(self, weights: FloatArray) -> FloatArray:
+        """log Z_i (n,) whatever their size: sums of logarithms, from the target on."""
+        log_z = np.zeros(self.count)
+        for nodes, edges, first in self._layers:
+            ways = log_z[self.head[edges]] - weights[edges]
+            log_z[nodes] = np.logaddexp.reduceat(ways, first)
+        return log_z
+
+    @cached_property
+    def _layers(self) -> list[tuple[IndexArray, IndexArray, IndexArray]]:
+        """Nodes by the most edges that a way to the target has: nodes, the edges out of them.
+
+        The third array says where the edges of each node begin.
+        """
+        into = np.argsort(self.head, kind='stable')
+        first_into = np.searchsorted(self.head[into], np.arange(self.count + 1))
+        pending = np.diff(self._first)
+        layers: list[tuple[IndexArray, IndexArray, IndexArray]] = []
+        nodes = np.array([self.count - 1])
+        while True:
+            arriving, _ = _ranges(first_into[nodes], first_into[nodes + 1])
+            tails = self.tail[into[arriving]]
+            np.subtract.at(pending, tails, 1)
+            nodes = np.unique(tails[pending[tails] == 0])
+            if not len(nodes):
+                return layers
+            layers.append((nodes, *_ranges(self._first[nodes], self._first[nodes + 1])))
+
+
+def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """The numbers from begin (K,) up to end (K,), range after range, and where each starts."""
+    lengths = end - begin
+    start = np.cumsum(lengths) - lengths
+    return np.arange(lengths.sum()) + np.repeat(begin - start, lengths), start

@@ -1,0 +1,71 @@
+"""A strategy judged again: on other losses, in another game, by the slack that was asked for."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import BudgetInfeasible, NoRoute
+from .certificate import Budget, Certificate, lower_bound, upper_bound
+from .game import Game, GameOptions, make_game
+from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, least_cost
+
+
+def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
+    """The strategy's own budgets in another game on its network.
+
+    The budget of exposure is as many times the least one as it was.
+
+    Raises
+    ------
+    BudgetInfeasible
+        The best playable route is over a budget.
+    """
+    network, most = game.network, strategy.exposure_budget
+    length = Budget(
+        game, network.lengths, strategy.length_budget, strategy.shortest_length, 'length', 'm'
+    )
+    least = strategy.least_exposure
+    if math.isfinite(most) and network is not strategy.network:
+        factor = most / max(least, np.finfo(float).tiny)
+        least = least_cost(network, network.edge_exposure)
+        most = factor * least
+    return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
+
+
+def revalue(
+    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray | None = None
+) -> Certificate:
+    """Value and bound of a strategy where the losses of its nodes are ``alpha`` (N,).
+
+    ``options`` are the game's. ``p`` (M,) takes the place of the strategy's own probabilities; 0
+    everywhere has an infinite value. The bound is the strategy's old ambusher's, and infinitely far
+    from the value where no route is left that may be driven, or none within the budgets.
+    """
+    p = strategy.edge_probability if p is None else p
+    network = replace(strategy.network, alpha=alpha)
+    try:
+        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
+        budgets = budgets_in(game, strategy)
+    except (NoRoute, BudgetInfeasible):
+        return Certificate(math.inf, 0.0)
+    value = upper_bound(game, p) if p.any() else math.inf
+    prices = strategy.length_price, strategy.exposure_price
+    bound = lower_bound(game, strategy.ambush_probability, budgets, prices)
+    return Certificate(value, min(bound, value))
+
+
+def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
+    """How much smaller another strategy's value may be, beyond what was asked for with the slack.
+
+    0 where the certificate closes but for rounding; else the solve was cut short.
+    """
+    # With a length weight it is the weighted sum that is minimal.
+    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
+    gap = strategy.value / (1.0 + slack) - strategy.lower_bound
+    scale = max(strategy.value + weighed, 1e-6 * float(strategy.game.loss.max(initial=0.0)))
+    return gap if gap > 2.0 * CERTIFICATE_TOLERANCE * scale else 0.0

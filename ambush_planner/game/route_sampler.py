@@ -1,0 +1,115 @@
+"""Drawing routes from a strategy; routes as edges and as strategies."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from ..network.network import Network
+from ..network.shortest_paths import shortest_path
+from .acyclic import is_acyclic
+from .game import Game
+
+# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
+MOST_POSES = 20_000
+
+
+class RouteSampler:
+    """Draws routes: at each node the next edge is taken with probability p_ij / x_i.
+
+    Where p is acyclic, a drawn route uses each edge with exactly the published probability.
+    Where p has cycles, the walk's loops are cut out as they close (loop-erased random walk), so
+    that no node comes twice.
+    """
+
+    def __init__(self, network: Network, p: FloatArray) -> None:
+        used = np.flatnonzero(p > 0.0)
+        order = used[np.argsort(network.tails[used], kind='stable')]
+        self._source, self._target = network.source, network.target
+        # Lists, not arrays: a step looks at a few numbers, where an array costs ten times as much.
+        self._heads = network.heads[order].tolist()
+        tails = network.tails[order]
+        self._first = np.searchsorted(tails, np.arange(len(network.points) + 1)).tolist()
+        weights = p[order].tolist()
+        self._steps = [
+            step for first, end in pairwise(self._first) for step in accumulate(weights[first:end])
+        ]
+        self._acyclic = is_acyclic(network, p)
+
+    def draw(self, rng: np.random.Generator) -> IndexArray:
+        """Return one route (K,): node indices, source first, target last, none twice."""
+        route, position = [self._source], {self._source: 0}
+        while route[-1] != self._target:
+            node = self._next(route[-1], rng)
+            if node in position:
+                for erased in route[position[node] + 1 :]:
+                    del position[erased]
+                del route[position[node] + 1 :]
+            else:
+                position[node] = len(route)
+                route.append(node)
+        return np.array(route, dtype=np.int64)
+
+    def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
+        """Return ``n`` routes; where p is acyclic they all go on by a step at once."""
+        if n == 0 or not self._acyclic:
+            return [self.draw(rng) for _ in range(n)]
+        heads, first = np.array(self._heads), np.array(self._first)
+        steps = np.array(self._steps)
+        total = steps[np.maximum(first[1:] - 1, 0)] if len(steps) else np.zeros(len(first) - 1)
+        tails = np.repeat(np.arange(len(first) - 1), np.diff(first))
+        # Shares of each node's steps, after the node's number: one sorted array to search in.
+        keys = tails + np.minimum(steps / total[tails], 1.0 - 1e-15)
+        keys[first[1:][np.diff(first) > 0] - 1] = np.unique(tails) + 1.0
+        at, moving = np.full(n, self._source), np.arange(n)
+        seen, whose = [at.copy()], [moving]
+        while len(moving):
+            node = at[moving]
+            step = np.searchsorted(keys, node + rng.random(len(moving)), side='right')
+            at[moving] = heads[np.minimum(step, first[node + 1] - 1)]
+            seen.append(at[moving])
+            whose.append(moving)
+            moving = moving[at[moving] != self._target]
+        route, nodes = np.concatenate(whose), np.concatenate(seen)
+        order = np.argsort(route, kind='stable')
+        return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n))[:-1])
+
+    def _next(self, node: int, rng: np.random.Generator) -> int:
+        first, last = self._first[node], self._first[node + 1] - 1
+        at = bisect_right(self._steps, rng.random() * self._steps[last], first, last)
+        return self._heads[at]
+
+
+def route_edges(network: Network, route: IndexArray) -> IndexArray:
+    """Indices (K - 1,) of the edges that join the route's nodes one after the other."""
+    count = len(network.points)
+    keys = network.tails * count + network.heads
+    order = np.argsort(keys)
+    found: IndexArray = order[np.searchsorted(keys, route[:-1] * count + route[1:], sorter=order)]
+    return found
+
+
+def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
+    """Nodes (K,) of a shortest route that uses only the edges with indices ``edge``."""
+    return shortest_path(
+        network.edges[edge],
+        network.lengths[edge],
+        len(network.points),
+        network.source,
+        network.target,
+    )
+
+
+def always(network: Network, route: IndexArray) -> FloatArray:
+    """The strategy p (M,) of always driving ``route`` (K,)."""
+    p = np.zeros(len(network.edges))
+    p[route_edges(network, route)] = 1.0
+    return p
+
+
+def always_shortest(game: Game) -> FloatArray:
+    """The strategy p (M,) of always driving the shortest playable route."""
+    return always(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))

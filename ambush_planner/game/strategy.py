@@ -1,0 +1,316 @@
+"""The convoy's mixed strategy: its options, the record with its certificate, and ``solve``."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray, frozen_array, sums
+from ..errors import InvalidNetwork, InvalidOption, TimeLimit
+from ..maps.risk_map import LEAST_LOSS, MOST_LOSS
+from ..network.network import Network
+from ..network.shortest_paths import distances_from
+from ..option_checks import check_at_least
+from .certificate import Budget, certify
+from .game import Game, GameOptions, make_game
+from .linear_program import linear_program_strategy
+from .route_sampler import RouteSampler
+from .strategy_solver import Multipliers, Solution, max_entropy_strategy
+
+SOLVERS = ('max_entropy', 'interior_point', 'simplex')
+# A published value is at most (1 + risk_slack + this) times its bound.
+CERTIFICATE_TOLERANCE = 1e-5
+
+
+@dataclass(frozen=True)
+class StrategyOptions:
+    """Which optimal strategy is taken, and how it is found.
+
+    Parameters
+    ----------
+    solver
+        'max_entropy': least risk, then the most unpredictable routes, on an acyclic network.
+        'interior_point' and 'simplex': the paper's linear program by HiGHS' interior point method
+        without crossover or by its dual simplex method; their solutions may wander in circles.
+    max_detour
+        The expected length is at most this many times the shortest route's; ``inf``: any length.
+        The most unpredictable strategy uses all of it, so it is a target as well.
+    max_exposure
+        The expected exposure, the integral of alpha along the route, is at most this many times
+        the least one's; ``inf``: any ('max_entropy' only).
+    risk_slack
+        Accept values up to (1 + risk_slack) times the least one; 0: within 1e-5 of the bound. The
+        linear programs take the least value whatever it is.
+    length_weight
+        w: minimise (1 - w) z + w sum p l, the paper's 0.99 / 0.01 variant (linear programs only).
+    time_limit
+        Give up after this time [s].
+
+    Raises
+    ------
+    InvalidOption
+        A value is out of range or of another type, or an option does not go with the solver.
+    """
+
+    solver: str = 'max_entropy'
+    max_detour: float = 1.2
+    max_exposure: float = math.inf
+    risk_slack: float = 0.01
+    length_weight: float = 0.0
+    time_limit: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.solver, str) or self.solver not in SOLVERS:
+            raise InvalidOption(f"solver must be one of {', '.join(SOLVERS)}, got {self.solver!r}")
+        check_at_least('max_detour', self.max_detour, 1.0, finite=False)
+        check_at_least('max_exposure', self.max_exposure, 1.0, finite=False)
+        check_at_least('risk_slack', self.risk_slack, 0.0)
+        check_at_least('length_weight', self.length_weight, 0.0)
+        check_at_least('time_limit', self.time_limit, 0.0, 's', finite=False)
+        if self.length_weight >= 1.0:
+            raise InvalidOption(f'length_weight must be in [0, 1), got {self.length_weight}')
+        if self.time_limit == 0.0:
+            raise InvalidOption(f'time_limit must be positive [s], got {self.time_limit}')
+        plain = self.solver == 'max_entropy'
+        if plain and self.length_weight > 0.0:
+            raise InvalidOption(
+                f'length_weight {self.length_weight} goes with the solvers interior_point and '
+                'simplex; max_entropy bounds the length with max_detour'
+            )
+        if not plain and math.isfinite(self.max_exposure):
+            raise InvalidOption(
+                f'max_exposure {self.max_exposure} goes with the solver max_entropy, not '
+                f'{self.solver}'
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Strategy:
+    """A mixed strategy with its certificate.
+
+    Attributes
+    ----------
+    game : Game
+        The network with its options applied: sites, losses, playable edges.
+    edge_probability : (M,)
+        p: expected uses of each edge; probabilities where the strategy is acyclic.
+    visit_probability : (N,)
+        x: expected visits of each node, 1 at the source and the target.
+    ambush_probability : (N,)
+        q: the ambusher's equilibrium strategy, sums to the number of ambushers.
+    value : float
+        z(p): what the best ambush costs on average. With a reach every entry into its disc
+        counts: an upper bound where a route comes back to a disc, and at most R times what the
+        best ambush costs if no route enters a disc more than R times.
+    lower_bound : float
+        No strategy within the budgets has a smaller value (one Dijkstra over q).
+    gap : float
+        value - lower_bound.
+    edge_entropy, route_entropy : float
+        -sum p ln p (the paper's), and the entropy of the drawn route, -sum p_ij ln(p_ij / x_i)
+        [nats].
+    expected_length, shortest_length, length_budget : float
+        [m]; the shortest route is the whole network's. With ``length_weight`` the budget is the
+        strategy's own expected length.
+    expected_exposure, least_exposure, exposure_budget : float
+        Integral of alpha along the route [loss x m]: its mean, the least of any route's, and the
+        budget.
+    length_price, exposure_price : float
+        Fall of the value per unit that the budget grows.
+    iterations : int
+        Evaluations of the law, or iterations of the interior point or simplex method.
+    law, start : Law or None
+        The Gibbs law's multipliers, for a warm start, and those that the search started from.
+    """
+
+    game: Game
+    edge_probability: FloatArray
+    visit_probability: FloatArray
+    ambush_probability: FloatArray
+    value: float
+    lower_bound: float
+    gap: float
+    edge_entropy: float
+    route_entropy: float
+    expected_length: float
+    shortest_length: float
+    length_budget: float
+    length_price: float
+    expected_exposure: float
+    least_exposure: float
+    exposure_budget: float
+    exposure_price: float
+    iterations: int
+    multipliers: Multipliers | None = field(repr=False)
+    start: Multipliers | None = field(repr=False)
+
+    @property
+    def network(self) -> Network:
+        """The network that the strategy is for."""
+        return self.game.network
+
+    @cached_property
+    def _sampler(self) -> RouteSampler:
+        return RouteSampler(self.network, self.edge_probability)
+
+    def sample_route(self, rng: np.random.Generator) -> IndexArray:
+        """Draw a route (K,): node indices, source first, target last, none twice."""
+        return self._sampler.draw(rng)
+
+    def sample_routes(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
+        """Draw ``n`` routes, many times faster than one by one."""
+        return self._sampler.draw_many(n, rng)
+
+    def mean_direction(self) -> FloatArray:
+        """Mean direction (N, 2) in which the convoy leaves each node; 0 where it never comes.
+
+        The mean of the unit vectors along the edges out of the node, weighted by p (the right
+        column of the paper's figure 3): its length is 1 where the next step is certain.
+        """
+        network, p = self.network, self.edge_probability
+        step = network.points[network.heads] - network.points[network.tails]
+        unit = step / np.maximum(network.lengths, np.finfo(float).tiny)[:, None]
+        count = len(network.points)
+        total = [sums(network.tails, p * u, count) for u in unit.T]
+        out = sums(network.tails, p, count)
+        mean: FloatArray = np.stack(total, axis=1) / np.where(out > 0.0, out, 1.0)[:, None]
+        return mean
+
+
+def solve(
+    network: Network,
+    game: GameOptions | None = None,
+    options: StrategyOptions | None = None,
+    warm: Multipliers | None = None,
+) -> Strategy:
+    """Find the convoy's optimal mixed strategy.
+
+    ``warm`` is the law of a strategy for the same nodes, with other losses, budgets or slack: the
+    search starts from there.
+
+    Raises
+    ------
+    InvalidNetwork
+        A loss is too large or too small to compute with.
+    NoRoute
+        Nothing leads from the source to the target.
+    BudgetInfeasible
+        Every route left is longer, or more exposed, than the budget.
+    TimeLimit
+        Time was up, or rounding stood in the way, before the value was within the slack of its
+        bound; ``strategy`` is what was reached.
+    """
+    options = options or StrategyOptions()
+    deadline = time.monotonic() + options.time_limit
+    _check_losses(network)
+    prepared = make_game(network, game or GameOptions())
+    budgets = make_budgets(prepared, options)
+    if options.solver == 'max_entropy':
+        outcome = max_entropy_strategy(
+            prepared, budgets, options.risk_slack, deadline, warm
+        )
+    else:
+        outcome, length = linear_program_strategy(
+            prepared, options.solver, budgets[0], options.length_weight, deadline
+        )
+        budgets = (length, budgets[1])
+    return _published(prepared, outcome, budgets, options, warm)
+
+
+def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
+    """The budgets of length and exposure, measured from the best routes of the whole network.
+
+    Raises
+    ------
+    BudgetInfeasible
+        The best playable route is over a budget.
+    """
+    network = game.network
+    costs = (network.lengths, network.edge_exposure)
+    factors = (options.max_detour, options.max_exposure)
+    names = (('length', 'm'), ('exposure', 'loss x m'))
+    budgets = []
+    for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
+        least = least_cost(network, cost)
+        limit = factor * least if math.isfinite(factor) else math.inf
+        budgets.append(Budget(game, cost, limit, least, name, unit))
+    return budgets[0], budgets[1]
+
+
+def least_cost(network: Network, cost: FloatArray) -> float:
+    """What the network's best route costs, by the costs (M,) of edges."""
+    found = distances_from(network.edges, cost, len(network.points), network.source)
+    return float(found[network.target])
+
+
+def _check_losses(network: Network) -> None:
+    """Refuse losses that products of probabilities would take out of floating point."""
+    odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
+    if odd.any():
+        node = int(np.argmax(odd))
+        raise InvalidNetwork(
+            f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g} for the game to be solved, got '
+            f'{network.alpha[node]:g} at node {node}; scale the losses'
+        )
+
+
+def _published(
+    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
+    start: Multipliers | None,
+) -> Strategy:
+    """The strategy that was found; TimeLimit if its gap is too wide."""
+    strategy = strategy_of(game, outcome, budgets, start)
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
+    slack += CERTIFICATE_TOLERANCE
+    # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
+    weighed = options.length_weight > 0.0
+    extra = outcome.prices[0] * strategy.expected_length if weighed else 0.0
+    if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
+        return strategy
+    raise TimeLimit(
+        f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
+        f'{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time',
+        strategy,
+    )
+
+
+def strategy_of(
+    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], start: Multipliers | None
+) -> Strategy:
+    """The strategy with its certificate, as computed from p, q and prices alone."""
+    network, p = game.network, outcome.p
+    certificate = certify(game, p, outcome.q, budgets, outcome.prices)
+    leaving = sums(network.tails, p, game.node_count)
+    length, exposure = budgets
+    return Strategy(
+        game=game,
+        edge_probability=frozen_array(p, np.float64),
+        visit_probability=frozen_array(game.visits(p), np.float64),
+        ambush_probability=frozen_array(outcome.q, np.float64),
+        value=certificate.value,
+        lower_bound=certificate.bound,
+        gap=certificate.value - certificate.bound,
+        edge_entropy=_entropy(p, np.ones_like(p)),
+        route_entropy=_entropy(p, leaving[network.tails]),
+        expected_length=length.mean(p),
+        shortest_length=length.least,
+        length_budget=length.limit,
+        length_price=outcome.prices[0],
+        expected_exposure=exposure.mean(p),
+        least_exposure=exposure.least,
+        exposure_budget=exposure.limit,
+        exposure_price=outcome.prices[1],
+        iterations=outcome.iterations,
+        multipliers=outcome.multipliers,
+        start=start,
+    )
+
+
+def _entropy(p: FloatArray, whole: FloatArray) -> float:
+    """-sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
+    used = p > 0.0
+    return float(0.0 - (p[used] * np.log(p[used] / whole[used])).sum())  # never -0

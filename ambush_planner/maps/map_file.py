@@ -1,0 +1,164 @@
+"""Maps as Nav2's map_server reads them: a YAML file that names a picture.
+
+Of its three modes, ``raw`` keeps values as they are: a pixel of 0..100 is the cell's value, any
+other is unknown. So maps are written that way, as PGM (P5), top row first. ``trinary`` and
+``scale`` are read as map_server reads them. Source: navigation2 (jazzy),
+nav2_map_server/src/map_io.cpp.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+
+from .elevation import MAX_CELLS, InvalidTerrain
+from .occupancy import OccupancyMap
+
+_MODES = ('trinary', 'scale', 'raw')
+# Width, height and largest value, between any white space and comments; one byte ends them.
+_PGM = re.compile(rb'P5(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s')
+
+
+def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
+    """Write ``path`` (.yaml) and beside it the picture (.pgm), whose path is returned.
+
+    The picture comes first: who finds the YAML file finds both. ``remark`` becomes a comment.
+
+    Raises
+    ------
+    InvalidTerrain
+        ``path`` does not end with .yaml or .yml.
+    OSError
+    """
+    if path.suffix not in ('.yaml', '.yml'):
+        raise InvalidTerrain(f'{path}: the name of a map ends with .yaml')
+    picture = path.with_suffix('.pgm')
+    rows, columns = occupancy.values.shape
+    values = occupancy.values.astype(np.int16)[::-1]
+    pixels = np.where(values < 0, 255, values).astype(np.uint8)
+    picture.write_bytes(b'P5\n%d %d\n255\n' % (columns, rows) + pixels.tobytes())
+    fields = {
+        'image': picture.name,
+        'mode': 'raw',
+        'resolution': float(occupancy.resolution),
+        'origin': [float(value) for value in occupancy.origin],
+        'negate': 0,
+        'occupied_thresh': 0.65,
+        'free_thresh': 0.196,
+    }
+    comments = ''.join(f'# {line}\n' for line in remark.splitlines())
+    path.write_text(comments + yaml.safe_dump(fields, sort_keys=False), encoding='utf-8')
+    return picture
+
+
+def read_map(path: Path) -> OccupancyMap:
+    """Read a map_server YAML file and its picture.
+
+    PGM is read here, other pictures with Pillow, which comes with matplotlib.
+
+    Raises
+    ------
+    InvalidTerrain
+        Either is not as map_server wants it; what is wrong is named.
+    OSError
+        Either cannot be opened.
+    """
+    try:
+        fields = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
+        raise InvalidTerrain(f'{path}: not a YAML file: {error}') from error
+    if not isinstance(fields, dict):
+        raise InvalidTerrain(f'{path}: not the YAML file of a map: no "image:", no "resolution:"')
+    for name in ('image', 'resolution', 'origin'):
+        if name not in fields:
+            raise InvalidTerrain(f'{path}: no {name!r}')
+    mode = str(fields.get('mode', 'trinary')).lower()
+    if mode not in _MODES:
+        raise InvalidTerrain(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
+    light, opaque = _pixels(path.parent / str(fields['image']), mode)
+    values = _cells(path, light, opaque, mode, fields)
+    origin = _numbers(path, fields, 'origin', 3)
+    resolution = _numbers(path, fields, 'resolution', 1)[0]
+    if resolution <= 0.0:
+        raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution}')
+    return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]))
+
+
+def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[float]:
+    given = fields[name] if isinstance(fields[name], list) else [fields[name]]
+    try:
+        numbers = [float(value) for value in given]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InvalidTerrain(f'{path}: {name} must be {count} finite numbers, got {fields[name]!r}')
+    return numbers
+
+
+def _cells(
+    path: Path,
+    light: npt.NDArray[np.float64],
+    opaque: npt.NDArray[np.bool_],
+    mode: str,
+    fields: dict[str, Any],
+) -> npt.NDArray[np.int8]:
+    """Values -1..100 from lightness 0..1, as map_server has them."""
+    if mode == 'raw':
+        value = np.rint(light * 255.0)
+        return np.where(value <= 100.0, value, -1).astype(np.int8)
+    defaults = {'occupied_thresh': 0.65, 'free_thresh': 0.196, 'negate': 0}
+    full, free, negate = (
+        _numbers(path, defaults | fields, name, 1)[0] for name in defaults
+    )
+    occupied = light if negate else 1.0 - light
+    if mode == 'scale' and full > free:
+        between = np.rint((occupied - free) / (full - free) * 100.0)
+        between = np.where(opaque, between, -1)
+    else:
+        between = np.full(light.shape, -1.0)
+    value = np.where(occupied > full, 100, np.where(occupied < free, 0, between))
+    return np.where(opaque | (mode == 'trinary'), value, -1).astype(np.int8)
+
+
+def _pixels(
+    path: Path, mode: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    """Lightness (H, W) 0..1, top row first, and where the picture is opaque."""
+    data = path.read_bytes()
+    header = _PGM.match(data)
+    if header is None:
+        return _other_pixels(path, mode)
+    columns, rows, largest = map(int, header.groups())
+    if not (0 < rows * columns <= MAX_CELLS and 0 < largest < 65536):
+        raise InvalidTerrain(f'{path}: a picture of {columns} x {rows} pixels up to {largest}')
+    kind = np.dtype(np.uint8 if largest < 256 else '>u2')
+    if len(data) - header.end() < rows * columns * kind.itemsize:
+        raise InvalidTerrain(f'{path}: too short for {columns} x {rows} pixels')
+    pixels = np.frombuffer(data, kind, rows * columns, header.end()).reshape(rows, columns)
+    return pixels / float(largest), np.ones((rows, columns), bool)
+
+
+def _other_pixels(
+    path: Path, mode: str
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    try:
+        from PIL import Image
+    except ModuleNotFoundError:
+        raise InvalidTerrain(
+            f"{path}: not a binary PGM; other pictures take: pip install 'ambush_planner[figures]'"
+        ) from None
+    try:
+        with Image.open(path) as image:
+            has_alpha = 'A' in image.getbands() or 'transparency' in image.info
+            pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise InvalidTerrain(f'{path}: not a picture that can be read: {error}') from error
+    # map_server averages opacity in with the colours, in this mode only.
+    channels = 4 if has_alpha and mode == 'trinary' else 3
+    return pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0

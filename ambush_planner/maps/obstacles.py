@@ -1,0 +1,191 @@
+"""Which points and segments keep clear of the obstacle cells: exact, whole arrays at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from .risk_map import RiskMap
+
+# Cells are closed squares: what comes as near as this to a face or a corner touches it. In units
+# of a cell; covers the rounding of positions such as (i + 0.5) * resolution.
+TOUCH = 1e-6
+# Pairs of segment and cell that are tested at once; bounds the memory.
+CHUNK = 1_000_000
+# Longer segments are tested in pieces: the boxes of cells around them grow with the square [cells].
+PIECE = 8.0
+
+
+class ObstacleField:
+    """Obstacle cells of a risk map, prepared for many clearance queries in map axes [m].
+
+    Nothing beyond the map is clear, nor is its outer edge. With ``clear_of_edge`` the clearance
+    holds for that edge, too, as if the ground beyond it were an obstacle.
+    """
+
+    def __init__(self, risk_map: RiskMap, clear_of_edge: bool = True) -> None:
+        self._resolution = risk_map.resolution
+        self._size = risk_map.size
+        self.clear_of_edge = clear_of_edge
+        self._shape = risk_map.obstacles.shape
+        counts = risk_map.obstacles.astype(np.int64).cumsum(axis=0).cumsum(axis=1)
+        self._sums = np.pad(counts, ((1, 0), (1, 0)))
+        self._obstacles = risk_map.obstacles
+
+    def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
+        """Tell which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
+        return self.clear_segments(uv, uv, clearance)
+
+    def clear_segments(self, a: FloatArray, b: FloatArray, clearance: float) -> BoolArray:
+        """Tell which segments a -> b, both (K, 2), have no obstacle cell within ``clearance``.
+
+        Exact: a segment is blocked when its distance to a closed obstacle cell is at most
+        ``clearance``, to within ``TOUCH``.
+        """
+        clear = self._on_map(a, clearance) & self._on_map(b, clearance)
+        inside = np.flatnonzero(clear)
+        segment, a, b = _pieces(a[inside] / self._resolution, b[inside] / self._resolution)
+        clear[inside[segment[self._blocked(a, b, clearance / self._resolution)]]] = False
+        return clear
+
+    def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
+        """Tell which points (K, 2) lie inside the map's outer edge, by the clearance if asked."""
+        margin = TOUCH * self._resolution + (clearance if self.clear_of_edge else 0.0)
+        return np.asarray(((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1))
+
+    def _blocked(self, a: FloatArray, b: FloatArray, reach: float) -> BoolArray:
+        """Tell which segments meet an obstacle cell or come within ``reach`` of one [cells]."""
+        low = self._cell(np.minimum(a, b) - reach - TOUCH)
+        high = self._cell(np.maximum(a, b) + reach + TOUCH)
+        middle = self._cell((a + b) / 2)
+        blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # of those that are, the most
+        near = np.flatnonzero(~blocked & (self._count(low, high) > 0))
+        blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
+        return blocked
+
+    def _cell(self, uv: FloatArray) -> IndexArray:
+        rows, columns = self._shape
+        return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
+
+    def _count(self, low: IndexArray, high: IndexArray) -> FloatArray:
+        """Count the obstacle cells in boxes of cells, corners included (summed-area table)."""
+        (c0, r0), (c1, r1) = low.T, high.T + 1
+        sums = self._sums
+        counts: FloatArray = sums[r1, c1] - sums[r0, c1] - sums[r1, c0] + sums[r0, c0]
+        return counts
+
+    def _hits(
+        self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray, reach: float
+    ) -> BoolArray:
+        """Test each segment against every obstacle cell of its box, in chunks."""
+        hit = np.zeros(len(a), dtype=bool)
+        sizes = np.prod(high - low + 1, axis=1)
+        ends = np.cumsum(sizes)
+        start = 0
+        while start < len(a):
+            base = ends[start - 1] if start else 0
+            stop = max(int(np.searchsorted(ends, base + CHUNK)), start + 1)
+            part = slice(start, stop)
+            segment, cell = self._pairs(low[part], high[part], sizes[part])
+            touching = _touch(a[part][segment], b[part][segment], cell, reach)
+            hit[start + segment[touching]] = True
+            start = stop
+        return hit
+
+    def _pairs(
+        self, low: IndexArray, high: IndexArray, sizes: IndexArray
+    ) -> tuple[IndexArray, IndexArray]:
+        """List (segment, (column, row)) for every obstacle cell in every segment's box."""
+        segment = np.repeat(np.arange(len(low)), sizes)
+        offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        width = (high - low + 1)[segment, 0]
+        column = low[segment, 0] + offset % width
+        row = low[segment, 1] + offset // width
+        blocked = self._obstacles[row, column]
+        return segment[blocked], np.stack((column[blocked], row[blocked]), axis=1)
+
+
+def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, FloatArray]:
+    """Cut segments into pieces of at most ``PIECE`` cells: (segment, from, to) of each."""
+    length = np.hypot(*(b - a).T)
+    count = np.maximum(np.ceil(length / PIECE), 1.0).astype(np.int64)
+    segment = np.repeat(np.arange(len(a)), count)
+    if len(segment) == len(a):
+        return segment, a, b
+    place = np.arange(len(segment)) - np.repeat(np.cumsum(count) - count, count)
+    step = ((b - a) / count[:, None])[segment]
+    start = a[segment] + step * place[:, None]
+    return segment, start, start + step
+
+
+def _touch(a: FloatArray, b: FloatArray, cell: IndexArray, reach: float) -> BoolArray:
+    """Tell which segments come within ``reach`` of their closed unit cell (units of a cell)."""
+    centre = cell + 0.5
+    hit = _cross(a - centre, b - centre)
+    if reach > 0.0:
+        far = np.flatnonzero(~hit)
+        gap = _distance(a[far] - centre[far], b[far] - centre[far])
+        hit[far[gap <= reach + TOUCH]] = True
+    return hit
+
+
+def _cross(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Separating axes: does segment a -> b meet the closed unit square around 0?"""
+    middle, half = (a + b) / 2, np.abs(b - a) / 2
+    apart = (np.abs(middle) > 0.5 + half + TOUCH).any(axis=1)
+    across = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
+    span = 0.5 * half.sum(axis=1) + TOUCH * (np.hypot(*half.T) + TOUCH)
+    meets: BoolArray = ~apart & (across <= span)
+    return meets
+
+
+def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Distance from segments a -> b that miss it to the unit square around 0."""
+    ends = np.stack((a, b))
+    best = np.hypot(*np.maximum(np.abs(ends) - 0.5, 0.0).T).min(axis=1)
+    along = b - a
+    squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
+        t = np.clip(((corner - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+        best = np.minimum(best, np.hypot(*(a + t[:, None] * along - corner).T))
+    return best
+
+
+def nearest_free_cell(
+    risk_map: RiskMap,
+    xy: tuple[float, float],
+    tolerance: float,
+    clearance: float,
+    clear_of_edge: bool = True,
+) -> tuple[float, float]:
+    """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
+
+    A cell is free if its centre keeps the clearance from obstacles, and from the map's edge with
+    ``clear_of_edge``. Where none is within ``tolerance`` [m] of ``xy``, or ``xy`` is not on the
+    map, it comes back as it is.
+    """
+    if tolerance == 0.0:
+        return xy
+    uv = risk_map.to_map_axes(xy)
+    field = ObstacleField(risk_map, clear_of_edge)
+    if not risk_map.contains(uv) or field.clear_points(uv[None], clearance)[0]:
+        return xy
+    centres = _cell_centres(risk_map, uv, tolerance)
+    distance = np.hypot(*(centres - uv).T)
+    near = np.argsort(distance, kind='stable')[: int((distance <= tolerance).sum())]
+    free = near[field.clear_points(centres[near], clearance)]
+    if len(free) == 0:
+        return xy
+    x, y = risk_map.to_world(centres[free[0]]).tolist()
+    return x, y
+
+
+def _cell_centres(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
+    """Centres (K, 2) in map axes of the free cells of the square within ``reach`` of ``uv``."""
+    size = risk_map.size
+    low_row, low_column = risk_map.cells(np.clip(uv - reach, 0.0, size))
+    high_row, high_column = risk_map.cells(np.clip(uv + reach, 0.0, size))
+    part = risk_map.obstacles[low_row:high_row + 1, low_column:high_column + 1]
+    rows, columns = np.nonzero(~part)
+    cells = np.stack((columns + low_column, rows + low_row), axis=1)
+    return (cells + 0.5) * risk_map.resolution

@@ -1,0 +1,110 @@
+"""Occupancy grids: cell values -1..100, and how they are read as losses and obstacles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import InvalidOption, InvalidRiskMap
+from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyMap:
+    """An occupancy grid: values (H, W) int8, row 0 the lowest; [m]; (x, y, yaw) [m, m, rad]."""
+
+    values: npt.NDArray[np.int8]
+    resolution: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class OccupancyOptions:
+    """How cell values of an occupancy grid are read as losses.
+
+    A value v in 0..100 means alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
+    least ``obstacle_threshold`` are obstacles; -1 (unknown) is an obstacle unless
+    ``unknown_alpha`` >= 0 gives it a loss.
+
+    Raises
+    ------
+    InvalidOption
+        A number is not finite or out of range.
+    """
+
+    alpha_min: float = 1.0
+    alpha_max: float = 10.0
+    obstacle_threshold: int = 100
+    unknown_alpha: float = -1.0
+
+    def __post_init__(self) -> None:
+        for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
+            loss = getattr(self, name)
+            if not math.isfinite(loss):
+                raise InvalidOption(f'{name} must be finite, got {loss}')
+            if loss > 0.0 and not LEAST_LOSS <= loss <= MOST_LOSS:
+                raise InvalidOption(
+                    f'{name} must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got {loss}; scale the '
+                    'losses'
+                )
+        if not 0.0 <= self.alpha_min <= self.alpha_max:
+            raise InvalidOption(
+                '0 <= alpha_min <= alpha_max must hold, '
+                f'got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}'
+            )
+        if not 1 <= self.obstacle_threshold <= 101:
+            raise InvalidOption(
+                'obstacle_threshold must be in 1..101 (101: no value is an obstacle), '
+                f'got {self.obstacle_threshold}'
+            )
+
+
+def risk_map_from_occupancy(
+    values: npt.ArrayLike,
+    resolution: float,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    options: OccupancyOptions | None = None,
+) -> RiskMap:
+    """Read an occupancy grid (H, W) of values -1..100 as a risk map.
+
+    Raises
+    ------
+    InvalidRiskMap
+        A value is outside -1..100, or the map is malformed.
+    """
+    options = options or OccupancyOptions()
+    grid = np.asarray(values)
+    check_occupancy(grid, resolution, origin)
+    unknown = grid == -1
+    span = options.alpha_max - options.alpha_min
+    alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
+    obstacles = grid >= options.obstacle_threshold
+    if options.unknown_alpha >= 0.0:
+        alpha = np.where(unknown, options.unknown_alpha, alpha)
+    else:
+        obstacles = obstacles | unknown
+    return RiskMap(alpha, obstacles, resolution, origin)
+
+
+def check_occupancy(
+    values: npt.NDArray[np.number[Any]], resolution: float, origin: tuple[float, float, float]
+) -> None:
+    """Check an occupancy grid without making a risk map of it, which takes far longer.
+
+    Raises
+    ------
+    InvalidRiskMap
+        A value is outside -1..100, or the map is malformed.
+    """
+    check_place(resolution, origin)
+    bad = ~((values >= -1) & (values <= 100))  # NaN too
+    if bad.any():
+        where = tuple(int(k) for k in np.argwhere(bad)[0])
+        raise InvalidRiskMap(
+            f'cell values must be in -1..100, got {values[where]} at (row, column) {where} '
+            f'({int(bad.sum())} such cells)'
+        )

@@ -1,0 +1,146 @@
+"""The risk map: what an ambush costs at each place, and where nobody can drive.
+
+Axes. Row 0 is the lowest row and column 0 the left one, as in ``nav_msgs/OccupancyGrid``. *Map
+axes* (u, v) are metres along the columns and the rows from the lower left corner of cell (0, 0);
+the centre of cell (row, column) lies at ((column + 0.5), (row + 0.5)) * resolution. *World*
+coordinates (x, y) follow by the rotation and the translation of ``origin``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
+from ..errors import InvalidRiskMap
+
+# Losses outside of this range leave no room for the products that a certificate is made of.
+LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
+
+
+@dataclass(frozen=True, eq=False)
+class RiskMap:
+    """Loss for being ambushed, cell by cell.
+
+    Parameters
+    ----------
+    alpha : (H, W) float, >= 0
+        Loss for being ambushed in each cell; what stands in obstacle cells, NaN for example, is
+        never used.
+    obstacles : (H, W) bool
+        Cells that nobody can drive through.
+    resolution : float
+        Edge of a cell [m].
+    origin : (x, y, yaw)
+        World pose of the lower left corner of cell (0, 0) [m, m, rad].
+
+    Raises
+    ------
+    InvalidRiskMap
+        A shape, the resolution, the origin or a loss is not as above.
+    """
+
+    alpha: FloatArray
+    obstacles: BoolArray
+    resolution: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        try:
+            alpha = frozen_array(self.alpha, np.float64)
+            obstacles = frozen_array(self.obstacles, np.bool_)
+            origin = tuple(float(value) for value in self.origin)
+            resolution = float(self.resolution)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InvalidRiskMap(f'risk map: not numeric: {error}') from error
+        _check_layers(alpha, obstacles)
+        check_place(resolution, origin)
+        for name, value in (('alpha', alpha), ('obstacles', obstacles)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, 'resolution', resolution)
+        object.__setattr__(self, 'origin', origin)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height [m]."""
+        rows, columns = self.alpha.shape
+        return columns * self.resolution, rows * self.resolution
+
+    def nearest_free_alpha(self) -> FloatArray:
+        """Loss (H, W) of each cell or, in obstacles, of the nearest free cell; 0 without any."""
+        if self.obstacles.all():
+            return np.zeros_like(self.alpha)
+        nearest = distance_transform_edt(
+            self.obstacles, return_distances=False, return_indices=True
+        )
+        return np.asarray(self.alpha[tuple(nearest)])
+
+    def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:
+        """Turn world positions (..., 2) into map axes (..., 2) [m]."""
+        return to_map_axes(self.origin, xy)
+
+    def to_world(self, uv: npt.ArrayLike) -> FloatArray:
+        """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
+        return to_world(self.origin, uv)
+
+    def contains(self, uv: npt.ArrayLike) -> BoolArray:
+        """Tell which positions in map axes (..., 2) lie on the map or its outer edge."""
+        uv = np.asarray(uv, dtype=np.float64)
+        inside: BoolArray = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
+        return inside
+
+    def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
+        """Return (rows, columns) of the cells that hold positions in map axes (..., 2).
+
+        Positions must be on the map; the upper and right border belong to the last cells.
+        """
+        rows, columns = self.alpha.shape
+        index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
+        return (np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1))
+
+
+def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:
+    """Turn world positions (..., 2) into the axes of a map at ``origin`` (..., 2) [m]."""
+    x0, y0, yaw = origin
+    shifted = np.asarray(xy, dtype=np.float64) - (x0, y0)
+    return shifted if yaw == 0.0 else shifted @ _rotation(yaw)
+
+
+def to_world(origin: tuple[float, float, float], uv: npt.ArrayLike) -> FloatArray:
+    """Turn positions in the axes of a map at ``origin`` (..., 2) into world positions [m]."""
+    x0, y0, yaw = origin
+    uv = np.asarray(uv, dtype=np.float64)
+    return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
+
+
+def _rotation(yaw: float) -> FloatArray:
+    """Matrix whose columns are the map's axes in the world."""
+    return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
+
+
+def check_place(resolution: float, origin: tuple[float, ...]) -> None:
+    """Check resolution [m] and origin (x, y, yaw) of a map; raises InvalidRiskMap."""
+    if not (math.isfinite(resolution) and resolution > 0):
+        raise InvalidRiskMap(f'resolution must be positive and finite, got {resolution}')
+    if len(origin) != 3 or not all(map(math.isfinite, origin)):
+        raise InvalidRiskMap(f'origin must be three finite numbers (x, y, yaw), got {origin}')
+
+
+def _check_layers(alpha: FloatArray, obstacles: BoolArray) -> None:
+    if alpha.ndim != 2 or alpha.size == 0:
+        raise InvalidRiskMap(f'alpha must be a non-empty (H, W) array, got shape {alpha.shape}')
+    if obstacles.shape != alpha.shape:
+        raise InvalidRiskMap(
+            f"obstacles must have alpha's shape {alpha.shape}, got {obstacles.shape}"
+        )
+    bad = ~(np.isfinite(alpha) & (alpha >= 0.0)) & ~obstacles
+    if bad.any():
+        row, column = (int(k) for k in np.argwhere(bad)[0])
+        raise InvalidRiskMap(
+            f'alpha must be finite and >= 0, got {alpha[row, column]} at row {row}, '
+            f'column {column} ({int(bad.sum())} such cells)'
+        )

@@ -1,0 +1,262 @@
+"""Which nodes are joined: 8-connected lattice or Delaunay triangulation; pairs (K, 2)."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError, cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from .node_sampling import PERIOD, shifts
+
+# Cocircular points have several Delaunay triangulations. Ties fall as if the odd rows of the plain
+# lattice were moved along by one part in a hundred thousand, which makes a herringbone of its
+# diagonals (rising in even rows of squares, falling in odd ones), and then the plane stretched and
+# sheared by about one part in a million: lines stay lines, so no slivers appear along a border.
+ROW_SHIFT = -1.0e-5
+TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
+# A triangle is flat if its height is less than this share of its longest side.
+FLAT = 0.25
+# Lattice nodes beyond the border: no triangle of an inner node reaches further.
+FRAME = 3
+# Qhull takes three times as long a point for 40 000 points as for this many.
+PART = 2500
+# Corners round a square of side 1, well outside.
+AROUND = np.array([(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
+# Nodes and their mirror images lie on common circles: who is on one by rounding is not in it.
+ROUNDING = 1e-9
+
+
+def grid8_pairs(node_of: IndexArray) -> IndexArray:
+    """Join each node to its eight neighbours; ``node_of`` (rows, columns) is -1 where none is."""
+    pairs = [
+        _stack(node_of[:, :-1], node_of[:, 1:]),
+        _stack(node_of[:-1, :], node_of[1:, :]),
+        _stack(node_of[:-1, :-1], node_of[1:, 1:]),
+        _stack(node_of[:-1, 1:], node_of[1:, :-1]),
+    ]
+    joined = np.concatenate(pairs)
+    return joined[(joined >= 0).all(axis=1)]
+
+
+def delaunay_pairs(
+    points: FloatArray, mirrored: FloatArray
+) -> tuple[IndexArray, IndexArray]:
+    """Edges (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
+
+    Their mirror images (F, 2) beyond the map's edge keep nodes along it from being joined over long
+    distances, past all others: two nodes are joined where their Voronoi cells meet on the map.
+    """
+    triangles = _triangles_by_parts(np.concatenate((points, mirrored)))
+    pairs = _triangle_edges(triangles)
+    pairs = _unique_pairs(pairs[(pairs < len(points)).all(axis=1)])
+    return pairs, triangles[(triangles < len(points)).all(axis=1)]
+
+
+def lattice_delaunay_pairs(
+    free: BoolArray, others: FloatArray, method: str
+) -> tuple[IndexArray, IndexArray]:
+    """Edges (K, 2) of the Delaunay triangulation of a lattice with gaps and a few nodes beside it.
+
+    ``free`` (rows, columns) tells which lattice nodes there are; they are numbered row by row, and
+    the ``others`` (K, 2), in spacings from the map's corner, come last. The lattice is taken to go
+    on beyond its border, or nodes along it would be joined over long distances, past all others.
+
+    A lattice repeats itself, so its triangulation is worked out once for a tile (Qhull) and laid
+    over the map. A triangle whose corners are all there and whose circle holds none of the others
+    is one of those that are asked for. What lies between these is triangulated on its own, from the
+    nodes on its rim: a triangle there can have no other corners. Those (G, 3) are handed on, too.
+    """
+    there = np.pad(free, FRAME, constant_values=True)
+    number = np.full(there.shape, -1, dtype=np.int64)
+    number[FRAME:-FRAME, FRAME:-FRAME][free] = np.arange(int(free.sum()))
+    number = np.concatenate((number.ravel(), int(free.sum()) + np.arange(len(others))))
+    # In the place of a lattice node they are joined as it would be.
+    moved = ROW_SHIFT * (np.floor(others[:, 1]) % 2)
+    others = (others + FRAME + np.stack((moved, np.zeros_like(moved)), axis=1)) @ TIE_BREAK
+    places = np.concatenate((_lattice_places(there.shape, method), others))
+    triangles = _tiled(there.shape, method)
+    kept = np.asarray(there.ravel()[triangles].all(axis=1))
+    kept[kept] = ~_circle_holds(places, triangles[kept], others, there.shape)
+    present = np.concatenate((there.ravel(), np.ones(len(others), dtype=bool)))
+    rim = np.zeros(len(places), dtype=bool)
+    rim[triangles[~kept]] = True
+    rim[-len(others):] = True
+    gaps = _gap_triangles(places, present, rim)
+    joined = number[_triangle_edges(np.concatenate((triangles[kept], gaps)))]
+    pairs = _unique_pairs(joined[(joined >= 0).all(axis=1)])
+    gaps = number[gaps]
+    return pairs, gaps[(gaps >= 0).all(axis=1)]
+
+
+def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
+    """Drop the longest sides of flat triangles (T, 3) whose two other sides are among the pairs.
+
+    The pairs are sorted, as they come from the functions above.
+
+    Along an obstacle the nodes nearest to it would otherwise be joined past those between them,
+    which lie only a little further off.
+    """
+    size = len(points)
+    corners = points[triangles]
+    sides = np.stack(
+        [np.hypot(*(corners[:, (k + 1) % 3] - corners[:, (k + 2) % 3]).T) for k in range(3)], axis=1
+    )
+    (bx, by), (cx, cy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    flat = np.abs(bx * cy - by * cx) < FLAT * sides.max(axis=1) ** 2
+    triangles, longest = triangles[flat], sides[flat].argmax(axis=1)
+    row = np.arange(len(triangles))
+    apex, a, b = (triangles[row, (longest + k) % 3] for k in range(3))
+    known = pairs[:, 0] * size + pairs[:, 1]
+
+    def found(i: IndexArray, j: IndexArray) -> tuple[IndexArray, BoolArray]:
+        keys = np.minimum(i, j) * size + np.maximum(i, j)
+        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        return at, known[at] == keys
+
+    if len(known) == 0:
+        return pairs
+    side, there = found(a, b)
+    there &= found(apex, a)[1] & found(apex, b)[1]
+    return np.delete(pairs, side[there], axis=0)
+
+
+def _lattice_places(shape: tuple[int, ...], method: str) -> FloatArray:
+    """Places [spacings] of all nodes of a framed lattice, row by row, with ties broken."""
+    row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
+    moved = shifts(method)[(row - FRAME) % PERIOD, (column - FRAME) % PERIOD]
+    places = np.stack((column + ROW_SHIFT * ((row - FRAME) % 2), row), axis=1) + 0.5 + moved
+    tied: FloatArray = places @ TIE_BREAK
+    return tied
+
+
+@lru_cache(maxsize=2)
+def _tile(method: str) -> IndexArray:
+    """Triangles (T, 3, 2) of one tile as lattice (row, column) of their corners, each once."""
+    side = PERIOD + 4 * FRAME
+    triangles = Delaunay(_lattice_places((side, side), method)).simplices.astype(np.int64)
+    corners = np.stack(np.divmod(triangles, side), axis=-1) - FRAME
+    first = corners[np.arange(len(corners)), triangles.argmin(axis=1)]
+    tile: IndexArray = corners[((first >= 0) & (first < PERIOD)).all(axis=1)]
+    return tile
+
+
+def _tiled(shape: tuple[int, ...], method: str) -> IndexArray:
+    """Triangles (T, 3) of a whole framed lattice, by the indices of its nodes."""
+    tiles = [np.arange(-1, -(-side // PERIOD) + 1) * PERIOD + FRAME for side in shape]
+    origin = np.stack(np.meshgrid(*tiles, indexing='ij'), axis=-1).reshape(-1, 1, 1, 2)
+    corners = (origin + _tile(method)).reshape(-1, 3, 2)
+    inside = ((corners >= 0) & (corners < np.array(shape))).all(axis=(1, 2))
+    triangles: IndexArray = corners[inside] @ np.array([shape[1], 1])
+    return triangles
+
+
+def _circle_holds(
+    places: FloatArray, triangles: IndexArray, others: FloatArray, shape: tuple[int, ...]
+) -> BoolArray:
+    """Tell whose circumcircle holds one of the others (a lattice's circles are small)."""
+    around = np.zeros(shape, dtype=bool)
+    column, row = np.floor(others).astype(np.int64).T
+    for down, right in np.ndindex(2 * FRAME + 1, 2 * FRAME + 1):
+        at = row + down - FRAME, column + right - FRAME
+        around[np.clip(at[0], 0, shape[0] - 1), np.clip(at[1], 0, shape[1] - 1)] = True
+    holds = np.asarray(around.ravel()[triangles[:, 0]])
+    centre, radius = _circles(places[triangles[holds]])
+    holds[holds] = cKDTree(others).query(centre)[0] < radius
+    return holds
+
+
+def _triangles_by_parts(points: FloatArray) -> IndexArray:
+    """What ``_triangles`` finds, from one square of the ground after the other.
+
+    Four corners round a square's nodes make a whole fan of triangles round each of them. Those
+    whose circles lie in the square are triangles of all nodes, too; the corners of the others are
+    triangulated once more.
+    """
+    low, extent = points.min(axis=0), np.ptp(points, axis=0)
+    if len(points) < 2 * PART or not extent.all():
+        return _triangles(points)
+    side = np.sqrt(extent.prod() * PART / len(points))
+    square = np.floor((points - low) / side).astype(np.int64)
+    key = square[:, 0] * (square[:, 1].max() + 1) + square[:, 1]
+    order = np.argsort(key, kind='stable')
+    kept, rim = [], np.zeros(len(points), dtype=bool)
+    for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        corner = low + side * square[part[0]]
+        places = np.concatenate((points[part], corner + side * AROUND))
+        triangles = _triangles(places)
+        centre, radius = _circles(places[triangles])
+        gap = np.minimum(centre - corner, corner + side - centre).min(axis=1)
+        good = (gap > radius) & (triangles < len(part)).all(axis=1)
+        kept.append(part[triangles[good]])
+        others = triangles[~good]
+        rim[part[others[others < len(part)]]] = True
+    gaps = _gap_triangles(points, np.ones_like(rim), rim, ROUNDING)
+    return np.concatenate((*kept, gaps))
+
+
+def _gap_triangles(
+    places: FloatArray, present: BoolArray, rim: BoolArray, rounding: float = 0.0
+) -> IndexArray:
+    """Delaunay triangles of the nodes that are present, with all corners on the rim of gaps.
+
+    ``rounding`` is the share of a circle's radius that others may come into it.
+    """
+    chosen = np.flatnonzero(rim & present)
+    triangles = _triangles(places[chosen])
+    if triangles.shape[1] == 2:
+        return np.empty((0, 3), dtype=np.int64)
+    triangles = chosen[triangles]
+    # Outside the gaps circles hold nodes that are not on a rim.
+    others = np.flatnonzero(present & ~rim)
+    if len(others) == 0:
+        return triangles
+    centre, radius = _circles(places[triangles])
+    real = np.isfinite(radius)
+    tree = cKDTree(places[others], balanced_tree=False, compact_nodes=False)
+    nearest = tree.query(np.where(real[:, None], centre, 0.0))[0]
+    return triangles[real & (nearest >= (1.0 - rounding) * radius)]
+
+
+def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centres (T, 2) and radii (T,) of the circles round triangles (T, 3, 2); inf without area."""
+    a = corners[:, 0]
+    (bx, by), (cx, cy) = (corners[:, 1] - a).T, (corners[:, 2] - a).T
+    with np.errstate(divide='ignore', invalid='ignore'):
+        scale = 0.5 / (bx * cy - by * cx)
+        b, c = bx * bx + by * by, cx * cx + cy * cy
+        to = np.stack(((cy * b - by * c) * scale, (bx * c - cx * b) * scale), axis=1)
+    return a + to, np.where(np.isfinite(to).all(axis=1), np.hypot(*to.T), np.inf)
+
+
+def _triangles(points: FloatArray) -> IndexArray:
+    """Triangles (T, 3); where all points lie on a line, the links (T, 2) of their chain."""
+    if len(points) >= 3:
+        try:
+            return Delaunay(points).simplices.astype(np.int64)
+        except QhullError:
+            pass  # all points on one line: a chain joins them
+    order = np.lexsort(points.T).astype(np.int64)
+    return _stack(order[:-1], order[1:])
+
+
+def _triangle_edges(triangles: IndexArray) -> IndexArray:
+    k = triangles.shape[1]
+    links = [triangles] if k == 2 else [triangles[:, [i, (i + 1) % k]] for i in range(k)]
+    return np.concatenate(links)
+
+
+def _stack(a: IndexArray, b: IndexArray) -> IndexArray:
+    return np.stack((a.ravel(), b.ravel()), axis=1)
+
+
+def _unique_pairs(pairs: IndexArray) -> IndexArray:
+    if len(pairs) == 0:
+        return pairs.reshape(0, 2)
+    a, b = pairs.T
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    size = int(high.max()) + 1
+    keys = np.sort(low * size + high)  # numpy's unique takes five times as long
+    keys = keys[np.concatenate(([True], keys[1:] != keys[:-1]))]
+    return np.stack(np.divmod(keys, size), axis=1)

@@ -1,0 +1,47 @@
+"""Where an ambusher can hide in obstacles: cells from which he reaches the network."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray
+from ..maps.risk_map import RiskMap
+from .network import Network
+
+
+def with_hiding_places(
+    network: Network, risk_map: RiskMap, reach: float, spacing: float
+) -> Network:
+    """The network with obstacle cells as nodes that no edge leads to, the last in each layer.
+
+    Their loss is that of the nearest free cell. Taken are the cells within ``reach`` [m] of some
+    edge or not much further, one in each square of half a ``spacing`` [m].
+    """
+    step = max(int(spacing / 2.0 / risk_map.resolution), 1)
+    rows, columns = np.nonzero(risk_map.obstacles)
+    squares = (rows // step) * (risk_map.obstacles.shape[1] // step + 1) + columns // step
+    _, first = np.unique(squares, return_index=True)
+    rows, columns = rows[first], columns[first]
+    places = risk_map.to_world(np.stack((columns, rows), axis=1) * risk_map.resolution
+                               + risk_map.resolution / 2.0)
+    far = reach + float(network.lengths.max(initial=0.0)) / 2.0
+    near = np.isfinite(cKDTree(network.points).query(places, distance_upper_bound=far)[0])
+    loss = risk_map.nearest_free_alpha()[rows[near], columns[near]]
+    return _with_nodes(network, places[near], loss)
+
+
+def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
+    """The network with more nodes (K, 2) of losses (K,), in each layer, that no edge leads to."""
+    legs, number = network.legs, np.arange(len(network.points))
+    moved = number + number // network.place_count * len(points)
+    layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
+    losses = network.alpha.reshape(legs, -1), np.tile(alpha, (legs, 1))
+    return Network(
+        np.concatenate(layers, 1).reshape(-1, 2),
+        np.concatenate(losses, 1).ravel(),
+        moved[network.edges],
+        int(moved[network.source]),
+        int(moved[network.target]),
+        legs=legs,
+    )

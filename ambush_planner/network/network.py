@@ -1,0 +1,228 @@
+"""The network that the game is played on: nodes, directed edges, source, target and losses."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
+from ..errors import InvalidNetwork
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A directed network with a loss at each node, validated.
+
+    No edge enters the source and none leaves the target: with such edges the flow equations also
+    allow circulations through them that never connect the two, and the value comes out too low.
+    Given edges of that kind are dropped with a warning and kept in ``dropped_edges``.
+
+    A trip with stops is driven in several ``legs``. Each leg has a layer, a copy of all places in
+    the same order; the edges that end a leg lead to the stop's copy in the next layer.
+
+    Parameters
+    ----------
+    points : (N, 2) float
+        World positions [m].
+    alpha : (N,) float, >= 0
+        Loss for being ambushed at each node; 0 at the source and the target.
+    edges : (M, 2) int
+        (tail, head) of each directed edge; no self-loops, no duplicates.
+    source, target : int
+        Where every route starts and ends.
+    legs : int
+        Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
+
+    Raises
+    ------
+    InvalidNetwork
+        Something is not as above; the message names the field, the place and the value.
+    """
+
+    points: FloatArray
+    alpha: FloatArray
+    edges: IndexArray
+    source: int
+    target: int
+    legs: int = 1
+    dropped_edges: IndexArray = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        points = _floats('points', self.points)
+        alpha = _floats('alpha', self.alpha)
+        _check_nodes(points, alpha)
+        source = _node('source', self.source, len(points))
+        target = _node('target', self.target, len(points))
+        _check_ends(alpha, source, target)
+        edges = _edge_array(self.edges, len(points))
+        _check_layers(points, alpha, edges, source, target, self.legs)
+        outside = (edges[:, 1] == source) | (edges[:, 0] == target)
+        if outside.any():
+            warnings.warn(
+                f'{int(outside.sum())} edges into the source {source} or out of the target '
+                f'{target} were dropped: no route uses them',
+                stacklevel=3,
+            )
+        object.__setattr__(self, 'points', points)
+        object.__setattr__(self, 'alpha', alpha)
+        object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))
+        object.__setattr__(self, 'source', source)
+        object.__setattr__(self, 'target', target)
+        object.__setattr__(self, 'dropped_edges', frozen_array(edges[outside], np.int64))
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Length of each edge (M,) [m]."""
+        tail, head = self.edges.T
+        return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
+
+    @cached_property
+    def edge_exposure(self) -> FloatArray:
+        """Integral of alpha along each edge (M,) [loss x m]: its length times its ends' mean.
+
+        A node without a loss of its own, the source, a stop or the target, takes the other one's.
+        """
+        is_end = np.zeros(len(self.points), dtype=bool)
+        is_end[self.ends] = True
+        tail, head = self.alpha[self.tails], self.alpha[self.heads]
+        tail = np.where(is_end[self.tails], head, tail)
+        head = np.where(is_end[self.heads], tail, head)
+        return frozen_array(self.lengths * (tail + head) / 2.0, np.float64)
+
+    @property
+    def place_count(self) -> int:
+        """Number of different places, N / legs; the first so many nodes stand for them."""
+        return len(self.points) // self.legs
+
+    @property
+    def places(self) -> IndexArray:
+        """The place (N,) of each node, as the index of its copy in the first layer."""
+        return np.arange(len(self.points)) % self.place_count
+
+    @cached_property
+    def stops(self) -> IndexArray:
+        """Nodes (legs - 1,) at which a leg begins that is not the first, in this order."""
+        count = self.place_count
+        return frozen_array(
+            np.unique(self.heads[self.heads // count != self.tails // count]), np.int64
+        )
+
+    @cached_property
+    def ends(self) -> IndexArray:
+        """All nodes at the places of the source, the stops and the target."""
+        at = np.array([self.source, *self.stops, self.target]) % self.place_count
+        return frozen_array(np.flatnonzero(np.isin(self.places, at)), np.int64)
+
+    @property
+    def tails(self) -> IndexArray:
+        """Tail of each edge (M,)."""
+        return self.edges[:, 0]
+
+    @property
+    def heads(self) -> IndexArray:
+        """Head of each edge (M,)."""
+        return self.edges[:, 1]
+
+
+def _check_layers(
+    points: FloatArray, alpha: FloatArray, edges: IndexArray, source: int, target: int, legs: object
+) -> None:
+    if legs == 1:
+        return
+    if isinstance(legs, bool) or not isinstance(legs, int | np.integer) or legs < 1:
+        raise InvalidNetwork(f'legs must be a whole number >= 1, got {legs!r}')
+    count = len(points) // int(legs)
+    if count * legs != len(points):
+        raise InvalidNetwork(f'{legs} legs need as many copies of all places, got {len(points)}')
+    first = np.arange(len(points)) % count
+    if not (np.array_equal(points, points[first]) and np.array_equal(alpha, alpha[first])):
+        raise InvalidNetwork('the layers of the legs must have the same points and losses')
+    tail, head = (edges // count).T
+    crossing = tail != head
+    stops = np.unique(edges[crossing, 1])
+    if not (
+        np.array_equal(stops // count, np.arange(1, legs))
+        and (head[crossing] == tail[crossing] + 1).all()
+        and (source // count, target // count) == (0, legs - 1)
+        and (alpha[stops] == 0.0).all()
+    ):
+        raise InvalidNetwork(
+            'each leg must end at one stop in the layer of the next one, with alpha 0; the first '
+            'begins at the source, and the last ends at the target'
+        )
+
+
+def _floats(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return frozen_array(values, np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidNetwork(f'{name} must be an array of numbers: {error}') from error
+
+
+def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        raise InvalidNetwork(f'points must have shape (N >= 2, 2), got {points.shape}')
+    if alpha.shape != (len(points),):
+        raise InvalidNetwork(f'alpha must have shape ({len(points)},), got {alpha.shape}')
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise InvalidNetwork(f'points must be finite, got {points[node].tolist()} at node {node}')
+    bad = ~(np.isfinite(alpha) & (alpha >= 0.0))
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise InvalidNetwork(f'alpha must be finite and >= 0, got {alpha[node]} at node {node}')
+
+
+def _node(name: str, value: object, count: int) -> int:
+    if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
+        raise InvalidNetwork(f'{name} must be a node index (int), got {value!r}')
+    if not 0 <= value < count:
+        raise InvalidNetwork(f'{name} must be in 0..{count - 1}, got {value}')
+    return int(value)
+
+
+def _check_ends(alpha: FloatArray, source: int, target: int) -> None:
+    if source == target:
+        raise InvalidNetwork(f'source and target are the same node, {source}')
+    for name, node in (('source', source), ('target', target)):
+        if alpha[node] != 0.0:
+            raise InvalidNetwork(
+                f'alpha[{name}] must be 0 (no ambush at the ends), got {alpha[node]} at node {node}'
+            )
+
+
+def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise InvalidNetwork(f'edges must be an array of integers: {error}') from error
+    if array.size == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InvalidNetwork(f'edges must have shape (M, 2), got {array.shape}')
+    if array.dtype.kind not in 'iu':
+        raise InvalidNetwork(f'edges must be integers (tail, head), got dtype {array.dtype}')
+    edges = array.astype(np.int64)
+    outside = np.asarray(((edges < 0) | (edges >= count)).any(axis=1))
+    _refuse_edges(edges, outside, f'outside 0..{count - 1}')
+    _refuse_edges(edges, edges[:, 0] == edges[:, 1], 'a self-loop')
+    keys = edges[:, 0] * count + edges[:, 1]
+    _, first = np.unique(keys, return_index=True)
+    repeated = np.ones(len(edges), dtype=bool)
+    repeated[first] = False
+    _refuse_edges(edges, repeated, 'a duplicate')
+    return edges
+
+
+def _refuse_edges(edges: IndexArray, bad: BoolArray, what: str) -> None:
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise InvalidNetwork(
+            f'edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} '
+            f'({int(bad.sum())} such edges)'
+        )

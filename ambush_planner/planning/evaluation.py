@@ -1,0 +1,81 @@
+"""Measures of the stochastic planner beside deterministic ones (the paper's table III)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from ..game.certificate import upper_bound
+from ..game.game import Game
+from ..game.route_sampler import always, shortest_route
+from ..game.strategy import Strategy
+
+# Sums of alpha this near to each other, relative, are ties.
+TIE = 1e-12
+
+
+@dataclass(frozen=True)
+class Measures:
+    """One planner's row of the table.
+
+    ``expected_length`` E [m]; ``p_first`` P_1, the probability of an ambush by the equilibrium
+    ambusher; ``p_repeated`` and ``v_repeated`` P_inf and V_inf, probability and mean loss of an
+    ambush by one who has learnt the planner's own strategy.
+    """
+
+    planner: str
+    expected_length: float
+    p_first: float
+    p_repeated: float
+    v_repeated: float
+
+
+def evaluate(strategy: Strategy) -> dict[str, Measures]:
+    """Compare a strategy with the planners that always drive the same route.
+
+    Returns one row a planner: 'stochastic', 'energy_efficient' (shortest length) and
+    'risk_avoidance' (least sum of alpha, ties by length), all on the edges that the game leaves.
+    An ambusher who has learnt a fixed route waits there every time, at its worst site; against
+    the stochastic planner he can do no better than the equilibrium.
+    """
+    game, q = strategy.game, strategy.ambush_probability
+    p_first = _meeting_probability(game, strategy.edge_probability, q)
+    stochastic = Measures(
+        'stochastic', strategy.expected_length, p_first, p_first, strategy.value
+    )
+    return {
+        'stochastic': stochastic,
+        'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
+        'risk_avoidance': _fixed('risk_avoidance', game, risk_avoiding_route(game), q),
+    }
+
+
+def energy_efficient_route(game: Game) -> IndexArray:
+    """Nodes (K,) of a shortest route."""
+    return shortest_route(game.network, np.flatnonzero(game.playable))
+
+
+def risk_avoiding_route(game: Game) -> IndexArray:
+    """Nodes (K,) of a route of least sum of alpha; among these, of a shortest one."""
+    through = game.through(game.network.alpha[game.network.heads])
+    tied = through <= through.min() * (1.0 + TIE)
+    return shortest_route(game.network, np.flatnonzero(tied))
+
+
+def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
+    """P = sum_j q_j x_j (the paper's equation 8)."""
+    return float(q[game.sites] @ (game.hits @ p))
+
+
+def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
+    p = always(game.network, route)
+    worst = upper_bound(game, p)
+    return Measures(
+        planner,
+        float(p @ game.network.lengths),
+        _meeting_probability(game, p, q),
+        1.0 if worst > 0.0 else 0.0,
+        worst,
+    )

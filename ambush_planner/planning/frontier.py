@@ -1,0 +1,101 @@
+"""What a longer way, or a little more risk, buys: one strategy for each of several budgets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import BudgetInfeasible, TimeLimit
+from ..game.game import GameOptions
+from ..game.strategy import StrategyOptions, solve
+from ..game.strategy_solver import Multipliers
+from ..network.network import Network
+
+DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
+SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
+# What a row takes over from its strategy.
+MEASURED = (
+    'value', 'lower_bound', 'expected_length', 'shortest_length', 'expected_exposure',
+    'least_exposure', 'route_entropy',
+)
+
+
+@dataclass(frozen=True)
+class FrontierRow:
+    """What the strategy for one pair of budgets is like.
+
+    ``swept`` is the option that changes from row to row, 'max_detour' or 'risk_slack'; lengths are
+    in m, exposure in loss x m, route entropy in nats. Where there is no strategy, ``error`` says
+    why and the numbers are NaN.
+    """
+
+    swept: str
+    max_detour: float
+    risk_slack: float
+    value: float = math.nan
+    lower_bound: float = math.nan
+    expected_length: float = math.nan
+    shortest_length: float = math.nan
+    expected_exposure: float = math.nan
+    least_exposure: float = math.nan
+    route_entropy: float = math.nan
+    error: str = ''
+
+
+def frontier(
+    network: Network,
+    game: GameOptions | None = None,
+    detours: Sequence[float] = DETOURS,
+    slacks: Sequence[float] = SLACKS,
+    options: StrategyOptions | None = None,
+    on_row: Callable[[FrontierRow], None] | None = None,
+) -> tuple[FrontierRow, ...]:
+    """Solve for each of ``detours``, then for each of ``slacks``, the other as ``options`` has it.
+
+    Each solve starts from the one before, the longest detour first; ``on_row`` is called with each
+    row as it comes, the result has them in the order asked for.
+    ``options.time_limit`` holds for each solve; a strategy that is not finished by then has its
+    row, with the bound that was reached.
+
+    Raises
+    ------
+    InvalidNetwork, InvalidOption, NoRoute
+        As ``solve`` does; all options are checked before the first solve.
+    """
+    options = options or StrategyOptions()
+    game = game or GameOptions()
+    tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
+    tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
+    # A warm for looser budgets is the better one to start from.
+    looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
+    order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
+    rows: dict[int, FrontierRow] = {}
+    solved: dict[StrategyOptions, FrontierRow] = {}
+    warm: Multipliers | None = None
+    for k in order:
+        swept, budgets = tasks[k]
+        if budgets not in solved:  # both sweeps pass the budgets as set
+            solved[budgets], found = _row(network, game, swept, budgets, warm)
+            warm = found or warm
+        rows[k] = replace(solved[budgets], swept=swept)
+        if on_row is not None:
+            on_row(rows[k])
+    return tuple(rows[k] for k in range(len(tasks)))
+
+
+def _row(
+    network: Network, game: GameOptions, swept: str, options: StrategyOptions,
+    warm: Multipliers | None,
+) -> tuple[FrontierRow, Multipliers | None]:
+    row = FrontierRow(swept, options.max_detour, options.risk_slack)
+    try:
+        strategy = solve(network, game, options, warm=warm)
+    except BudgetInfeasible as error:
+        return replace(row, error=str(error)), None
+    except TimeLimit as error:
+        if error.strategy is None:
+            return replace(row, error=str(error)), None
+        strategy = error.strategy
+    measured = {name: getattr(strategy, name) for name in MEASURED}
+    return replace(row, **measured), strategy.multipliers

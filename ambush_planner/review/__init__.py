@@ -1,1 +1,0 @@
-"""What recorded departures say, read back and held against the planner."""

@@ -1,0 +1,63 @@
+"""No exception leaves a callback, where it would end the executor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, TypeVar
+
+from rclpy.context import Context
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
+
+from ..errors import AmbushPlannerError
+from ..worker.solve_errors import for_the_log, forget_frames, unexpected
+
+_Result = TypeVar('_Result')
+
+
+class ErrorBoundary:
+    """Logs what goes wrong, once, and tells ``failed`` what it concerns."""
+
+    def __init__(
+        self, context: Context, logger: RcutilsLogger, failed: Callable[[str, Exception], None]
+    ) -> None:
+        self._context, self._logger, self._failed = context, logger, failed
+
+    def attempt(
+        self, what: str, concern: str, action: Callable[[], _Result]
+    ) -> tuple[_Result | None, Exception | None]:
+        """Return (result, None) or (None, error)."""
+        try:
+            return action(), None
+        except AmbushPlannerError as error:
+            known: AmbushPlannerError = error
+        except Exception as error:
+            known = unexpected(error)
+            forget_frames(error)
+        forget_frames(known)
+        if self._context.ok():
+            self._logger.error(f'{what}: {for_the_log(known)}')
+            self._failed(concern, known)
+        return None, known
+
+
+def guard_services(node: Node) -> None:
+    """Guard the services that ``node`` has: those of rclpy itself.
+
+    They raise, for instance, at a parameter value of an unknown type, and at a transition that the
+    node's state does not have.
+    """
+    for service in list(node.services):
+        service.callback = partial(_answer_anyway, node, service.srv_name, service.callback)
+
+
+def _answer_anyway(
+    node: Node, name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any
+) -> Any:
+    try:
+        return callback(request, response)
+    except Exception as error:
+        # Not the error's own words: they hold what was sent.
+        node.get_logger().error(f'{name}: refused, {type(error).__name__}')
+        return response

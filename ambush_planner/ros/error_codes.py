@@ -1,0 +1,96 @@
+"""What can be wrong with a request, and the code that the diagnostics give each error.
+
+Codes carry the names of the constants of Nav2's ``ComputePathToPose`` where there is one.
+"""
+
+from __future__ import annotations
+
+from ..errors import (
+    AmbushPlannerError,
+    BudgetInfeasible,
+    GoalBlocked,
+    GoalOutsideMap,
+    InvalidNetwork,
+    InvalidOption,
+    InvalidPose,
+    InvalidRiskMap,
+    NoRoute,
+    SolverFailed,
+    StartBlocked,
+    StartOutsideMap,
+    StopBlocked,
+    StopOutsideMap,
+    TimeLimit,
+)
+from ..recordings import RecordingFailed
+from ..worker.solve_errors import QueueFull, SolveCancelled, WorkerFailed
+
+
+class NoMap(AmbushPlannerError):
+    """No risk map is in force."""
+
+
+class NoStart(AmbushPlannerError):
+    """No start has arrived."""
+
+
+class NoGoal(AmbushPlannerError):
+    """No goal has arrived."""
+
+
+class FrameMismatch(AmbushPlannerError):
+    """A pose is not given in the map's frame."""
+
+
+class GroundChanges(AmbushPlannerError):
+    """The map, or the robot, changes faster than it can be planned for."""
+
+
+class InvalidPlanner(AmbushPlannerError):
+    """Another planner was asked for."""
+
+
+class NotActive(AmbushPlannerError):
+    """The node is not in the state in which it answers."""
+
+
+class UnreadableMessage(AmbushPlannerError):
+    """What came on a topic is no message of the topic's type."""
+
+
+OK_CODE = 'NONE'
+
+# The first row that fits counts: children stand above their parents.
+_CODES: tuple[tuple[type[Exception], str], ...] = (
+    (NoMap, 'NO_MAP'),
+    (NoStart, 'NO_START'),
+    (NoGoal, 'NO_GOAL'),
+    (InvalidPose, 'INVALID_POSE'),
+    (UnreadableMessage, 'INVALID_MESSAGE'),
+    (FrameMismatch, 'TF_ERROR'),
+    (StartOutsideMap, 'START_OUTSIDE_MAP'),
+    (GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
+    (StopOutsideMap, 'STOP_OUTSIDE_MAP'),
+    (StartBlocked, 'START_OCCUPIED'),
+    (GoalBlocked, 'GOAL_OCCUPIED'),
+    (StopBlocked, 'STOP_OCCUPIED'),
+    (NoRoute, 'NO_VALID_PATH'),
+    (BudgetInfeasible, 'NO_VALID_PATH'),
+    (TimeLimit, 'TIMEOUT'),
+    (InvalidRiskMap, 'INVALID_MAP'),
+    (InvalidNetwork, 'INVALID_NETWORK'),
+    (InvalidOption, 'INVALID_OPTION'),
+    (SolverFailed, 'SOLVER_FAILED'),
+    (SolveCancelled, 'CANCELLED'),
+    (QueueFull, 'BUSY'),
+    (NotActive, 'INACTIVE'),
+    (InvalidPlanner, 'INVALID_PLANNER'),
+    (GroundChanges, 'NO_VALID_PATH'),
+    (WorkerFailed, 'WORKER_FAILED'),
+    (RecordingFailed, 'RECORDING_FAILED'),
+)
+
+
+def code_of(error: Exception) -> str:
+    """Return the code of an error, UNKNOWN for one that is not the planner's own."""
+    return next((code for kind, code in _CODES if isinstance(error, kind)), 'UNKNOWN')

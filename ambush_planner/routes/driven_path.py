@@ -1,0 +1,316 @@
+"""The path that is driven: the shortest one beside the drawn route, with round corners.
+
+The taut string leaves a margin at both ends of each portal, in which its corners are rounded. Where
+that makes too tight a turn, the margin is widened.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import islice, pairwise
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from ..errors import InvalidOption
+from ..game.route_sampler import MOST_POSES
+from ..maps.risk_map import to_world
+from .corridors import Corridors
+from .taut_string import Portals, cross, padded, portals_along, taut_strings
+
+# Of a portal's width: the margin at first, how much wider it gets where a turn is too tight, in so
+# many passes, and the most.
+MARGIN, WIDER, PASSES, MOST = 0.03, 3.0, 3, 0.49
+# Turns are wanted at least so wide [length of the shorter edge at the node].
+ROUND = 0.3
+# Poses in a turn are at most so far from one another [rad].
+TURN = math.radians(20.0)
+# Routes whose paths are made at once, in whole arrays.
+AT_ONCE = 32
+
+# Start and goal [m].
+Ends = tuple[tuple[float, float], tuple[float, float]]
+# Places of a leg, and where it begins and ends [m].
+_Leg = tuple[IndexArray, Ends]
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Lines with round corners, one behind the other: ``points`` (C, 2) [m].
+
+    At each of them the ``turn`` (C,) [rad], to the left > 0, and the length ``cut`` (C,) [m] by
+    which it begins before the corner; both are 0 at a line's ends. Line i has the points from
+    ``bounds[i]`` to ``bounds[i + 1]``.
+    """
+
+    points: FloatArray
+    turn: FloatArray
+    cut: FloatArray
+    bounds: IndexArray
+
+    @property
+    def radii(self) -> FloatArray:
+        """Of the turns (C,) [m]; inf where there is none."""
+        bent = np.abs(self.turn) > 1e-9
+        tangent = np.tan(np.where(bent, np.abs(self.turn), 1.0) / 2)
+        radii: FloatArray = np.where(bent, self.cut / tangent, math.inf)
+        return radii
+
+
+def driven_path(
+    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float = 0.0,
+    ends: Ends | None = None,
+) -> FloatArray:
+    """Poses (L, 3) = (x, y, yaw) of the path that is driven for a drawn route, in the world.
+
+    The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
+    yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
+    have at least ``turning_radius`` [m], or ``ROUND`` edges if that is more, where the corridors
+    have the room; elsewhere they are as round as these allow (``turn_radii``). Each stop of a trip
+    is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
+
+    Parameters
+    ----------
+    route : (K,) int
+        Node indices, source first, target last.
+    ends
+        Start and goal [m] to the last digit, where the corridors lead from and to other places than
+        the network's source and target (``with_end_at``).
+
+    Raises
+    ------
+    InvalidOption
+        That would be more than ``MOST_POSES``.
+    """
+    return driven_paths(corridors, [route], spacing, turning_radius, ends)[0]
+
+
+def driven_paths(
+    corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float = 0.0,
+    ends: Ends | None = None,
+) -> list[FloatArray]:
+    """``driven_path`` of each route, several times as fast as one by one."""
+    paths = []
+    for few in range(0, len(routes), AT_ONCE):
+        legs = [_legs(corridors, route, ends) for route in routes[few : few + AT_ONCE]]
+        driven = iter(_driven_legs(corridors, sum(legs, []), spacing, turning_radius))
+        for route_legs in legs:
+            first, *others = islice(driven, len(route_legs))
+            paths.append(np.concatenate((first, *(leg[1:] for leg in others))))
+            _check_count(float(len(paths[-1])), spacing)
+    return paths
+
+
+def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_Leg]:
+    """From stop to stop of a route: its places, and where it begins and ends [m]."""
+    places = _places(corridors, route)
+    at = [places[0][0], *(leg[-1] for leg in places)]
+    points = list(map(tuple, corridors.network.points[at].tolist()))
+    if ends is not None:
+        points[0], points[-1] = ends
+    return list(zip(places, pairwise(points), strict=True))
+
+
+def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
+    """The places of a route from stop to stop."""
+    network = corridors.network
+    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
+    places = route % network.place_count
+    return [places[first : last + 1] for first, last in pairwise(at)]
+
+
+def _driven_legs(
+    corridors: Corridors, legs: list[_Leg], spacing: float, turning_radius: float
+) -> list[FloatArray]:
+    """Poses (L, 3) along each leg, from end to end."""
+    portals = portals_along(corridors, [corridors.shortened(places) for places, _ in legs])
+    uv, yaw, bounds = _poses(_smooth(portals, turning_radius), spacing)
+    in_world = to_world(corridors.origin, uv)
+    poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
+    # Turning to the world and back may have cost a digit.
+    poses[bounds[:-1], :2] = [begin for _, (begin, _) in legs]
+    poses[bounds[1:] - 1, :2] = [end for _, (_, end) in legs]
+    return np.split(poses, bounds[1:-1])
+
+
+def turn_radii(poses: FloatArray) -> FloatArray:
+    """Radii (L - 1,) [m] of the arcs from pose to pose of a path (L, 3) of ``driven_path``.
+
+    They are inf where it is straight, 0 where it turns on the spot.
+    """
+    half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
+    bent = half > 1e-9
+    chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    radii: FloatArray = np.where(bent, chord / (2.0 * np.sin(np.where(bent, half, 1.0))), math.inf)
+    return radii
+
+
+def tight_turns(poses: FloatArray, turning_radius: float) -> int:
+    """How many turns of a path (L, 3) are tighter than ``turning_radius`` [m]."""
+    tight = turn_radii(poses) < turning_radius * (1.0 - 1e-6)
+    return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
+
+
+def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
+    """How many different paths the routes (K,) make, at most.
+
+    Routes that ``Corridors.shortened`` takes to the same nodes have the same portals, hence the
+    very same path, and count once. Few others have it, too: those whose path runs straight through
+    portals at different nodes.
+    """
+    once = {route.tobytes(): route for route in routes}.values()
+    return len({
+        tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
+        for route in once
+    })
+
+
+def _smooth(portals: Portals, turning_radius: float) -> _Lines:
+    """The taut strings with round corners; where they are too tight they keep further inside."""
+    margin = MARGIN * portals.width
+    wanted = np.maximum(ROUND * portals.length, turning_radius)
+    count = len(portals.bounds) - 1
+    route_of = np.repeat(np.arange(count), np.diff(portals.bounds))
+    best: list[tuple[FloatArray, ...]] = [()] * count
+    radius = np.full(count, -1.0)
+    routes = np.arange(count)
+    for _ in range(PASSES):
+        taut = taut_strings(portals, margin, routes.tolist())
+        at, side = np.array(sum(taut, [])).T
+        lines = _rounded(portals, at, side, np.cumsum([0, *map(len, taut)]), margin)
+        smallest = np.minimum.reduceat(lines.radii, lines.bounds[:-1])
+        for k in np.flatnonzero(smallest >= radius[routes]).tolist():
+            part = slice(*lines.bounds[k : k + 2])
+            best[routes[k]] = lines.points[part], lines.turn[part], lines.cut[part]
+        radius[routes] = np.maximum(radius[routes], smallest)
+        tight = at[lines.radii < wanted[at]]
+        tight = tight[margin[tight] < MOST * portals.width[tight]]
+        if len(tight) == 0:
+            break
+        margin[tight] = np.minimum(WIDER * margin[tight], MOST * portals.width[tight])
+        routes = np.unique(route_of[tight])
+    points, turn, cut = map(np.concatenate, zip(*best, strict=True))
+    return _Lines(points, turn, cut, np.cumsum([0, *(len(each[0]) for each in best)]))
+
+
+def _rounded(
+    portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexArray, margin: FloatArray
+) -> _Lines:
+    """Let each turn begin as early as segments, portals and the room beyond the string allow.
+
+    The lines' corners are the portals ``at`` (C,) on their sides (C,), as ``taut_strings`` has
+    them.
+    """
+    left, right = (portals.places(margin, each)[at] for each in (1, -1))
+    points = np.where(side[:, None] > 0, left, right)
+    step = np.diff(points, axis=0)
+    length = np.hypot(*step.T)
+    unit = step / np.maximum(length, np.finfo(float).tiny)[:, None]
+    before, after, inner = unit[:-1], unit[1:], at[1:-1]
+    within = side[1:-1] != 0
+    turn = np.where(within, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
+    outward = side[1:-1, None] * portals.leftward[inner]
+    with np.errstate(divide='ignore', invalid='ignore'):
+        cut = margin[inner] / _leaves(turn, outward, after - before)
+        cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
+        cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
+    tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
+    turn, cut, tangent = (
+        padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent)
+    )
+    cut = _shared(cut, tangent, length)
+    return _Lines(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0), bounds)
+
+
+def _leaves(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatArray:
+    """How far poses along turns (C,) leave the corners, in cuts, along portals (C, 2).
+
+    ``aside`` (C, 2) is the change of direction. The poses' chords are outside a circle of ``k``
+    times the turn's radius, and no further from the corner than the chord of the whole turn.
+    """
+    half, k = np.abs(turn) / 2, math.cos(TURN / 2)
+    cosine = np.abs((outward * aside).sum(axis=1)) / np.hypot(*aside.T)
+    within = (k * np.cos(half)) ** 2 - (1.0 - cosine**2)
+    chord = np.sin(half) / cosine
+    circle = (cosine - np.sqrt(np.maximum(within, 0.0))) / np.sin(half)
+    leaves: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
+    return leaves
+
+
+def _shared(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:
+    """Cuts (C,) of which two neighbours fit in the length (C - 1,) between their corners.
+
+    Both turns get equal radii, and each one also what the other does not need.
+    """
+    fair = length / np.maximum(tangent[:-1] + tangent[1:], 1e-12)
+    ahead = np.maximum(fair * tangent[:-1], length - cut[1:])
+    behind = np.maximum(fair * tangent[1:], length - cut[:-1])
+    cut = cut.copy()
+    cut[1:-1] = np.minimum(cut[1:-1], np.minimum(ahead[1:], behind[:-1]))
+    return cut
+
+
+def _reach(
+    portals: Portals, points: FloatArray, direction: FloatArray, portal: IndexArray
+) -> FloatArray:
+    """Distance (C,) along lines through the points to the lines of portals; nan: no such line."""
+    line = portals.leftward[portal]
+    found: FloatArray = np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
+    return found
+
+
+def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, IndexArray]:
+    """Positions (L, 2) and yaws (L,) along the lines, and where each line has its own.
+
+    At each corner there are those of its turn, then those of the straight part behind it; at a
+    line's end there is one.
+    """
+    first, last = lines.bounds[:-1], lines.bounds[1:] - 1
+    step = np.diff(lines.points, axis=0, append=lines.points[-1:])
+    yaw = np.arctan2(step[:, 1], step[:, 0])
+    yaw[last] = yaw[last - 1]
+    unit = np.stack((np.cos(yaw), np.sin(yaw)), axis=1)
+    straight = np.maximum(np.hypot(*step.T) - lines.cut - np.append(lines.cut[1:], 0.0), 0.0)
+    straight[last] = 0.0
+    turn = np.abs(lines.turn)
+    arc = np.where(turn > 1e-9, lines.cut * turn / np.tan(np.maximum(turn, 1e-9) / 2), 0.0)
+    # Part 2 k is the turn at corner k, 2 k + 1 what is straight behind it.
+    parts = np.zeros(2 * len(step))
+    with np.errstate(over='ignore'):
+        parts[::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
+        parts[1::2] = np.ceil(straight / spacing - 1e-9)
+    parts[2 * last + 1] = 1.0
+    of_lines = np.add.reduceat(parts, 2 * first)
+    _check_count(float(of_lines.max()), spacing)
+    count = parts.astype(np.int64)
+    part = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
+    k, bent = part // 2, part % 2 == 0
+    along = k - bent  # in a turn, the direction is that before it
+    bend = np.where(bent, lines.turn[k], 0.0)
+    angle = yaw[along] + share * bend
+    origin = lines.points[k] + np.where(bent, -1.0, 1.0)[:, None] * lines.cut[k, None] * unit[along]
+    # In a turn by w the chord to where it has come to points by half of that aside.
+    half = share * bend / 2
+    with np.errstate(divide='ignore', invalid='ignore'):
+        radius = np.where(bend != 0.0, lines.cut[k] / np.tan(np.abs(bend) / 2), 0.0)
+    chord = np.where(bent, 2.0 * radius * np.abs(np.sin(half)), share * straight[k])
+    toward = yaw[along] + half
+    uv = origin + chord[:, None] * np.stack((np.cos(toward), np.sin(toward)), axis=1)
+    return uv, angle, np.append(0, np.cumsum(of_lines.astype(np.int64)))
+
+
+def _check_count(poses: float, spacing: float) -> None:
+    if not poses <= MOST_POSES:
+        raise InvalidOption(
+            f'a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, '
+            f'and {MOST_POSES} are the most; choose a larger distance'
+        )
+
+
+def _wrapped(angle: FloatArray) -> FloatArray:
+    """The same angles in [-pi, pi)."""
+    wrapped: FloatArray = (angle + math.pi) % (2.0 * math.pi) - math.pi
+    return wrapped

@@ -1,0 +1,262 @@
+"""The paper's figures 2 to 7, and our own strategies in the same style."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch
+from scipy.sparse import csr_matrix
+
+from ambush_planner.commands.figures import (
+    PROBABILITY,
+    FloatArray,
+    draw_ends,
+    draw_risk_map,
+    draw_segments,
+    frame,
+)
+from ambush_planner.game.strategy import Strategy
+from ambush_planner.maps.risk_map import RiskMap
+
+from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
+from .report import NAMES
+from .results import METHOD_3, SOLVERS, Results, Say
+
+# Squares that are visited less often than this, relative to the busiest, get no arrow.
+LEAST_SHARE = 2e-3
+
+DOTS_PER_INCH = 100
+CONNECTIVITY = {
+    'Method 1': 'random samples, Delaunay triangulation',
+    'Method 2': 'lattice, 8-connected',
+    'Method 3': 'lattice, Delaunay triangulation',
+}
+# Thresholds of figure 7: a moderate one, and one that leaves a bottleneck.
+SHOWN_THRESHOLDS = (7.0, 5.0)
+
+
+def draw_all(results: Results, folder: Path, say: Say) -> None:
+    """Write every figure into the folder."""
+    for name, figure in (
+        ('figure_2_interior_point', _example(results, 'interior_point', 'interior point')),
+        ('figure_3_interior_point', _methods(results, 'interior_point', 'interior point')),
+        ('figure_4_simplex', _example(results, 'simplex', 'simplex')),
+        ('figure_5_simplex', _methods(results, 'simplex', 'simplex')),
+        ('figure_6_energy', _energy(results)),
+        ('figure_7_threshold', _thresholds(results)),
+        ('figure_ours', _methods(results, 'max_entropy', 'max_entropy')),
+        ('figure_ours_secured', _secured(results)),
+        ('figure_solvers', _solvers(results)),
+    ):
+        say(f'drawing {name}.png')
+        figure.savefig(folder / f'{name}.png')
+
+
+def _methods(results: Results, solver: str, name: str) -> Figure:
+    rows = [
+        (f'{method}: {CONNECTIVITY[method]}; {name}', results.strategies[method, solver])
+        for method in METHODS
+    ]
+    return _rows(results.risk_map, rows)
+
+
+def _solvers(results: Results) -> Figure:
+    """Figure 3 c, figure 5 c and our own strategy below each other."""
+    rows = [(f'{METHOD_3}: {NAMES[s]}', results.strategies[METHOD_3, s]) for s in SOLVERS]
+    return _rows(results.risk_map, rows)
+
+
+def _energy(results: Results) -> Figure:
+    title = f'{METHOD_3}, 0.99 z + 0.01 E minimised; interior point'
+    return _rows(results.risk_map, [(title, results.weighted)])
+
+
+def _secured(results: Results) -> Figure:
+    title = f'{METHOD_3}, no ambush within {SECURED_RADIUS:g} m of the ends; max_entropy'
+    figure = _rows(results.risk_map, [(title, results.secured)])
+    _draw_sites(figure.axes[0], results.secured)
+    _sites_legend(figure)
+    return figure
+
+
+def _thresholds(results: Results) -> Figure:
+    """One row a threshold: the whole map, and the goal with the places where the ambusher waits."""
+    figure, axes = _panels(len(SHOWN_THRESHOLDS))
+    for panels, threshold in zip(axes, SHOWN_THRESHOLDS, strict=True):
+        strategy = results.thresholds[threshold]
+        titles = (
+            f'Nodes with alpha over {threshold:g} discarded: value {strategy.value:.2f}',
+            'around the goal',
+        )
+        for panel, title in zip(panels, titles, strict=True):
+            frame(panel, results.risk_map, title)
+            draw_risk_map(panel, results.risk_map)
+            lines = _draw_uses(panel, strategy)
+            _draw_sites(panel, strategy)
+            _draw_ends(panel, strategy)
+        panels[1].set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
+        figure.colorbar(lines, ax=panels, label='expected uses of each edge', shrink=0.9)
+    _sites_legend(figure)
+    return figure
+
+
+def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
+    """One row a strategy: left how likely each edge is used, right the mean direction."""
+    figure, axes = _panels(len(rows))
+    for (left, right), (title, strategy) in zip(axes, rows, strict=True):
+        frame(left, risk_map, title)
+        frame(right, risk_map, 'mean direction')
+        lines = _draw_uses(left, strategy)
+        draw_mean_direction(right, _without_two_way_traffic(strategy), SPACING)
+        for panel in (left, right):
+            risk = draw_risk_map(panel, risk_map)
+            _draw_ends(panel, strategy)
+        figure.colorbar(lines, ax=left, label='expected uses of each edge', shrink=0.9)
+        figure.colorbar(risk, ax=right, label='alpha', shrink=0.9)
+    return figure
+
+
+def _panels(rows: int) -> tuple[Figure, np.ndarray]:
+    figure = Figure(figsize=(13.5, 6.0 * rows), dpi=DOTS_PER_INCH, layout='compressed')
+    return figure, figure.subplots(rows, 2, squeeze=False)
+
+
+def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
+    """Draw the edges on a linear scale that a few crowded edges do not stretch."""
+    p = strategy.edge_probability
+    most = float(np.quantile(p[p > 1e-3], 0.98))
+    segments = strategy.network.points[strategy.network.edges]
+    return draw_segments(axes, segments, p, Normalize(0.0, most, clip=True), (0.3, 3.2))
+
+
+def _without_two_way_traffic(strategy: Strategy) -> Strategy:
+    """Let traffic there and back on the same edge cancel out, for its mean direction.
+
+    Solutions of the linear programs drive most edges both ways; the mean of all that motion
+    shows the network's own asymmetry, what is left shows where the journey goes.
+    """
+    network, p = strategy.network, strategy.edge_probability
+    uses = csr_matrix((p, network.edges.T), shape=(len(network.points),) * 2)
+    back = np.asarray(uses[network.heads, network.tails]).ravel()
+    return replace(strategy, edge_probability=np.maximum(p - back, 0.0))
+
+
+def _draw_ends(axes: Axes, strategy: Strategy) -> None:
+    network = strategy.network
+    draw_ends(axes, *network.points[[network.source, network.target]])
+
+
+def _draw_sites(axes: Axes, strategy: Strategy) -> None:
+    """The paper's little white squares."""
+    q = strategy.ambush_probability
+    sites = strategy.network.points[q > 1e-3 * q.max()]
+    axes.scatter(*sites.T, s=60, marker='s', color='white', edgecolors='black', zorder=9)
+
+
+def _sites_legend(figure: Figure) -> None:
+    sites = Line2D([], [], linestyle='none', marker='s', markersize=8, color='white',
+                   markeredgecolor='black', label='where the ambusher waits')
+    figure.legend(handles=[sites], loc='outside lower right')
+
+
+def _example(results: Results, solver: str, name: str) -> Figure:
+    """The 8-node network: the wider an arrow, the likelier the edge; unused ones dotted."""
+    strategy = results.strategies[EXAMPLE, solver]
+    network = strategy.network
+    figure = Figure(figsize=(8.0, 4.6), dpi=DOTS_PER_INCH, layout='constrained')
+    axes = figure.subplots()
+    for (tail, head), p in zip(network.edges, strategy.edge_probability, strict=True):
+        _draw_arrow(axes, network.points[tail], network.points[head], float(p))
+    axes.scatter(*network.points.T, s=420, color='white', edgecolors='black', zorder=3)
+    for node, x in enumerate(strategy.visit_probability):
+        label = {network.source: 'A', network.target: 'B'}.get(node, f'{x:.2f}')
+        axes.annotate(label, network.points[node], ha='center', va='center', fontsize=8, zorder=4)
+    axes.set(xlim=(-0.25, 3.25), ylim=(-0.3, 2.3), aspect='equal')
+    axes.set_axis_off()
+    axes.set_title(
+        f'8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}; '
+        'in the nodes how often they are visited',
+        fontsize='medium',
+    )
+    return figure
+
+
+def _draw_arrow(axes: Axes, tail: np.ndarray, head: np.ndarray, p: float) -> None:
+    used = p > 1e-6
+    axes.add_patch(FancyArrowPatch(
+        tail,
+        head,
+        arrowstyle='-|>',
+        mutation_scale=10.0 + 25.0 * p,
+        linewidth=0.8 + 16.0 * p if used else 0.8,
+        linestyle='-' if used else ':',
+        color=PROBABILITY(0.25 + 2.0 * p) if used else '0.6',
+        shrinkA=11.0,
+        shrinkB=11.0,
+        zorder=2 if used else 1,
+    ))
+    if used:
+        x, y = tail + 0.36 * (head - tail)
+        axes.annotate(f'{p:.2f}', (x, y), ha='center', va='center', fontsize=8, zorder=5,
+                      bbox={'boxstyle': 'round,pad=0.15', 'color': 'white', 'alpha': 0.85})
+
+
+def binned_directions(
+    points: FloatArray, direction: FloatArray, weight: FloatArray, size: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Average mean directions over squares of edge ``size`` [m].
+
+    Returns, for each square that holds weight, the centre of its weight (K, 2), the weighted mean
+    direction (K, 2) and its share of the largest weight (K,).
+    """
+    used = weight > 0.0
+    points, direction, weight = points[used], direction[used], weight[used]
+    if len(points) == 0:
+        return np.empty((0, 2)), np.empty((0, 2)), np.empty(0)
+    square = np.floor(points / size).astype(np.int64)
+    _, index = np.unique(square, axis=0, return_inverse=True)
+    index = index.reshape(-1)
+    total = np.bincount(index, weights=weight)
+
+    def mean(values: FloatArray) -> FloatArray:
+        sums = [np.bincount(index, weights=weight * column) for column in values.T]
+        return np.stack(sums, axis=1) / total[:, None]
+
+    return mean(points), mean(direction), total / total.max()
+
+
+def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
+    """Draw which way the convoy leaves the ground, averaged over squares of edge ``size`` [m].
+
+    An arrow is long where the direction is certain, and dark where the convoy often comes.
+    """
+    places, directions, share = binned_directions(
+        strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size
+    )
+    shown = share >= LEAST_SHARE
+    often = LogNorm(5.0 * LEAST_SHARE, 1.0, clip=True)(share)
+    axes.quiver(
+        *places[shown].T,
+        *(directions[shown] * size * 1.15).T,
+        np.asarray(often)[shown],
+        cmap=PROBABILITY,
+        clim=(0.0, 1.0),
+        angles='xy',
+        scale_units='xy',
+        scale=1.0,
+        pivot='mid',
+        units='xy',
+        width=size * 0.13,
+        headwidth=3.6,
+        headlength=3.6,
+        headaxislength=3.2,
+        zorder=3,
+    )

@@ -1,0 +1,250 @@
+"""The paper's experiments: every strategy that its tables and figures need, and the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import Strategy, StrategyOptions, solve
+from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.network.network import Network
+from ambush_planner.planning.evaluation import evaluate
+
+from .environment import EXAMPLE, HIGH_ALPHA, SECURED_RADIUS, THRESHOLDS, make_networks
+
+MEASURES = (
+    'value', 'lower_bound', 'edge_entropy', 'route_entropy', 'expected_length', 'shortest_length',
+)
+SOLVERS = ('interior_point', 'simplex', 'max_entropy')
+# The network of the paper's table III.
+METHOD_3 = 'Method 3'
+LENGTH_WEIGHT = 0.01
+# Budgets of our strategies beside it: one that costs no value, and two near to the shortest route.
+DETOURS = (1.5, 1.1, 1.06)
+DRAWS = 2000
+DRAWS_SEED = 1
+# Edges of a solution that are used less than this are numerical noise.
+UNUSED = 1e-6
+
+PAPER_ENTROPY = {
+    (EXAMPLE, 'interior_point'): 4.10,
+    (EXAMPLE, 'simplex'): 3.30,
+    ('Method 1', 'interior_point'): 934.58,
+    ('Method 1', 'simplex'): 117.05,
+    ('Method 2', 'interior_point'): 331.54,
+    ('Method 2', 'simplex'): 244.54,
+    (METHOD_3, 'interior_point'): 404.21,
+    (METHOD_3, 'simplex'): 239.96,
+}
+STOCHASTIC, SHORTEST, SAFEST = 'stochastic', 'energy efficient', 'risk avoidance'
+WEIGHTED = 'stochastic, 0.99 / 0.01'
+SECURED = f'ours, ends secured within {SECURED_RADIUS:g} m'
+# Expected length, P_1, P_inf, V_inf; of the weighted variant the text tells only the length.
+PAPER_MEASURES: dict[str, tuple[float | None, ...]] = {
+    STOCHASTIC: (89.57, 0.33, 0.33, 1.09),
+    SHORTEST: (31.24, 0.33, 1.0, 5.99),
+    SAFEST: (40.87, 0.33, 1.0, 6.43),
+    WEIGHTED: (33.14, None, None, None),
+}
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a strategy spreads: one row of table II.
+
+    Entropies in nats; ``routes`` are the distinct simple routes among ``DRAWS`` drawn ones,
+    ``high_alpha_share`` the share of node visits at alpha over ``HIGH_ALPHA``.
+    """
+
+    network: str
+    solver: str
+    nodes: int
+    edges: int
+    edges_used: int
+    value: float
+    lower_bound: float
+    edge_entropy: float
+    route_entropy: float
+    expected_length: float
+    shortest_length: float
+    routes: int
+    high_alpha_share: float
+    paper_edge_entropy: float | None = None
+
+
+@dataclass(frozen=True)
+class PlannerRow:
+    """One planner's row of table III; ``paper`` holds the paper's own, as far as it has them."""
+
+    planner: str
+    expected_length: float
+    p_first: float
+    p_repeated: float
+    v_repeated: float
+    paper: tuple[float | None, ...] | None
+
+
+@dataclass(frozen=True)
+class ThresholdRow:
+    """The game without the nodes whose alpha is over ``alpha_threshold``, and where it is lost."""
+
+    alpha_threshold: float
+    value: float
+    sites: int
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """All strategies by name, and the rows of the tables."""
+
+    risk_map: RiskMap
+    networks: Mapping[str, Network]
+    strategies: Mapping[tuple[str, str], Strategy]
+    weighted: Strategy
+    budgeted: Mapping[float, Strategy]
+    secured: Strategy
+    thresholds: Mapping[float, Strategy]
+    table_2: tuple[Spread, ...]
+    table_3: tuple[PlannerRow, ...]
+    spread_3: tuple[Spread, ...]
+    table_thresholds: tuple[ThresholdRow, ...]
+
+    def spread(self, network: str, solver: str) -> Spread:
+        """Row of table II."""
+        rows = (*self.table_2, *self.spread_3)
+        return next(row for row in rows if (row.network, row.solver) == (network, solver))
+
+    def planner(self, name: str) -> PlannerRow:
+        """Row of table III."""
+        return next(row for row in self.table_3 if row.planner == name)
+
+    def rows(self) -> dict[str, list[dict[str, object]]]:
+        """All rows, ready for JSON."""
+        tables = {
+            'table_2': self.table_2,
+            'table_3': self.table_3,
+            'table_3_spread': self.spread_3,
+            'alpha_thresholds': self.table_thresholds,
+        }
+        return {name: [asdict(row) for row in rows] for name, rows in tables.items()}
+
+
+def budgeted_name(max_detour: float) -> str:
+    """Name of our strategy with a length budget in table III."""
+    return f'ours, max_detour {max_detour:g}'
+
+
+def compute(risk_map: RiskMap, say: Say) -> Results:
+    """Run all experiments; ``say`` is told what is being done.
+
+    Raises
+    ------
+    AmbushPlannerError
+        A strategy was not found.
+    """
+    say('building the networks')
+    networks = make_networks(risk_map)
+    strategies, table_2 = {}, []
+    for name, network in networks.items():
+        for solver in SOLVERS:
+            say(f'{name}: {solver}, {DRAWS} routes')
+            strategy = _solve(network, solver)
+            strategies[name, solver] = strategy
+            table_2.append(_spread(name, solver, strategy))
+    network = networks[METHOD_3]
+    say(f'{METHOD_3}: length weight {LENGTH_WEIGHT}, budgets, alpha thresholds')
+    weighted = solve(network, options=_paper_options('interior_point', LENGTH_WEIGHT))
+    budgeted = {d: solve(network, options=_our_options(d)) for d in DETOURS}
+    thresholds = {
+        threshold: solve(network, GameOptions(alpha_threshold=threshold),
+                         _paper_options('interior_point'))
+        for threshold in THRESHOLDS
+    }
+    secured = solve(network, GameOptions(secured_radius=SECURED_RADIUS), _our_options())
+    named = {
+        WEIGHTED: weighted,
+        **{budgeted_name(d): strategy for d, strategy in budgeted.items()},
+        SECURED: secured,
+    }
+    return Results(
+        risk_map,
+        networks,
+        strategies,
+        weighted,
+        budgeted,
+        secured,
+        thresholds,
+        tuple(table_2),
+        _planner_rows(strategies[METHOD_3, 'interior_point'], named),
+        tuple(_spread(METHOD_3, name, strategy) for name, strategy in named.items()),
+        tuple(_threshold_row(threshold, s) for threshold, s in thresholds.items()),
+    )
+
+
+def _solve(network: Network, solver: str) -> Strategy:
+    ours = solver == 'max_entropy'
+    return solve(network, options=_our_options() if ours else _paper_options(solver))
+
+
+def _our_options(max_detour: float = DETOURS[0]) -> StrategyOptions:
+    """Without the default's slack, so that values can be compared: none is given up."""
+    return StrategyOptions(max_detour=max_detour, risk_slack=0.0)
+
+
+def _paper_options(solver: str, length_weight: float = 0.0) -> StrategyOptions:
+    """The paper's linear programs know no length budget."""
+    return StrategyOptions(solver, max_detour=np.inf, length_weight=length_weight)
+
+
+def _spread(network: str, solver: str, strategy: Strategy) -> Spread:
+    visits = strategy.visit_probability
+    high = strategy.network.alpha > HIGH_ALPHA
+    return Spread(
+        network=network,
+        solver=solver,
+        nodes=len(strategy.network.points),
+        edges=len(strategy.network.edges),
+        edges_used=int((strategy.edge_probability > UNUSED).sum()),
+        **{name: getattr(strategy, name) for name in MEASURES},
+        routes=distinct_routes(strategy, DRAWS),
+        high_alpha_share=float(visits[high].sum() / visits.sum()),
+        paper_edge_entropy=PAPER_ENTROPY.get((network, solver)),
+    )
+
+
+def distinct_routes(strategy: Strategy, draws: int) -> int:
+    """Number of different routes among ``draws`` drawn ones, always the same draws."""
+    rng = np.random.default_rng(DRAWS_SEED)
+    return len({route.tobytes() for route in strategy.sample_routes(draws, rng)})
+
+
+def _planner_rows(raw: Strategy, named: Mapping[str, Strategy]) -> tuple[PlannerRow, ...]:
+    """The paper's planners from its own strategy's table, then the other strategies."""
+    measures = evaluate(raw)
+    rows = {
+        STOCHASTIC: measures['stochastic'],
+        SHORTEST: measures['energy_efficient'],
+        SAFEST: measures['risk_avoidance'],
+        **{name: evaluate(strategy)['stochastic'] for name, strategy in named.items()},
+    }
+    return tuple(
+        PlannerRow(
+            name,
+            row.expected_length,
+            row.p_first,
+            row.p_repeated,
+            row.v_repeated,
+            PAPER_MEASURES.get(name),
+        )
+        for name, row in rows.items()
+    )
+
+
+def _threshold_row(threshold: float, strategy: Strategy) -> ThresholdRow:
+    q = strategy.ambush_probability
+    return ThresholdRow(threshold, strategy.value, int((q > 1e-3 * q.max()).sum()))

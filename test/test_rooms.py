@@ -1,0 +1,89 @@
+"""The rooms of the package: each imports only from rooms before it, and ROS comes last."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ambush_planner
+
+PACKAGE = Path(ambush_planner.__file__).parent
+ROOMS = ('maps', 'network', 'game', 'routes', 'planning', 'worker', 'recordings', 'ros', 'commands')
+FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).glob('*.py'))
+# Everything before the worker needs only these; map files also need a YAML reader.
+CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
+MAP_FILES_NEED = {'yaml', 'rasterio'}
+
+BLOCKED = """
+import sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition(".")[0]
+        if top in ("rclpy", "builtin_interfaces", "mcap", "mcap_ros2", "matplotlib", "yaml") or (
+            top.endswith(("_msgs", "_srvs", "_interfaces"))
+        ):
+            raise ImportError(name + " is blocked")
+
+sys.meta_path.insert(0, NoRos())
+import ambush_planner
+network = ambush_planner.Network([[0, 0], [1, 0], [2, 0]], [0, 3, 0], [(0, 1), (1, 2)], 0, 2)
+print(round(ambush_planner.solve(network).value, 5))
+"""
+
+
+def imports(path: Path) -> tuple[set[str], set[str]]:
+    """Top-level names of the absolute imports, and rooms of this package that are imported."""
+    absolute, rooms = set(), set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            absolute |= {alias.name.partition('.')[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            absolute.add((node.module or '').partition('.')[0])
+        elif isinstance(node, ast.ImportFrom) and node.level == 2 and node.module:
+            rooms.add(node.module.partition('.')[0])
+    return absolute, rooms & set(ROOMS)
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: f'{path.parent.name}/{path.name}')
+def test_a_file_imports_only_from_rooms_before_its_own(path):
+    before = ROOMS[:ROOMS.index(path.parent.name) + 1]
+    assert imports(path)[1] <= set(before)
+
+
+@pytest.mark.parametrize('path', FILES, ids=lambda path: f'{path.parent.name}/{path.name}')
+def test_ros_is_imported_in_its_own_room_only(path):
+    room, needed = path.parent.name, imports(path)[0]
+    if room in ROOMS[:ROOMS.index('recordings')]:
+        assert needed <= CORE_NEEDS | (MAP_FILES_NEED if room == 'maps' else set())
+    elif room == 'recordings':
+        assert 'rclpy' not in needed
+
+
+def test_the_core_imports_and_solves_with_ros_blocked():
+    root = str(PACKAGE.parent)
+    done = subprocess.run(
+        [sys.executable, '-c', BLOCKED], capture_output=True, text=True, timeout=60, cwd=root
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == '3.0'
+
+
+@pytest.mark.parametrize('command', ['terrain', 'table'])
+def test_commands_that_take_no_recordings_need_no_ros(command):
+    module = f'ambush_planner.commands.{command}'
+    pytest.importorskip('matplotlib', reason='the preview takes the extra figures')
+    seen = f"import sys, {module}; print([m for m in sys.modules if m in ('rclpy', 'nav_msgs')])"
+    done = subprocess.run(
+        [sys.executable, '-c', seen], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.stdout.strip() == '[]', done.stderr
+
+
+def test_every_public_name_is_there():
+    for name in ambush_planner.__all__:
+        assert getattr(ambush_planner, name) is not None
