@@ -1,0 +1,120 @@
+"""The convoy's best response to an ambusher's mixed strategy when each site hits a route once.
+
+For q (N,) >= 0 and prices of the budgets, the least of
+
+    sum over sites j that the route meets of q_j alpha_j  +  sum over budgets of price * excess
+
+over all routes, less price * room, bounds from below what any strategy within the budgets can
+reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
+node label A dominates B if A costs no more than B even after it has paid for every site that B
+alone has met: whatever follows, A then ends no worse.
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from .certificate import Budget
+from .game import Game
+
+# Labels after which the search stops: the cost reached by then is still a lower bound.
+MAX_LABELS = 400_000
+# Sites that the ambusher uses less than this, as a share of the most used, cannot be worth a label.
+_NEGLIGIBLE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class BestResponse:
+    """``bound`` on the value; the route's ``edges`` (K,), or None if the search was cut short."""
+
+    bound: float
+    edges: IndexArray | None
+    labels: int
+
+
+def best_response(
+    game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...],
+    max_labels: int = MAX_LABELS,
+) -> BestResponse:
+    """Find the route that costs least against q (N,) with each site counted once."""
+    base, paid = np.zeros(len(game.network.edges)), 0.0
+    for budget, price in zip(budgets, prices, strict=True):
+        if price > 0.0:
+            base = base + price * budget.excess
+            paid += price * budget.room
+    charge = (game.loss * q)[game.sites]
+    rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
+    cost, edges, labels = _Labels(game, base, rows, charge[rows]).search(max_labels)
+    return BestResponse(max(cost - paid, 0.0), edges, labels)
+
+
+class _Labels:
+    """A* over (cost, node, sites met), with the distance over the base weights as potential."""
+
+    def __init__(
+        self, game: Game, base: FloatArray, rows: IndexArray, charge: FloatArray
+    ) -> None:
+        network = game.network
+        behind = game.distances_behind(base)
+        usable = game.playable & np.isfinite(behind[network.heads])
+        edge = np.flatnonzero(usable)
+        edge = edge[np.argsort(network.tails[edge], kind='stable')]
+        self._edge = edge
+        self._first = np.searchsorted(network.tails[edge], np.arange(game.node_count + 1)).tolist()
+        self._head, self._base = network.heads[edge].tolist(), base[edge].tolist()
+        self._behind = behind.tolist()
+        self._charge = charge.tolist()
+        self._met = [0] * len(edge)
+        hit = game.hits[rows][:, edge].tocoo()
+        for row, k in zip(hit.row.tolist(), hit.col.tolist(), strict=True):
+            self._met[k] |= 1 << row
+        self._losses: dict[int, float] = {0: 0.0}
+        self._source, self._target = network.source, network.target
+
+    def search(self, max_labels: int) -> tuple[float, IndexArray | None, int]:
+        """Least cost, its route as edges, labels made; the route is None at the limit."""
+        behind, loss = self._behind, self._loss
+        labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
+        settled: dict[int, list[tuple[float, int]]] = {}
+        queue = [(behind[self._source], 0.0, 0, self._source, 0)]
+        while queue:
+            least, cost, number, node, met = heapq.heappop(queue)
+            if node == self._target:
+                return cost, self._route(labels, number), len(labels)
+            if len(labels) > max_labels:
+                return least, None, len(labels)
+            here = settled.setdefault(node, [])
+            if any(c + loss(met & ~m) <= cost for c, m in here):
+                continue
+            here.append((cost, met))
+            for k in range(self._first[node], self._first[node + 1]):
+                head, new = self._head[k], self._met[k] & ~met
+                after = cost + self._base[k] + (loss(new) if new else 0.0)
+                both = met | new
+                if any(c + loss(both & ~m) <= after for c, m in settled.get(head, ())):
+                    continue
+                labels.append((number, k))
+                heapq.heappush(queue, (after + behind[head], after, len(labels) - 1, head, both))
+        return np.inf, None, len(labels)
+
+    def _loss(self, met: int) -> float:
+        known = self._losses.get(met)
+        if known is None:
+            rest, known = met, 0.0
+            while rest:
+                low = rest & -rest
+                known += self._charge[low.bit_length() - 1]
+                rest ^= low
+            self._losses[met] = known
+        return known
+
+    def _route(self, labels: list[tuple[int, int]], number: int) -> IndexArray:
+        route = []
+        while number > 0:
+            number, k = labels[number]
+            route.append(self._edge[k])
+        return np.array(route[::-1], dtype=np.int64)
