@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from ambush_planner import GameOptions
 from ambush_planner.game import acyclic
 from ambush_planner.game.acyclic import (
-    conserved,
+    conserved_strategy,
     forward_part,
     order_potential,
     progress,
@@ -139,10 +139,10 @@ def test_an_almost_conserved_flow_becomes_an_exact_one_with_the_same_shares(netw
     exact = without_cycles(network, mixed_walks(network, seed))
     rng = np.random.default_rng(seed)
     rough = exact * (1.0 + 1e-6 * rng.normal(size=len(exact))) + 1e-12 * rng.random(len(exact))
-    p = conserved(game, rough, 1e-9)
+    p = conserved_strategy(game, rough, 1e-9)
     assert unbalanced(network, p) < 1e-12 and is_acyclic(network, p)
     assert p == pytest.approx(exact, abs=1e-4)
-    assert conserved(game, np.zeros(len(exact))) is None
+    assert conserved_strategy(game, np.zeros(len(exact))) is None
 
 
 def test_a_node_that_circles_is_taken_off_by_hand():

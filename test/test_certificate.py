@@ -158,7 +158,7 @@ def test_a_budget_below_the_best_route_is_infeasible():
     lengths = game.network.lengths
     with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
         Budget(game, lengths, 2.9, 3.0, 'length', 'm')
-    assert Budget(game, lengths, 3.0, 3.0, 'length', 'm').room > 0.0
+    assert Budget(game, lengths, 3.0, 3.0, 'length', 'm').margin > 0.0
 
 
 @examples(50)

@@ -21,15 +21,15 @@ from games import (
 from hypothesis import given
 
 from ambush_planner import GameOptions, SolverFailed
-from ambush_planner.game.cut import GameValue, indifferent_ambusher, solve_by_cut
+from ambush_planner.game.cut import CutSolution, solve_by_min_cut, uniform_ambusher
 from ambush_planner.game.game import make_game
 
 
-def solved(network) -> GameValue:
-    return solve_by_cut(make_game(network, GameOptions()))
+def solved(network) -> CutSolution:
+    return solve_by_min_cut(make_game(network, GameOptions()))
 
 
-def check_laws(network, found: GameValue) -> None:
+def check_laws(network, found: CutSolution) -> None:
     """Both players' strategies are strategies, and each guarantees the value."""
     p, q = found.p, found.q
     assert p.min() >= 0.0 and q.min() >= 0.0
@@ -42,7 +42,7 @@ def check_laws(network, found: GameValue) -> None:
     assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-9)
 
 
-def check_cut(network, found: GameValue) -> None:
+def check_cut(network, found: CutSolution) -> None:
     """Without the cut's nodes no route is left, and q lives on the cut as 1 / alpha."""
     gone = np.isin(network.heads, found.cut)
     assert least_weight(network, np.where(gone, np.inf, 0.0)) == np.inf
@@ -154,11 +154,11 @@ def test_only_the_plain_game_is_taken():
     network = line([0, 1, 1, 1, 0])
     for options in (GameOptions(ambush_radius=1.0), GameOptions(ambushers=2)):
         with pytest.raises(SolverFailed, match='one ambusher without a reach'):
-            solve_by_cut(make_game(network, options))
+            solve_by_min_cut(make_game(network, options))
 
 
 def test_where_nothing_costs_anything_q_is_spread_evenly():
     game = make_game(line([0, 1, 2, 0]), GameOptions())
-    assert indifferent_ambusher(game).tolist() == [0.0, 0.5, 0.5, 0.0]
+    assert uniform_ambusher(game).tolist() == [0.0, 0.5, 0.5, 0.0]
     two = make_game(line([0, 1, 0]), GameOptions(ambushers=2))
-    assert indifferent_ambusher(two) == pytest.approx(2 / 3)
+    assert uniform_ambusher(two) == pytest.approx(2 / 3)

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions
-from ambush_planner.game.flow_program import FlowProgram, at_most_one, conservation
+from ambush_planner.game.flow_program import FlowProgram, capped_at_one, conservation
 from ambush_planner.game.game import make_game
 from ambush_planner.game.strategy import make_budgets
 
@@ -67,5 +67,5 @@ def test_conservation_leaves_out_the_target():
 def test_at_most_one(masses, count):
     if sum(masses) < 1e-3:
         return
-    q = at_most_one(np.array(masses) * count / sum(masses), count)
+    q = capped_at_one(np.array(masses) * count / sum(masses), count)
     assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0

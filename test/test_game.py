@@ -10,14 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
-from ambush_planner.game.cut import solve_by_cut
+from ambush_planner.game.cut import solve_by_min_cut
 from ambush_planner.game.game import make_game
 
 
 def value(network, **options) -> float:
     """Exact value; inf where no route is left."""
     try:
-        return solve_by_cut(make_game(network, GameOptions(**options))).value
+        return solve_by_min_cut(make_game(network, GameOptions(**options))).value
     except NoRoute:
         return np.inf
 
@@ -159,7 +159,7 @@ def test_a_part_of_the_game_keeps_only_whole_routes(network, radius):
     used = set(map(tuple, network.edges[part.playable].tolist()))
     routes = [list(zip(r[:-1], r[1:], strict=True)) for r in walks(network, used)]
     assert routes and set().union(*routes) <= used
-    safe = game.past_all_sites()
+    safe = game.avoiding_all_sites()
     assert safe is None or not (game.hits @ safe.playable.astype(float)).any()
 
 

@@ -38,8 +38,8 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.game.cut import indifferent_ambusher
-from ambush_planner.game.route_sampler import always, shortest_route
+from ambush_planner.game.cut import uniform_ambusher
+from ambush_planner.game.route_sampler import route_strategy, shortest_route
 from ambush_planner.game.strategy_solver import Solution
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
@@ -251,8 +251,8 @@ def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
     network = terrain_network(3, cells=9)
 
     def careless(game, budgets, *_):
-        p = always(network, shortest_route(network, np.flatnonzero(game.playable)))
-        return Solution(p, indifferent_ambusher(game), (0.0, 0.0), 7)
+        p = route_strategy(network, shortest_route(network, np.flatnonzero(game.playable)))
+        return Solution(p, uniform_ambusher(game), (0.0, 0.0), 7)
 
     monkeypatch.setattr('ambush_planner.game.strategy.max_entropy_strategy', careless)
     with pytest.raises(TimeLimit, match=r'not within 0\.01 .* after 7 steps') as caught:

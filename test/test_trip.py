@@ -28,7 +28,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.network.construction import Roads
-from ambush_planner.planning.plan import DriveOptions, depart, departure_path, strategy_on
+from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_paths
@@ -230,7 +230,7 @@ def test_the_best_order_is_the_best_of_all(risk_map, radius):
                for order, network in networks.items()}
     budget = asked.strategy.max_detour * min(lengths.values())
     values = {
-        order: strategy_on(risk_map, network, PlanningOptions(
+        order: solve_on_network(risk_map, network, PlanningOptions(
             asked.network, asked.game,
             StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
         for order, network in networks.items() if lengths[order] <= budget

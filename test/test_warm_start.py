@@ -27,9 +27,9 @@ def ground(seed, changed=()):
     return risk_map_from_occupancy(values, 0.5)
 
 
-def strategy_on(risk_map, options, warm=None):
+def solve_on_network(risk_map, options, warm=None):
     network = build_network(risk_map, *ENDS, options.network)
-    return planner.strategy_on(risk_map, network, options, warm)
+    return planner.solve_on_network(risk_map, network, options, warm)
 
 
 @examples(5)
@@ -43,17 +43,17 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
         NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
         StrategyOptions(max_detour=detour),
     )
-    before = strategy_on(ground(seed), options)
+    before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
-    cold = strategy_on(newest, options)
-    warm = strategy_on(newest, options, WarmStart(before.network.points, before.multipliers))
+    cold = solve_on_network(newest, options)
+    warm = solve_on_network(newest, options, WarmStart(before.network.points, before.multipliers))
     assert (cold.start, warm.start is None) == (None, False)
     assert np.array_equal(warm.network.points, cold.network.points)
     assert warm.value <= cold.lower_bound * 1.01 * (1 + 1e-5)
     assert warm.lower_bound == pytest.approx(cold.lower_bound, rel=2e-3)
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.01)
     # The law that was used, on these nodes, leads to the same strategy bit for bit.
-    again = strategy_on(newest, options, WarmStart(warm.network.points, warm.start))
+    again = solve_on_network(newest, options, WarmStart(warm.network.points, warm.start))
     assert np.array_equal(again.edge_probability, warm.edge_probability)
 
 

@@ -30,17 +30,17 @@ MAX_EVALUATIONS = 1500
 # multiplications that its Hessians may take.
 FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_WORK = 150, 800, 1e11
 # The search ends with this share of the entropy, plus as many nats, still to be had.
-CLOSE = 2e-3
+ENTROPY_TOLERANCE = 2e-3
 # The function's value has rounding of this size, relative to its terms.
 ROUNDING = 1e-9
 # Weights of edges from which on sums along a route have no digit left behind the point.
-RUNAWAY = 1e16
+MAX_WEIGHT = 1e16
 # Multipliers below this are as good as 0.
 LEAST_MULTIPLIER = 1e-7
 # The most that a line search may make of one, in its unit: far enough out to prove what cannot be.
-MOST_SCALED = 1e10
+MAX_SCALED = 1e10
 # Limits with less than this to spare take part in the search.
-FAR = 0.7
+NEAR_LIMIT = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
 # Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
@@ -49,14 +49,14 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
 RISE, FALL, ACCEPTED, TRUSTED = 6.0, 0.2, 0.01, 0.5
 # Limits with less excess than this share of the tolerance, and edges used less than this, are left
 # out of the model.
-NEARLY, NEGLIGIBLE_USE = 0.1, 1e-7
+MODEL_EXCESS, NEGLIGIBLE_USE = 0.1, 1e-7
 
 
-class _Done(Exception):
+class _SearchEnded(Exception):
     """Ends a search from within."""
 
 
-class _Joining(Exception):
+class _LimitJoins(Exception):
     """Another limit joins the search."""
 
 
@@ -81,7 +81,7 @@ def maximize_entropy(
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
 
     Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance`` and has all but ``CLOSE`` of the entropy that the
+    ``rows`` (R, m), by no more than ``tolerance`` and has all but ``ENTROPY_TOLERANCE`` of the entropy that the
     minimum has, when the limits are proved infeasible, after so many ``evaluations``, or at
     ``deadline`` (``time.monotonic``). ``softness`` lets the strategy be over its limits by
     softness * sum v: then there always is a minimum.
@@ -89,8 +89,8 @@ def maximize_entropy(
     if rows.shape[0] == 0:
         _, p, _ = network.law(np.zeros(len(network.edge)))
         return GibbsStrategy(p, start, 0.0, False, 1)
-    search = _Search(network, rows, tolerance, deadline, softness, evaluations)
-    with contextlib.suppress(_Done):
+    search = _DualSearch(network, rows, tolerance, deadline, softness, evaluations)
+    with contextlib.suppress(_SearchEnded):
         first = min(FIRST_EVALUATIONS, evaluations)
         search.quasi_newton(start, first)
         if softness == 0.0:
@@ -99,7 +99,7 @@ def maximize_entropy(
     return search.found
 
 
-class _Search:
+class _DualSearch:
     """The function, its last evaluation, and the ways down."""
 
     def __init__(
@@ -118,8 +118,8 @@ class _Search:
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
         """Value and gradient at v; ends the search where it can end."""
         weights = self.columns @ v
-        if not np.abs(weights).max() < RUNAWAY:  # a line search that ran away
-            raise _Done
+        if not np.abs(weights).max() < MAX_WEIGHT:  # a line search that ran away
+            raise _SearchEnded
         log_z, p, self.share = self.network.law(weights)
         used, total, found = self.rows @ p, float(v.sum()), self.found
         found.p, found.multipliers = p, v.copy()
@@ -129,12 +129,12 @@ class _Search:
         hard = self.softness == 0.0
         # The value is at least the most entropy there is; p's own is less by v' (1 - C p).
         missing = float(v @ (1.0 - used))
-        near = missing <= CLOSE * (1.0 + value - missing)
+        near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
         reached = hard and found.excess <= self.tolerance and near
         found.infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
         late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
         if reached or found.infeasible or late:
-            raise _Done
+            raise _SearchEnded
         self.gradient = 1.0 - used + self.softness * total
         return value, self.gradient
 
@@ -143,8 +143,8 @@ class _Search:
         last, moved = self.found.evaluations + evaluations, np.zeros(len(start), dtype=bool)
         self(start)
         while self.found.evaluations < last:
-            moved |= (self.found.multipliers > 0.0) | (self.gradient < FAR)
-            with contextlib.suppress(_Joining):
+            moved |= (self.found.multipliers > 0.0) | (self.gradient < NEAR_LIMIT)
+            with contextlib.suppress(_LimitJoins):
                 self._descend(moved, last - self.found.evaluations)
                 return
 
@@ -157,11 +157,11 @@ class _Search:
         unit = self.unit[part]
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            v[part] = np.minimum(scaled, MOST_SCALED) * unit
+            v[part] = np.minimum(scaled, MAX_SCALED) * unit
             value, gradient = self(v)
             worst = gradient.argmin()
             if not moved[worst] and gradient[worst] < -self.tolerance:
-                raise _Joining
+                raise _LimitJoins
             return value, gradient[part] * unit
 
         fmin_l_bfgs_b(
@@ -176,7 +176,7 @@ class _Search:
         value, gradient = self(v)
         work = 0.0
         while work < NEWTON_WORK:
-            weight = np.maximum(v, -gradient / (NEARLY * self.tolerance) - 1.0)
+            weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
             work += float(len(self.found.p)) * len(counts) ** 2

@@ -14,28 +14,28 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, sums
 from ..errors import BudgetInfeasible, SolverFailed, TimeLimit
-from .acyclic import conserved, forward_part, order_potential, rank_around, rank_by
+from .acyclic import conserved_strategy, forward_part, order_potential, rank_around, rank_by
 from .certificate import Budget, lower_bound, priced_edges, upper_bound
-from .cut import indifferent_ambusher, solve_by_cut
+from .cut import solve_by_min_cut, uniform_ambusher
 from .flow_program import FlowProgram
 from .game import Game
-from .route_sampler import always_shortest
+from .route_sampler import shortest_route_strategy
 
 # Sites where an ambush costs this many times the value are driven past only if nothing else is
 # left: a strategy may use them so little that rounding alone would break the limit.
-BARRED = 1e7
+EXCESSIVE_LOSS = 1e7
 # The most that the edges of the program may grow by in one round.
 GROWTH, LEAST_GROWTH = 0.3, 1000
 # After the first round, edges on routes that cost this many times the value or more are dropped.
-KEPT = 1.1
-# Prices of a budget that are tried beside the program's, over value and room.
+KEPT_COST = 1.1
+# Prices of a budget that are tried beside the program's, over value and margin.
 PRICES = tuple(10.0**k for k in range(-9, 1))
 # Flows below this are the interior point method's rounding.
 NEGLIGIBLE = 1e-8
-# Edges that only routes over budget by this many times its room use are left for later.
+# Edges that only routes over budget by this many times its margin use are left for later.
 FAR_OVER_BUDGET = 2.0
 # A unit of loss is this near to the value, or the program is built again.
-UNIT_RANGE = 1e3
+MOST_RESCALED = 1e3
 MAX_ROUNDS = 30
 
 
@@ -67,44 +67,44 @@ def least_value(
     BudgetInfeasible
         No strategy fits all budgets.
     """
-    loose = by_cut(game)
+    loose = least_risk_by_cut(game)
     if loose and all(budget.keeps(loose.p) for budget in budgets):
         if loose.value <= loose.bound * (1.0 + closed):
             return loose.bound
     try:
-        part = first_part(game, budgets, order_potential(game))
+        part = initial_part(game, budgets, order_potential(game))
         return least_risk(game, part, budgets, closed, deadline).bound
     except (TimeLimit, SolverFailed):
         return loose.bound if loose else 0.0
 
 
-def by_cut(game: Game) -> LeastRisk | None:
+def least_risk_by_cut(game: Game) -> LeastRisk | None:
     """The least value where no budget raises it: routes past all sites, or a minimum cut.
 
     None with a reach, and where a cut does not hold several ambushers: with k of them the game is
     that of one k times over, if none of k q is over 1. With several legs the cut is that of the
     costliest leg, a lower bound; it is attained where the others need not pass that leg's sites.
     """
-    safe, k = game.past_all_sites(), game.ambushers
+    safe, k = game.avoiding_all_sites(), game.ambushers
     if safe is not None:
-        p, nothing = always_shortest(safe), np.zeros(len(game.sites))
-        return LeastRisk(0.0, 0.0, p, indifferent_ambusher(game), (0.0, 0.0), nothing)
+        p, nothing = shortest_route_strategy(safe), np.zeros(len(game.sites))
+        return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
     if game.ambush_radius > 0.0:
         return None
-    cut = solve_by_cut(replace(game, ambushers=1))
+    cut = solve_by_min_cut(replace(game, ambushers=1))
     q = k * sums(game.network.places, cut.q, game.node_count)
     if q.max() > 1.0:
         return None
-    lean, p = without_barred(game, cut.value), cut.p
+    lean, p = without_excessive_sites(game, cut.value), cut.p
     if lean is not game:
-        p = solve_by_cut(replace(lean, ambushers=1)).p
+        p = solve_by_min_cut(replace(lean, ambushers=1)).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(upper_bound(game, p), k * cut.value, p, q, (0.0, 0.0), level)
 
 
-def without_barred(game: Game, value: float, p: FloatArray | None = None) -> Game:
+def without_excessive_sites(game: Game, value: float, p: FloatArray | None = None) -> Game:
     """The game without sites far too costly ever to pass, if a route is left (with p's edges)."""
-    barred = game.loss[game.sites] > BARRED * value
+    barred = game.loss[game.sites] > EXCESSIVE_LOSS * value
     if not barred.any():
         return game
     open_edges = np.asarray(game.hits[barred].getnnz(axis=0) == 0)
@@ -113,7 +113,7 @@ def without_barred(game: Game, value: float, p: FloatArray | None = None) -> Gam
     return game.restricted_to(open_edges) or game
 
 
-def first_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
+def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
     """Edges that the program begins with: forward in an order around a maximum flow.
 
     The flow is the plain game's on edges that some route not too far over the budgets uses.
@@ -121,11 +121,11 @@ def first_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -
     near = np.ones(len(game.network.edges), dtype=bool)
     for budget in budgets:
         if budget.binds:
-            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.room
+            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.margin
     part = game.restricted_to(near) or game
     rank = rank_by(potential)
     if game.ambush_radius == 0.0:
-        rank = rank_around(part, solve_by_cut(replace(part, ambushers=1)).p, potential)
+        rank = rank_around(part, solve_by_min_cut(replace(part, ambushers=1)).p, potential)
     return forward_part(part, rank) or part
 
 
@@ -144,7 +144,7 @@ def least_risk(
         The deadline passed before the first solution.
     """
     chosen = part.playable
-    unit = first_unit(part)
+    unit = shortest_route_loss(part)
     best: LeastRisk | None = None
     first, solver = True, 'interior_point'
     for _ in range(MAX_ROUNDS):
@@ -161,19 +161,19 @@ def least_risk(
             if best is None:
                 raise
             return best
-        best = _better(best, _priced(game, found, budgets, closed))
+        best = _best_of_both(best, _with_better_prices(game, found, budgets, closed))
         if best.bound >= best.value * (1.0 - closed):
             return best
         weights, paid = priced_edges(game, found.q, budgets, found.prices)
         through = game.through(weights) - paid
-        added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
+        added = _edges_to_add(chosen, through, found.value * (1.0 - closed / 2.0))
         if not added.any() and solver == 'simplex':
             return best
         if not added.any():
             # Nothing is missing but digits.
             first, solver = True, 'simplex'
         if first:
-            chosen = chosen & ((through <= KEPT * found.value) | (found.p > 0.0))
+            chosen = chosen & ((through <= KEPT_COST * found.value) | (found.p > 0.0))
         first = False
         chosen = chosen | added
         if time.monotonic() > deadline:
@@ -181,7 +181,7 @@ def least_risk(
     return best  # type: ignore[return-value]
 
 
-def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
+def _best_of_both(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     """The better strategy with the better bound, each with what belongs to it."""
     if best is None:
         return found
@@ -190,7 +190,7 @@ def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
 
 
-def _priced(
+def _with_better_prices(
     game: Game, found: LeastRisk, budgets: tuple[Budget, ...], closed: float
 ) -> LeastRisk:
     """The program's bound with other prices, where they do better: its edges know few of them."""
@@ -199,7 +199,7 @@ def _priced(
             if found.bound >= found.value * (1.0 - closed):
                 return found
             prices = list(found.prices)
-            prices[k] = price * found.value / budget.room
+            prices[k] = price * found.value / budget.margin
             if not np.isfinite(prices[k]):
                 continue
             bound = lower_bound(game, found.q, budgets, tuple(prices))
@@ -208,7 +208,7 @@ def _priced(
     return found
 
 
-def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
+def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
     """Edges (M,) outside the program on routes that cost less than ``limit``, the best first."""
     outside = np.where(chosen, np.inf, through)
     most = max(int(GROWTH * chosen.sum()), LEAST_GROWTH)
@@ -218,9 +218,9 @@ def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
     return missing
 
 
-def first_unit(game: Game) -> float:
+def shortest_route_loss(game: Game) -> float:
     """A loss not below the value, to begin with: what the shortest route risks."""
-    return upper_bound(game, always_shortest(game)) or 1.0
+    return upper_bound(game, shortest_route_strategy(game)) or 1.0
 
 
 def _solve(
@@ -230,11 +230,11 @@ def _solve(
     for _ in range(6):
         program = FlowProgram(part, budgets, unit)
         size, f, duals = program.solve(solver, deadline)
-        if 1.0 / UNIT_RANGE < size < UNIT_RANGE:
+        if 1.0 / MOST_RESCALED < size < MOST_RESCALED:
             break
         unit = unit / max(size, 1e-9)
     q, prices = program.ambusher(duals)
-    p = conserved(part, f / size, NEGLIGIBLE)
+    p = conserved_strategy(part, f / size, NEGLIGIBLE)
     if p is None:
         raise SolverFailed("the program's flow holds no route")
     # Each site may cause as much as the k-th worst one, or its own loss if that is worse.

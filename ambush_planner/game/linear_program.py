@@ -13,11 +13,11 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible, InvalidOption
 from . import highs
 from .certificate import Budget
-from .cut import indifferent_ambusher, solve_by_cut
+from .cut import solve_by_min_cut, uniform_ambusher
 from .flow_program import conservation
 from .game import Game
-from .least_risk import first_unit
-from .route_sampler import always_shortest
+from .least_risk import shortest_route_loss
+from .route_sampler import shortest_route_strategy
 from .strategy_solver import Solution
 
 if TYPE_CHECKING:  # see most_entropy
@@ -82,7 +82,7 @@ def linear_program_strategy(
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only when the solution without it is too long, so that where the
-    budget does not bind the program is the paper's own. Returns the outcome and the budget that
+    budget does not bind the program is the paper's own. Returns the solution and the budget that
     its price is for: with a length weight, the solution's own expected length.
 
     Raises
@@ -95,8 +95,8 @@ def linear_program_strategy(
     if game.ambushers > 1:
         raise InvalidOption(f'the solver {solver} takes one ambusher; max_entropy takes more')
     if length_weight == 0.0:
-        game = _past_all_sites(game, length.limit) or game
-    program = linear_program(game, length_weight, np.inf, _unit(game))
+        game = _avoiding_all_sites(game, length.limit) or game
+    program = linear_program(game, length_weight, np.inf, _loss_unit(game))
     result = _run(program, solver, deadline)
     lengths = game.network.lengths
     row_added = float(lengths[program.edge] @ result.x[:-1]) > length.limit * (1 + 1e-9)
@@ -105,30 +105,30 @@ def linear_program_strategy(
     p = np.zeros(len(lengths))
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    outcome = _with_ambusher(game, program, p, result, price)
+    solution = _with_ambusher(game, program, p, result, price)
     own = replace(length, limit=float(p @ lengths))
     if length_weight > 0.0:
-        return outcome, own
-    return outcome, own if outcome.prices[0] == 0.0 and own.limit > length.limit else length
+        return solution, own
+    return solution, own if solution.prices[0] == 0.0 and own.limit > length.limit else length
 
 
-def _past_all_sites(game: Game, budget: float) -> Game | None:
+def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
     """The game on the edges that no ambush hits, if a route within the budget is left; else None.
 
     Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
     """
-    safe = game.past_all_sites()
-    if safe is None or always_shortest(safe) @ game.network.lengths > budget * (1 + 1e-9):
+    safe = game.avoiding_all_sites()
+    if safe is None or shortest_route_strategy(safe) @ game.network.lengths > budget * (1 + 1e-9):
         return None
     return safe
 
 
-def _unit(game: Game) -> float:
+def _loss_unit(game: Game) -> float:
     """A loss near to the value: 1, or where that is far off the value without a budget.
 
     The optimum that an interior point method stops at depends on the unit; 1 is the paper's.
     """
-    value = solve_by_cut(game).value if game.ambush_radius == 0.0 else 0.0
+    value = solve_by_min_cut(game).value if game.ambush_radius == 0.0 else 0.0
     value = value or float(game.loss.max(initial=0.0)) or 1.0
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
@@ -137,7 +137,7 @@ def _within_budget(
     game: Game, solver: str, length: Budget, length_weight: float, deadline: float
 ) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
-    unit = first_unit(game)
+    unit = shortest_route_loss(game)
     for _ in range(MAX_UNITS):
         program = linear_program(game, length_weight, length.limit, unit)
         result = _run(program, solver, deadline)
@@ -172,7 +172,7 @@ def _with_ambusher(
     q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
     total = q.sum()
     if total <= 0.0:
-        return Solution(p, indifferent_ambusher(game), (0.0, 0.0), int(result.nit))
+        return Solution(p, uniform_ambusher(game), (0.0, 0.0), int(result.nit))
     return Solution(p, q / total, (max(price / total, 0.0), 0.0), int(result.nit))
 
 

@@ -14,7 +14,7 @@ from .game import Game, GameOptions, make_game
 from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, least_cost
 
 
-def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
+def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     """The strategy's own budgets in another game on its network.
 
     The budget of exposure is as many times the least one as it was.
@@ -49,7 +49,7 @@ def revalue(
     network = replace(strategy.network, alpha=alpha)
     try:
         game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
-        budgets = budgets_in(game, strategy)
+        budgets = budgets_in_game(game, strategy)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value = upper_bound(game, p) if p.any() else math.inf

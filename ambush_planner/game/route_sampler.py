@@ -103,13 +103,13 @@ def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
     )
 
 
-def always(network: Network, route: IndexArray) -> FloatArray:
+def route_strategy(network: Network, route: IndexArray) -> FloatArray:
     """The strategy p (M,) of always driving ``route`` (K,)."""
     p = np.zeros(len(network.edges))
     p[route_edges(network, route)] = 1.0
     return p
 
 
-def always_shortest(game: Game) -> FloatArray:
+def shortest_route_strategy(game: Game) -> FloatArray:
     """The strategy p (M,) of always driving the shortest playable route."""
-    return always(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))
+    return route_strategy(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))

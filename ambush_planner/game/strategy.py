@@ -210,15 +210,15 @@ def solve(
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
     if options.solver == 'max_entropy':
-        outcome = max_entropy_strategy(
+        solution = max_entropy_strategy(
             prepared, budgets, options.risk_slack, deadline, warm
         )
     else:
-        outcome, length = linear_program_strategy(
+        solution, length = linear_program_strategy(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _published(prepared, outcome, budgets, options, warm)
+    return _with_gap_checked(prepared, solution, budgets, options, warm)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -258,39 +258,39 @@ def _check_losses(network: Network) -> None:
         )
 
 
-def _published(
-    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
+def _with_gap_checked(
+    game: Game, solution: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
     start: Multipliers | None,
 ) -> Strategy:
     """The strategy that was found; TimeLimit if its gap is too wide."""
-    strategy = strategy_of(game, outcome, budgets, start)
+    strategy = strategy_from_solution(game, solution, budgets, start)
     slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
     slack += CERTIFICATE_TOLERANCE
     # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
     weighed = options.length_weight > 0.0
-    extra = outcome.prices[0] * strategy.expected_length if weighed else 0.0
+    extra = solution.prices[0] * strategy.expected_length if weighed else 0.0
     if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
         return strategy
     raise TimeLimit(
         f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
-        f'{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time',
+        f'{strategy.lower_bound:.6g} after {solution.iterations} steps; allow more time',
         strategy,
     )
 
 
-def strategy_of(
-    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], start: Multipliers | None
+def strategy_from_solution(
+    game: Game, solution: Solution, budgets: tuple[Budget, Budget], start: Multipliers | None
 ) -> Strategy:
     """The strategy with its certificate, as computed from p, q and prices alone."""
-    network, p = game.network, outcome.p
-    certificate = certify(game, p, outcome.q, budgets, outcome.prices)
+    network, p = game.network, solution.p
+    certificate = certify(game, p, solution.q, budgets, solution.prices)
     leaving = sums(network.tails, p, game.node_count)
     length, exposure = budgets
     return Strategy(
         game=game,
         edge_probability=frozen_array(p, np.float64),
         visit_probability=frozen_array(game.visits(p), np.float64),
-        ambush_probability=frozen_array(outcome.q, np.float64),
+        ambush_probability=frozen_array(solution.q, np.float64),
         value=certificate.value,
         lower_bound=certificate.bound,
         gap=certificate.value - certificate.bound,
@@ -299,13 +299,13 @@ def strategy_of(
         expected_length=length.mean(p),
         shortest_length=length.least,
         length_budget=length.limit,
-        length_price=outcome.prices[0],
+        length_price=solution.prices[0],
         expected_exposure=exposure.mean(p),
         least_exposure=exposure.least,
         exposure_budget=exposure.limit,
-        exposure_price=outcome.prices[1],
-        iterations=outcome.iterations,
-        multipliers=outcome.multipliers,
+        exposure_price=solution.prices[1],
+        iterations=solution.iterations,
+        multipliers=solution.multipliers,
         start=start,
     )
 

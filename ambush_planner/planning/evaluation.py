@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..game.certificate import upper_bound
 from ..game.game import Game
-from ..game.route_sampler import always, shortest_route
+from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
 
 # Sums of alpha this near to each other, relative, are ties.
@@ -70,7 +70,7 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
-    p = always(game.network, route)
+    p = route_strategy(game.network, route)
     worst = upper_bound(game, p)
     return Measures(
         planner,

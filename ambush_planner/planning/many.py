@@ -93,29 +93,29 @@ def solve_many(
     if in_flight < 0:
         raise InvalidOption(f'in_flight must be >= 0, got {in_flight}')
     room = in_flight or 2 * (os.cpu_count() or 1)
-    batch = _Batch(executor, answer, room)
+    in_hand = _ProblemsInFlight(executor, answer, room)
     stopped = cancelled or threading.Event()
     results: dict[int, Solved] = {}
     waiting = iter(enumerate(problems))
     try:
         while not stopped.is_set():
-            while len(batch) < room and (following := next(waiting, None)) is not None:
-                batch.send(*following)
-            if not len(batch):
+            while len(in_hand) < room and (following := next(waiting, None)) is not None:
+                in_hand.send(*following)
+            if not len(in_hand):
                 break
-            for result in batch.receive():
+            for result in in_hand.receive():
                 results[result.index] = result
                 if on_result is not None:
                     on_result(result)
     finally:
-        unsolved = batch.cancel()
+        unsolved = in_hand.cancel()
     rest = [*unsolved, *(index for index, _ in waiting)] if stopped.is_set() else []
     for index in rest:
         results[index] = Solved(index, error=CancelledError('cancelled before it was solved'))
     return [results[index] for index in sorted(results)]
 
 
-class _Batch:
+class _ProblemsInFlight:
     """Problems that an executor holds."""
 
     def __init__(
@@ -128,22 +128,22 @@ class _Batch:
         self._first_copies = max(1, room // 2)
         self._pending: dict[Future[Any], tuple[int, Problem]] = {}
         self._failed: deque[Solved] = deque()
-        self._parcels: dict[int, _Parcel] = {}
+        self._packed: dict[int, _PackedMap] = {}
 
     def __len__(self) -> int:
         return len(self._pending) + len(self._failed)
 
     def send(self, index: int, problem: Problem, with_map: bool = False) -> None:
         """Hand over a problem, with its map if that is asked for or few have it yet."""
-        parcel = self._parcels.get(id(problem.risk_map))
-        if parcel is None:
-            parcel = self._parcels[id(problem.risk_map)] = _Parcel(problem.risk_map)
-        with_map = with_map or parcel.copies < self._first_copies
-        parcel.copies += with_map
-        content = parcel.content if with_map else None
+        packed = self._packed.get(id(problem.risk_map))
+        if packed is None:
+            packed = self._packed[id(problem.risk_map)] = _PackedMap(problem.risk_map)
+        with_map = with_map or packed.copies < self._first_copies
+        packed.copies += with_map
+        content = packed.content if with_map else None
         rest = (problem.start_xy, problem.goal_xy, problem.network, problem.game, problem.strategy)
         try:
-            future = self._executor.submit(_solve, parcel.key, content, rest, self._answer)
+            future = self._executor.submit(_solve, packed.key, content, rest, self._answer)
         except Exception as error:  # a pool that broke, or was shut down
             self._failed.append(Solved(index, error=error))
         else:
@@ -162,7 +162,7 @@ class _Batch:
             index, problem = self._pending.pop(future)
             error = _error_of(future)
             found = None if error else future.result()
-            if isinstance(found, _NeedsMap):
+            if isinstance(found, _MapMissing):
                 self.send(index, problem, with_map=True)
             else:
                 results.append(Solved(index, found, error))
@@ -182,7 +182,7 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
-class _Parcel:
+class _PackedMap:
     """A map as it travels, and the number of its copies that were sent."""
 
     def __init__(self, risk_map: RiskMap) -> None:
@@ -194,7 +194,7 @@ class _Parcel:
         self.copies = 0
 
 
-class _NeedsMap:
+class _MapMissing:
     """Answer of a process that does not have the map."""
 
 
@@ -212,7 +212,7 @@ def _solve(
     """Solve one problem where the executor wants it."""
     risk_map: Any = _map_of(key, content)
     if risk_map is None and content is None:  # no map at all is the problem's own error
-        return _NeedsMap()
+        return _MapMissing()
     start_xy, goal_xy, network_options, game, options = rest
     network = build_network(risk_map, start_xy, goal_xy, network_options)
     strategy = solve(network, game, options)

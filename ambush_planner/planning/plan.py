@@ -192,27 +192,27 @@ def plan(
     options = options or PlanningOptions()
     begin = time.monotonic()
     network = build_network(risk_map, start_xy, goal_xy, options.network)
-    return replace(plan_on(risk_map, network, options, warm), seconds=time.monotonic() - begin)
+    return replace(plan_on_network(risk_map, network, options, warm), seconds=time.monotonic() - begin)
 
 
-def plan_on(
+def plan_on_network(
     risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
 ) -> Plan:
     """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
     begin = time.monotonic()
-    return plan_of(risk_map, strategy_on(risk_map, network, options, warm), options, begin)
+    return make_plan(risk_map, solve_on_network(risk_map, network, options, warm), options, begin)
 
 
-def strategy_on(
+def solve_on_network(
     risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
 ) -> Strategy:
     """Solve the game on a network; raises what ``solve`` raises."""
-    network = with_cover(network, risk_map, options)
+    network = add_hiding_places(network, risk_map, options)
     start = warm.on(network) if warm else None
-    return _solved(network, options, reach(risk_map, options), start)
+    return _solve_within_max_gap(network, options, reach(risk_map, options), start)
 
 
-def plan_of(
+def make_plan(
     risk_map: RiskMap, strategy: Strategy, options: PlanningOptions, begin: float
 ) -> Plan:
     """What else a plan tells of its strategy; ``begin`` is when the work on it began."""
@@ -233,7 +233,7 @@ def plan_of(
     )
 
 
-def _solved(
+def _solve_within_max_gap(
     network: Network, options: PlanningOptions, radius: float, start: Multipliers | None
 ) -> Strategy:
     """The strategy for the reach ``radius`` [m], or what was reached if that is good enough."""
@@ -261,7 +261,7 @@ def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
     return options.game.ambush_radius + (tube or 0.0)
 
 
-def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
+def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
     """The network with the obstacle cells in which an ambusher can hide, if the game has them."""
     radius = reach(risk_map, options)
     if not options.game.ambush_in_obstacles or radius == 0.0:
@@ -282,7 +282,7 @@ def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     return max(risk_map.resolution, chosen_spacing(risk_map, options))
 
 
-def read_request(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
+def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
     """Return the risk map, and the goal moved as far as it has to be and may be [m].
 
     Raises

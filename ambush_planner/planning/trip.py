@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit
-from ..game.cut import solve_by_cut
-from ..game.flow_program import at_most_one
+from ..game.cut import solve_by_min_cut
+from ..game.flow_program import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
@@ -31,11 +31,11 @@ from .plan import (
     PlanningOptions,
     PlanRequest,
     WarmStart,
-    plan_of,
+    add_hiding_places,
+    make_plan,
     reach,
-    read_request,
-    strategy_on,
-    with_cover,
+    risk_map_and_goal,
+    solve_on_network,
 )
 
 ORDERS = ('given', 'best')
@@ -89,11 +89,11 @@ def plan_trip(
     chosen = tuple(range(len(asked)))
     found = order
     if order == 'given' or len(asked) < 2:
-        strategy = strategy_on(risk_map, roads.network(roads.visits), options, warm)
+        strategy = solve_on_network(risk_map, roads.network(roads.visits), options, warm)
     else:
-        search = _OrderSearch(risk_map, roads, options)
+        search = _StopOrderSearch(risk_map, roads, options)
         strategy, chosen, found = search.run()
-    made = plan_of(risk_map, strategy, options, begin)
+    made = make_plan(risk_map, strategy, options, begin)
     return replace(
         made, order=tuple(place[k] for k in chosen), order_found=found,
         seconds=time.monotonic() - begin,
@@ -108,7 +108,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
     InvalidRiskMap
         The map is malformed. All else as ``plan_trip`` raises it.
     """
-    risk_map, goal_xy = read_request(request)
+    risk_map, goal_xy = risk_map_and_goal(request)
     return plan_trip(
         risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
         order=request.order, warm=request.warm,
@@ -132,7 +132,7 @@ def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ambusher:
+class _OrderBound:
     """What any order costs at least: by the sites' prices between ends (E, E), less ``paid``."""
 
     costs: FloatArray
@@ -143,7 +143,7 @@ class _Ambusher:
         return self.costs[tuple(legs)].sum(axis=1) - self.paid
 
 
-class _OrderSearch:
+class _StopOrderSearch:
     """The order of least value, by bounds.
 
     Any ambusher's strategy q, with any price of length, makes each leg cost at least the cheapest
@@ -161,13 +161,13 @@ class _OrderSearch:
         self._visits = np.array([at[node] for node in roads.visits])
         both = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
         steps = np.hypot(*(roads.points[both[:, 1]] - roads.points[both[:, 0]]).T)
-        self._lengths = self._between(both, steps, len(roads.points))
+        self._lengths = self._end_distances(both, steps, len(roads.points))
 
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
         """The strategy, its order of stops, and how that was found."""
         count = len(self._visits) - 2
         few = count <= MOST_STOPS
-        orders = self._short_order(count)[None]
+        orders = self._heuristic_order(count)[None]
         if few:
             orders = np.array(list(permutations(range(count))), dtype=np.int64)
         visits = self._visits[np.pad(orders + 1, ((0, 0), (1, 1)), constant_values=(0, count + 1))]
@@ -183,17 +183,17 @@ class _OrderSearch:
         if not few:
             strategy = self._solve(orders[0], float(lengths[0]), limit)
             return strategy, tuple(orders[0].tolist()), 'heuristic'
-        return self._least(orders, legs, lengths, limit)
+        return self._best_order(orders, legs, lengths, limit)
 
-    def _least(
+    def _best_order(
         self, orders: IndexArray, legs: IndexArray, lengths: FloatArray, limit: float
     ) -> tuple[Strategy, tuple[int, ...], str]:
         """Solve the order that promises most, until none is left that could be better."""
         slack = self._options.strategy.risk_slack
-        network = with_cover(self._network(orders[0]), self._map, self._options)
+        network = add_hiding_places(self._network(orders[0]), self._map, self._options)
         first = make_game(network, self._game)
         bounds = np.zeros(len(orders))
-        for known in self._of_pairs(first):
+        for known in self._pair_bounds(first):
             bounds = np.maximum(bounds, known.bounds(legs))
         left = np.ones(len(orders), dtype=bool)
         best: tuple[Strategy, tuple[int, ...]] | None = None
@@ -212,7 +212,7 @@ class _OrderSearch:
                 return *best, 'heuristic'
             if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
                 best = strategy, tuple(orders[k].tolist())
-            known = self._ambusher(
+            known = self._bound_of(
                 strategy.game, strategy.ambush_probability, strategy.length_price, limit
             )
             bounds = np.maximum(bounds, known.bounds(legs))
@@ -230,36 +230,36 @@ class _OrderSearch:
             raise TimeLimit('time is up before an order of the stops was solved')
         detour = max(limit / length, 1.0)
         options = replace(self._options.strategy, max_detour=detour, time_limit=left)
-        return strategy_on(
+        return solve_on_network(
             self._map, self._network(order), replace(self._options, strategy=options)
         )
 
-    def _of_pairs(self, game: Game) -> Iterable[_Ambusher]:
+    def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
         """The ambushers of the minimum cuts between two ends: with a reach, they are only tried."""
         k = game.ambushers
         options = replace(self._game, ambush_radius=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
-            cut = solve_by_cut(make_game(self._roads.network(pair), options))
+            cut = solve_by_min_cut(make_game(self._roads.network(pair), options))
             q = np.zeros(game.node_count)
-            q[: len(cut.q)] = at_most_one(k * cut.q, k)
-            yield self._ambusher(game, q)
+            q[: len(cut.q)] = capped_at_one(k * cut.q, k)
+            yield self._bound_of(game, q)
 
-    def _ambusher(
+    def _bound_of(
         self, game: Game, q: FloatArray, price: float = 0.0, limit: float = 0.0
-    ) -> _Ambusher:
+    ) -> _OrderBound:
         network = game.network
         edges = network.places[network.edges]
         # Each place's edges once, from whichever layer: in all of them they cost the same.
         _, once = np.unique(edges[:, 0] * network.place_count + edges[:, 1], return_index=True)
         weights = game.mean_loss_on_edges(q) + price * network.lengths
-        costs = self._between(edges[once], weights[once], network.place_count)
-        return _Ambusher(costs, price * limit if price > 0.0 else 0.0)
+        costs = self._end_distances(edges[once], weights[once], network.place_count)
+        return _OrderBound(costs, price * limit if price > 0.0 else 0.0)
 
-    def _between(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
+    def _end_distances(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
         rows = [distances_from(edges, weights, count, end)[self._ends] for end in self._ends]
         return np.array(rows)
 
-    def _short_order(self, count: int) -> IndexArray:
+    def _heuristic_order(self, count: int) -> IndexArray:
         """A short order of many stops: each put where it adds least, then parts turned round."""
         far = self._lengths[np.ix_(self._visits, self._visits)]
         tour = [0, count + 1]

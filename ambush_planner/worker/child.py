@@ -35,7 +35,7 @@ def main() -> None:
 
 def work_on(connection: socket.socket) -> None:
     """Be a worker process until the socket is closed."""
-    _be_a_worker()
+    _lower_priority()
     # The other side may be gone at any time, also when the stream is flushed as it is closed; then
     # there is nobody left to work for.
     with (
@@ -73,7 +73,7 @@ def _send(answer: object, stream: BufferedRWPair) -> None:
     stream.flush()
 
 
-def _be_a_worker() -> None:
+def _lower_priority() -> None:
     # The node's callbacks go first.
     os.nice(_NICENESS)
     if sys.platform == 'linux':

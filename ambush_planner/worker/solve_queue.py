@@ -20,11 +20,11 @@ _CLOSING = 'the planner is shutting down'
 _SUPERSEDED = 'a later map has taken the place of this one'
 _WITHDRAWN = 'nobody waits for this solve any more'
 
-_Outcome = TypeVar('_Outcome')
+_Result = TypeVar('_Result')
 
 
 @dataclass(eq=False)
-class _Solve(Generic[_Outcome]):
+class _Solve(Generic[_Result]):
     """A solve that waits or runs; ``cancelled`` says why, once it is.
 
     So many ``waiters`` wait for it; where there are none, it is one in the background. ``lasting``
@@ -33,10 +33,10 @@ class _Solve(Generic[_Outcome]):
 
     key: Hashable
     request: PlanRequest
-    finish: Callable[[Plan], _Outcome]
+    finish: Callable[[Plan], _Result]
     lasting: bool
     waiters: int
-    outcome: Future[_Outcome] = field(default_factory=Future)
+    outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
 
@@ -45,15 +45,15 @@ class _Solve(Generic[_Outcome]):
         return not self.waiters
 
 
-class SolveQueue(Generic[_Outcome]):
+class SolveQueue(Generic[_Result]):
     """Hands solves to one worker process, and replaces the process when it has died."""
 
     def __init__(self) -> None:
         self._condition = Condition()
-        self._waiting: dict[Hashable, _Solve[_Outcome]] = {}
-        self._running: _Solve[_Outcome] | None = None
+        self._waiting: dict[Hashable, _Solve[_Result]] = {}
+        self._running: _Solve[_Result] | None = None
         # Its outcome is being told: it can still be shared, but no longer be ended.
-        self._finished: _Solve[_Outcome] | None = None
+        self._finished: _Solve[_Result] | None = None
         self._worker: WorkerProcess | None = None
         self._closed = False
         # A daemon only in case nobody calls close.
@@ -70,10 +70,10 @@ class SolveQueue(Generic[_Outcome]):
         self,
         key: Hashable,
         request: PlanRequest,
-        finish: Callable[[Plan], _Outcome],
+        finish: Callable[[Plan], _Result],
         size: int,
         background: bool = False,
-    ) -> Future[_Outcome]:
+    ) -> Future[_Result]:
         """Queue a solve; where one with the same key waits or runs, its outcome is this one's too.
 
         The future raises what ``WorkerProcess.solve`` raises, or SolveCancelled.
@@ -114,7 +114,7 @@ class SolveQueue(Generic[_Outcome]):
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
-    def withdraw(self, outcome: Future[_Outcome]) -> None:
+    def withdraw(self, outcome: Future[_Result]) -> None:
         """Tell that one who asked no longer waits: a solve that nobody wants any more is ended."""
         with self._condition:
             here = [each for each in (self._running, *self._waiting.values())
@@ -152,13 +152,13 @@ class SolveQueue(Generic[_Outcome]):
         _end(waiting, _CLOSING)
         self._thread.join()
 
-    def _same(self, key: Hashable) -> _Solve[_Outcome] | None:
+    def _same(self, key: Hashable) -> _Solve[_Result] | None:
         for solve in (self._running, self._finished, self._waiting.get(key)):
             if solve is not None and solve.key == key and not solve.cancelled:
                 return solve
         return None
 
-    def _drop_background(self) -> list[_Solve[_Outcome]]:
+    def _drop_background(self) -> list[_Solve[_Result]]:
         dropped = [solve for solve in self._waiting.values() if solve.background]
         for solve in dropped:
             del self._waiting[solve.key]
@@ -197,7 +197,7 @@ class SolveQueue(Generic[_Outcome]):
             with suppress(WorkerFailed):
                 self._living_worker()
 
-    def _next(self) -> _Solve[_Outcome] | None:
+    def _next(self) -> _Solve[_Result] | None:
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self._closed)
             if self._closed:
@@ -207,8 +207,8 @@ class SolveQueue(Generic[_Outcome]):
             self._running.begin = time.monotonic()
             return self._running
 
-    def _answer(self, solve: _Solve[_Outcome]) -> None:
-        result: _Outcome | None = None
+    def _answer(self, solve: _Solve[_Result]) -> None:
+        result: _Result | None = None
         error: AmbushPlannerError | None = None
         try:
             result = solve.finish(self._solve(solve))
@@ -232,7 +232,7 @@ class SolveQueue(Generic[_Outcome]):
         with self._condition:
             self._finished = None
 
-    def _solve(self, solve: _Solve[_Outcome]) -> Plan:
+    def _solve(self, solve: _Solve[_Result]) -> Plan:
         worker = self._living_worker()
         # Cancelled before the worker was there to be killed.
         if solve.cancelled:
@@ -252,6 +252,6 @@ class SolveQueue(Generic[_Outcome]):
         return self._worker
 
 
-def _end(solves: list[_Solve[_Outcome]], why: str) -> None:
+def _end(solves: list[_Solve[_Result]], why: str) -> None:
     for solve in solves:
         solve.outcome.set_exception(SolveCancelled(why))

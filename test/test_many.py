@@ -22,7 +22,7 @@ from ambush_planner import (
     solve,
     solve_many,
 )
-from ambush_planner.planning import many as batch
+from ambush_planner.planning import many
 
 # Each process is forked from one that has the package: none imports it anew.
 FRESH = multiprocessing.get_context('forkserver')
@@ -169,14 +169,14 @@ def test_a_map_travels_about_once_a_worker():
 
 
 def forget(_):
-    batch._maps.clear()
+    many._maps.clear()
     return os.getpid()
 
 
 def test_a_map_is_packed_once(monkeypatch):
     packed = []
-    parcel = batch._Parcel
-    monkeypatch.setattr(batch, '_Parcel', lambda each: packed.append(each) or parcel(each))
+    packed_map = many._PackedMap
+    monkeypatch.setattr(many, '_PackedMap', lambda each: packed.append(each) or packed_map(each))
     maps = [field(0), field(1)]
     with ThreadPoolExecutor(1) as pool:
         solve_many([problem(maps[k % 2], k) for k in range(8)], pool, answer=numbers)
@@ -210,7 +210,7 @@ def test_a_process_keeps_few_maps():
 
 
 def kept_maps():
-    return len(batch._maps)
+    return len(many._maps)
 
 
 def end_here(strategy):
