@@ -46,12 +46,7 @@ class Budget:
     least
         Cost of the best route of the whole network.
     name, unit
-        For messages.
-
-    Raises
-    ------
-    BudgetInfeasible
-        The best playable route costs more than the limit.
+        For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
     """
 
     game: Game
@@ -132,11 +127,8 @@ def certify(
 ) -> Certificate:
     """Certify a strategy p (M,) with an ambusher's q (N,) and the prices of the budgets.
 
-    Raises
-    ------
-    SolverFailed
-        p is not a unit flow from source to target or exceeds a budget, q is not a strategy, a
-        price is negative, or the bound exceeds the value.
+    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, q is not
+    a strategy, a price is negative, or the bound exceeds the value.
     """
     _check_flow(game, p)
     for budget in budgets:
@@ -168,10 +160,7 @@ def lower_bound(
 ) -> float:
     """Value that no strategy within the budgets can beat, given q (N,): one Dijkstra.
 
-    Raises
-    ------
-    SolverFailed
-        q is not a strategy of the ambusher, or a price is negative.
+    Raises SolverFailed if q is not a strategy of the ambusher, or a price is negative.
     """
     _check_ambusher(game, q)
     for budget, price in zip(budgets, prices, strict=True):

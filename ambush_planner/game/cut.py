@@ -41,21 +41,15 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     """Solve the plain game (one ambusher, radius 0, no budget) by a minimum node cut.
 
     On a trip of several legs, the copies of a place count as different sites: the value is that of
-    the costliest leg, a lower bound, and q has probabilities at copies.
-
-    Raises
-    ------
-    SolverFailed
-        The game has a reach or several ambushers.
+    the costliest leg, a lower bound, and q has probabilities at copies. Raises SolverFailed if the
+    game has a reach or several ambushers.
     """
     if game.ambush_radius > 0.0 or game.ambushers > 1:
         raise SolverFailed('a cut solves games of one ambusher without a reach')
     safe = game.avoiding_all_sites()
     if safe is not None:
         return CutSolution(0.0, shortest_route_strategy(safe), uniform_ambusher(game))
-    return _solve_by_rounds(game, _SplitNetwork(game))
-
-
+    return _solve_by_rounds(game)
 def uniform_ambusher(game: Game) -> FloatArray:
     """Spread q (N,) over the sites, or over all nodes: optimal when the value is 0."""
     q: FloatArray = np.zeros(game.node_count)
@@ -64,7 +58,8 @@ def uniform_ambusher(game: Game) -> FloatArray:
     return q
 
 
-def _solve_by_rounds(game: Game, split: _SplitNetwork) -> CutSolution:
+def _solve_by_rounds(game: Game) -> CutSolution:
+    split = _SplitNetwork(game)
     flow, bound = np.zeros(len(split.edge)), _cut_bound(game)
     best: tuple[float, BoolArray] = (np.inf, np.zeros(game.node_count, dtype=bool))
     for _ in range(MAX_ROUNDS):
@@ -76,7 +71,13 @@ def _solve_by_rounds(game: Game, split: _SplitNetwork) -> CutSolution:
         bound = best[0]
         if split.feasible_total(flow) >= bound * (1.0 - RELATIVE_GAP) or bound <= split.total(flow):
             break
-    return _solution_from_flow(game, split, flow, best[1])
+    p = np.zeros(len(game.network.edges))
+    p[split.edge] = flow
+    p = without_cycles(game.network, p)
+    p /= p[game.network.tails == game.network.source].sum()
+    cut, q = best[1], np.zeros(game.node_count)
+    q[cut] = 1.0 / game.loss[cut]
+    return CutSolution(float(1.0 / q.sum()), p, q / q.sum())
 
 
 def _cut_bound(game: Game) -> float:
@@ -102,19 +103,15 @@ class _SplitNetwork:
         tail, head = network.edges[self.edge].T
         on_route = np.zeros(n, dtype=bool)
         on_route[tail] = on_route[head] = True
-        used = np.flatnonzero(on_route)
-        self.node = used
-        forward = np.concatenate((n + tail, used)), np.concatenate((head, n + used))
-        self._rows = np.concatenate((forward[0], forward[1])).astype(np.int32)
-        self._columns = np.concatenate((forward[1], forward[0])).astype(np.int32)
-        # All rounds share one sparsity pattern: entry k of the arrays above is data[place[k]].
-        size = len(self._rows)
-        pattern = csr_matrix(
-            (np.arange(1, size + 1), (self._rows, self._columns)), shape=(2 * n, 2 * n)
-        )
+        self.node = used = np.flatnonzero(on_route)
+        begin, end = np.concatenate((n + tail, used)), np.concatenate((head, n + used))
+        rows = np.concatenate((begin, end)).astype(np.int32)
+        columns = np.concatenate((end, begin)).astype(np.int32)
+        # All rounds share one sparsity pattern: entry k of rows and columns is data[place[k]].
+        size = len(rows)
+        self._pattern = csr_matrix((np.arange(1, size + 1), (rows, columns)), shape=(2 * n, 2 * n))
         self._place = np.empty(size, dtype=np.int64)
-        self._place[pattern.data - 1] = np.arange(size)
-        self._pattern = pattern
+        self._place[self._pattern.data - 1] = np.arange(size)
         self._heads, self._tails = head, tail
         with np.errstate(divide='ignore'):
             self._capacity = 1.0 / game.loss[used]
@@ -151,8 +148,7 @@ class _SplitNetwork:
             shape=self._pattern.shape,
         )
         graph.data[self._place] = limits.astype(np.int32)
-        found = maximum_flow(graph, n + network.source, network.target)
-        pushed = found.flow
+        pushed = maximum_flow(graph, n + network.source, network.target).flow
         gained = pushed.data[self._place[:m]] / scale
         residual = (graph - pushed).tocsr()
         residual.eliminate_zeros()
@@ -168,15 +164,3 @@ class _SplitNetwork:
         cut = reached[:n] & ~reached[n:]
         cut[[network.source, network.target]] = False
         return cut
-
-
-def _solution_from_flow(
-    game: Game, split: _SplitNetwork, flow: FloatArray, cut: BoolArray
-) -> CutSolution:
-    p = np.zeros(len(game.network.edges))
-    p[split.edge] = flow
-    p = without_cycles(game.network, p)
-    p /= p[game.network.tails == game.network.source].sum()
-    q = np.zeros(game.node_count)
-    q[cut] = 1.0 / game.loss[cut]
-    return CutSolution(float(1.0 / q.sum()), p, q / q.sum())

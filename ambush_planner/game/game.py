@@ -158,12 +158,8 @@ class Game:
 def make_game(network: Network, options: GameOptions) -> Game:
     """Apply the options to the network.
 
-    Raises
-    ------
-    NoRoute
-        No route leads from the source to the target, perhaps because of ``alpha_threshold``.
-    InvalidOption
-        There are more ambushers than nodes.
+    Raises NoRoute if no route leads from the source to the target, perhaps because of
+    ``alpha_threshold``, and InvalidOption if there are more ambushers than nodes.
     """
     if options.ambushers > network.place_count:
         raise InvalidOption(

@@ -71,9 +71,7 @@ class AcyclicNetwork:
         p *= share
         return float(self._level[0]), p, share
 
-    def deviations(
-        self, share: FloatArray, used: IndexArray, costs: FloatArray
-    ) -> FloatArray:
+    def deviations(self, share: FloatArray, used: IndexArray, costs: FloatArray) -> FloatArray:
         """How far the choice of each edge moves a route's costs from their mean: (U, R).
 
         ``costs`` (U, R) are R costs of the edges ``used`` (U,) that add up along the route. The

@@ -35,9 +35,7 @@ class Program:
     rhs: FloatArray
 
 
-def run(
-    program: Program, solver: str, deadline: float, presolve: bool = True
-) -> OptimizeResult:
+def run(program: Program, solver: str, deadline: float, presolve: bool = True) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
     ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an

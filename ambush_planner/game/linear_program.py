@@ -20,38 +20,35 @@ from .least_risk import shortest_route_loss
 from .route_sampler import shortest_route_strategy
 from .strategy_solver import Solution
 
-if TYPE_CHECKING:  # see most_entropy
+if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
-# No node is visited this often; where a loss is so small, its row says this instead.
+# Upper limit of a node's visits where its loss is so small that its row does not matter.
 MOST_VISITS = 1e6
-# A unit this near to the value or nearer serves; from far above it is lowered, so often at most.
+# The unit of loss is lowered until the value is above this many units, in this many attempts.
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
-# Values in this range need no unit of their own.
+# Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
-# The rows A p = b are met to this, in so many attempts at the most.
+# Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram(highs.Program):
-    """The program in v = (p, z').
+    """The program in v = (p, z'), with p on the playable edges ``edge`` (m,), and z' = z / unit.
 
-    p are the expected uses of the playable edges ``edge`` (m,), z' is the value in units of
-    ``unit``. Rows of ``inequalities``: one a site, ``sum p into j - z' unit / alpha_j <= 0``, and
-    last, where a budget is set, ``l' p <= budget``.
+    The rows of ``inequalities`` are ``sum p into j - z' unit / alpha_j <= 0`` for each site and,
+    if a budget is set, ``l' p <= budget``.
     """
 
     edge: IndexArray
     unit: float
 
 
-def linear_program(
-    game: Game, length_weight: float, budget: float, unit: float
-) -> LinearProgram:
-    """Build the program: (1 - w) z + w l' p under D p <= z, A p = b and l' p <= budget.
+def linear_program(game: Game, length_weight: float, budget: float, unit: float) -> LinearProgram:
+    """Build the program: minimise (1 - w) z + w l' p with D p <= z, A p = b and l' p <= budget.
 
-    ``unit`` > 0 is a loss near to the value, so that the digits of z count.
+    ``unit`` > 0 is a loss near the value, for numerical precision.
     """
     network = game.network
     edge = np.flatnonzero(game.playable)
@@ -64,16 +61,9 @@ def linear_program(
         inequalities = vstack((inequalities, csr_matrix(np.append(lengths, 0.0))))
         limits = np.append(limits, budget)
     rows_of_a, node = conservation(game)
-    nothing = csr_matrix((len(node), 1))
-    return LinearProgram(
-        cost,
-        inequalities.tocsr(),
-        limits,
-        hstack((rows_of_a, nothing)).tocsr(),
-        np.where(node == network.source, 1.0, 0.0),
-        edge,
-        unit,
-    )
+    equalities = hstack((rows_of_a, csr_matrix((len(node), 1)))).tocsr()
+    rhs = np.where(node == network.source, 1.0, 0.0)
+    return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
 def linear_program_strategy(
@@ -81,19 +71,13 @@ def linear_program_strategy(
 ) -> tuple[Solution, Budget]:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
-    The budget's row is added only when the solution without it is too long, so that where the
-    budget does not bind the program is the paper's own. Returns the solution and the budget that
-    its price is for: with a length weight, the solution's own expected length.
-
-    Raises
-    ------
-    InvalidOption
-        The game has several ambushers.
-    BudgetInfeasible, TimeLimit, SolverFailed
-        As the names say.
+    The budget's row is added only if the solution without it is too long; otherwise the program is
+    the paper's own. Returns the solution and the budget that its price belongs to: with a length
+    weight, the solution's own expected length. Raises InvalidOption if the game has several
+    ambushers, and BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
     """
     if game.ambushers > 1:
-        raise InvalidOption(f'the solver {solver} takes one ambusher; max_entropy takes more')
+        raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
         game = _avoiding_all_sites(game, length.limit) or game
     program = linear_program(game, length_weight, np.inf, _loss_unit(game))
@@ -113,9 +97,9 @@ def linear_program_strategy(
 
 
 def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
-    """The game on the edges that no ambush hits, if a route within the budget is left; else None.
+    """The game on the edges that no ambush hits, if it has a route within the budget.
 
-    Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
+    Its value is exactly 0; on all edges, rounding would decide.
     """
     safe = game.avoiding_all_sites()
     if safe is None or shortest_route_strategy(safe) @ game.network.lengths > budget * (1 + 1e-9):
@@ -124,9 +108,9 @@ def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
 
 
 def _loss_unit(game: Game) -> float:
-    """A loss near to the value: 1, or where that is far off the value without a budget.
+    """The unit of loss: 1 as in the paper, or a loss near the value if that is far from 1.
 
-    The optimum that an interior point method stops at depends on the unit; 1 is the paper's.
+    The optimum at which an interior point method stops depends on the unit.
     """
     value = solve_by_min_cut(game).value if game.ambush_radius == 0.0 else 0.0
     value = value or float(game.loss.max(initial=0.0)) or 1.0
@@ -136,7 +120,7 @@ def _loss_unit(game: Game) -> float:
 def _within_budget(
     game: Game, solver: str, length: Budget, length_weight: float, deadline: float
 ) -> tuple[LinearProgram, OptimizeResult]:
-    """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
+    """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = shortest_route_loss(game)
     for _ in range(MAX_UNITS):
         program = linear_program(game, length_weight, length.limit, unit)
@@ -149,7 +133,7 @@ def _within_budget(
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
-    """Meet ``A p = b`` to rounding by small relative changes of p; HiGHS stops at about 1e-8."""
+    """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
     rows = program.equalities[:, :-1]
     for _ in range(ATTEMPTS):
         missing = program.rhs - rows @ p
@@ -164,10 +148,10 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
 def _with_ambusher(
     game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float
 ) -> Solution:
-    """Read q off the duals of the sites' rows; q and ``price`` share their scale."""
+    """Add q and the price of length, from the duals of the sites' rows."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
-    # The row of a loss far below the unit never binds: its dual is rounding, and large over alpha.
+    # The row of a loss far below the unit never binds: its dual is rounding.
     q = np.zeros(game.node_count)
     q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
     total = q.sum()

@@ -54,7 +54,7 @@ _MOST_PACKED = 40
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file."""
-    network, start = strategy.network, strategy.start
+    network, start = strategy.network, None
     return packed({
         **{name: getattr(network, name) for name in ('points', 'alpha', 'edges')},
         **{name: np.int64(getattr(network, name)) for name in ('source', 'target', 'legs')},
@@ -135,7 +135,7 @@ def _strategy(game: Game, content: dict[str, np.ndarray]) -> Strategy:
                'exposure', 'loss x m'),
     )
     prices = stated['length_price'], stated['exposure_price']
-    return strategy_from_solution(game, Solution(p, q, prices, 0), budgets, _start(content))
+    return strategy_from_solution(game, Solution(p, q, prices, 0), budgets)
 
 
 def _start(content: dict[str, np.ndarray]) -> Multipliers | None:
