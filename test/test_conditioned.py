@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ambush_planner.planning.conditioning import ConditionedStrategy
 
 
-def solve_on_network(count, edges, flows, source=0, target=None):
+def strategy_on(count, edges, flows, source=0, target=None):
     edges = np.array(edges, dtype=np.int64).reshape(-1, 2)
     network = SimpleNamespace(
         points=np.zeros((count, 2)), edges=edges, tails=edges[:, 0], heads=edges[:, 1],
@@ -33,7 +33,7 @@ def strategies(draw):
             p.append(visits[tail] * share)
             visits[head] += p[-1]
     order = rng.permutation(len(edges))
-    made = solve_on_network(
+    made = strategy_on(
         count, np.array(edges)[order], np.array(p)[order], names[0], names[-1])
     lost = draw(st.lists(st.booleans(), min_size=len(edges), max_size=len(edges)))
     return made, np.array(lost)
@@ -67,6 +67,6 @@ def test_the_share_and_the_flow_are_those_of_the_routes_that_are_left(drawn):
 
 
 def test_a_strategy_with_circles_has_no_condition():
-    circle = solve_on_network(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
+    circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
     share, p = ConditionedStrategy(circle).avoiding(np.zeros(4, bool))
     assert share == 0.0 and not p.any()

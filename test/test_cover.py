@@ -9,7 +9,8 @@ import pytest
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
 from ambush_planner.network.hiding_places import with_hiding_places
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions, add_hiding_places, plan
+from ambush_planner.planning.plan import DriveOptions, PlanningOptions, add_hiding_places
+from ambush_planner.planning.trip import plan_trip
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)
 
@@ -82,7 +83,7 @@ def test_a_plan_knows_of_them_when_asked(hides):
         StrategyOptions(),
         DriveOptions(tube=0.0),
     )
-    made = plan(walled_map(), START, GOAL, options)
+    made = plan_trip(walled_map(), START, GOAL, options)
     sites = made.strategy.game.sites
     inside = walled_map().obstacles[walled_map().cells(made.network.points[sites])]
     assert inside.any() == hides

@@ -205,7 +205,7 @@ def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
         wait_until(lambda: len(submitted) == before + 2, 'the requests')
         assert not client.get_plan(NORTH, START).poses
         report = client.diagnostics(code='BUSY', level=b'\2', state='solving')
-        assert '2 others wait, the most that may (queue.size)' in report['message']
+        assert '2 others are waiting, the limit set by queue.size' in report['message']
         assert client.call('cancel').success
 
 

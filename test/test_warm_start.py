@@ -12,7 +12,8 @@ from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_n
 from ambush_planner.game.strategy_solver import Multipliers
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.planning import plan as planner
-from ambush_planner.planning.plan import PlanningOptions, WarmStart, plan
+from ambush_planner.planning.plan import PlanningOptions, WarmStart
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.recordings.verify import Verifier
@@ -58,7 +59,7 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
 
 
 def test_multipliers_are_those_of_the_nearest_node():
-    made = plan(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
+    made = plan_trip(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
     law = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     found = WarmStart(np.array([ENDS[0], ENDS[1]]), law).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
