@@ -76,14 +76,14 @@ def test_a_wrong_price_is_refused(price):
 def test_a_wrong_p_is_refused():
     game, p, q, budgets, prices = case()
     used = int(np.argmax(p))
-    for change, words in ((-2.0, '>= 0'), (np.nan, '>= 0'), (0.01, 'no flow')):
+    for change, words in ((-2.0, '>= 0'), (np.nan, '>= 0'), (0.01, 'not a flow')):
         wrong = p.copy()
         wrong[used] += change
         with pytest.raises(SolverFailed, match=words):
             certify(game, wrong, q, budgets, prices)
-    with pytest.raises(SolverFailed, match='no flow'):
+    with pytest.raises(SolverFailed, match='not a flow'):
         certify(game, 0.999 * p, q, budgets, prices)
-    with pytest.raises(SolverFailed, match='no flow'):
+    with pytest.raises(SolverFailed, match='not a flow'):
         certify(game, np.zeros_like(p), q, budgets, prices)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import networkx
 import numpy as np
 import pytest
-from games import PLAIN, examples, networks, terrain_network
+from games import PLAIN, examples, networks
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -81,13 +81,6 @@ def test_no_route_says_what_the_threshold_discards():
         solve(network, GameOptions(alpha_threshold=5.0))
 
 
-def test_the_literal_equations_on_two_way_edges_would_be_too_low():
-    """With edges into s and out of t left in, half of the flow need not leave at all."""
-    network = terrain_network(2, cells=8)
-    assert not np.isin(network.heads, network.source).any()
-    assert solve(network).visit_probability[[network.source, network.target]] == pytest.approx(1.0)
-
-
 # Sites off the road.
 
 
@@ -126,15 +119,6 @@ def test_with_a_reach_he_waits_on_forbidden_ground():
     assert strategy.visit_probability[5] == 0.0
 
 
-def test_beside_the_road_he_waits_only_with_a_reach():
-    network = road(beside=(7.0,))
-    assert losses_at(network) == {1: 1.0, 2: 1.0, 3: 1.0}
-    assert losses_at(network, ambush_radius=1.1) == {2: 1.0, 5: 7.0}
-    strategy = solve(network, GameOptions(ambush_radius=1.1))
-    assert strategy.value == pytest.approx(7.0)
-    assert strategy.ambush_probability.tolist() == pytest.approx([0, 0, 0, 0, 0, 1.0])
-
-
 def test_a_disc_that_holds_an_end_is_no_site_and_one_that_touches_it_holds_it():
     assert losses_at(road(beside=()), ambush_radius=2.0) == {}
     assert losses_at(road(beside=()), ambush_radius=1.9) == {2: 1.0}
@@ -166,12 +150,6 @@ def test_a_part_of_the_game_keeps_only_whole_routes(network, radius):
 def walks(network, used) -> list[list[int]]:
     graph = networkx.DiGraph(sorted(used))
     return list(networkx.all_simple_paths(graph, network.source, network.target))
-
-
-def test_without_sites_leaves_the_edges_as_they_are():
-    game = make_game(road(), GameOptions())
-    nobody = game.without_sites(np.ones(6, bool))
-    assert len(nobody.sites) == 0 and np.array_equal(nobody.playable, game.playable)
 
 
 @pytest.mark.parametrize(

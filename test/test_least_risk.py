@@ -23,7 +23,7 @@ from games import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, TimeLimit
+from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions
 from ambush_planner.game.certificate import lower_bound, upper_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.least_risk import least_risk, least_risk_by_cut, least_value
@@ -147,11 +147,6 @@ def test_budgets_that_contradict_each_other_are_named():
     network = Network(points, [0, 9, 0.1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
         solved(network, 1.01, 1.01)
-
-
-def test_no_time_is_a_time_limit():
-    with pytest.raises(TimeLimit):
-        solved(terrain_network(1, cells=10), 1.1, deadline=time.monotonic() - 1.0)
 
 
 @examples(20)

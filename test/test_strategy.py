@@ -122,19 +122,14 @@ def test_without_slack_the_value_is_the_least(network, max_detour):
     assert strategy.value <= strategy.lower_bound * (1 + 1e-5)
 
 
-@examples(45)
-@given(networks(alphas=NASTY))
-def test_default_solver_with_losses_from_1e_9_to_1e9(network):
-    strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
-    check_laws(strategy, np.inf)
-    exact = float(exact_value(network))
-    assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
-
-
-@examples(30)
+@examples(60)
 @given(networks(alphas=NASTY), st.sampled_from(DETOURS))
-def test_budgets_with_losses_from_1e_9_to_1e9(network, max_detour):
-    check_laws(solve(network, options=StrategyOptions(max_detour=max_detour)), max_detour)
+def test_losses_from_1e_9_to_1e9(network, max_detour):
+    strategy = solve(network, options=StrategyOptions(max_detour=max_detour))
+    check_laws(strategy, max_detour)
+    if max_detour == np.inf:
+        exact = float(exact_value(network))
+        assert exact * (1 - 1e-9) <= strategy.value <= exact * (1 + SLACK + 1e-5)
 
 
 @examples(35)
@@ -341,10 +336,6 @@ def test_no_route(solver):
     network = quiet_network([[0, 0], [1, 0], [2, 0]], [0, 1, 0], [(0, 1)], 0, 2)
     with pytest.raises(NoRoute, match=r'from \(0.000, 0.000\) to \(2.000, 0.000\)'):
         solve(network, options=StrategyOptions(solver))
-
-
-@pytest.mark.parametrize('solver', SOLVERS)
-def test_no_edges_at_all_is_no_route(solver):
     with pytest.raises(NoRoute):
         solve(quiet_network([[0, 0], [1, 0]], [0, 0], [], 0, 1), options=StrategyOptions(solver))
 
@@ -388,7 +379,7 @@ def test_options_out_of_range_are_named(name, value):
 def test_options_that_do_not_go_together_are_named():
     with pytest.raises(InvalidOption, match=r'length_weight 0\.1 .* max_detour'):
         StrategyOptions(length_weight=0.1)
-    with pytest.raises(InvalidOption, match=r'max_exposure 2.* max_entropy, not simplex'):
+    with pytest.raises(InvalidOption, match=r'max_exposure 2.* max_entropy, got simplex'):
         StrategyOptions('simplex', max_exposure=2.0)
     with pytest.raises(InvalidOption, match='simplex takes one ambusher'):
         solve(paper_example(), GameOptions(ambushers=2), StrategyOptions('simplex'))
