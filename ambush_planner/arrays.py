@@ -1,4 +1,4 @@
-"""The arrays that the records are made of: their types, read-only copies, sums by index."""
+"""Array types of the records, read-only copies, sums by index."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ BoolArray = npt.NDArray[np.bool_]
 
 
 def frozen_array(values: npt.ArrayLike, dtype: Any) -> npt.NDArray[Any]:
-    """Return a private copy of ``values`` as ``dtype`` that nobody can write to."""
+    """Return a read-only copy of ``values`` as ``dtype``."""
     array = np.array(values, dtype=dtype, order='C')
     array.setflags(write=False)
     return array
 
 
 def sums(index: IndexArray, values: FloatArray, count: int) -> FloatArray:
-    """Add up ``values`` (K,) by ``index`` (K,): result (count,)."""
+    """Sum ``values`` (K,) by ``index`` (K,): (count,)."""
     return np.asarray(np.bincount(index, weights=values, minlength=count), dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The errors of the planner: each says what is wrong, where, and what to do about it."""
+"""The planner's errors: each message says what is wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class AmbushPlannerError(Exception):
-    """Base of every error that the planner raises on purpose."""
+    """Base class of the planner's errors."""
 
 
 class InvalidRiskMap(AmbushPlannerError, ValueError):
@@ -26,19 +26,19 @@ class InvalidPose(AmbushPlannerError, ValueError):
 
 
 class InvalidOption(AmbushPlannerError, ValueError):
-    """An option is out of its range, contradicts another one or is not available."""
+    """An option is out of range, contradicts another one or is not available."""
 
 
 class StartBlocked(AmbushPlannerError):
-    """The start lies in an obstacle, nearer to one than the clearance, or off the map."""
+    """The start is in an obstacle or within its clearance, or off the map."""
 
 
 class GoalBlocked(AmbushPlannerError):
-    """The goal lies in an obstacle, nearer to one than the clearance, or off the map."""
+    """The goal is in an obstacle or within its clearance, or off the map."""
 
 
 class StopBlocked(AmbushPlannerError):
-    """A stop lies in an obstacle, nearer to one than the clearance, or off the map."""
+    """A stop is in an obstacle or within its clearance, or off the map."""
 
 
 class StartOutsideMap(StartBlocked):
@@ -58,13 +58,13 @@ class NoRoute(AmbushPlannerError):
 
 
 class BudgetInfeasible(AmbushPlannerError):
-    """No strategy fits the length budget (``max_detour``)."""
+    """No strategy fits the budgets (``max_detour``, ``max_exposure``)."""
 
 
 class TimeLimit(AmbushPlannerError):
-    """The time limit passed before the strategy was found.
+    """The time limit passed before the gap of the strategy was small enough.
 
-    ``strategy`` is what was reached, with its own value, bound and gap; None if there was none.
+    ``strategy`` is the best so far, with its own value, bound and gap; None if there was none.
     """
 
     def __init__(self, message: str, strategy: Strategy | None = None) -> None:
@@ -73,15 +73,15 @@ class TimeLimit(AmbushPlannerError):
 
 
 class NotDistinct(AmbushPlannerError):
-    """No day of so many convoys was drawn whose routes do not share their middle."""
+    """No day was drawn whose convoys' routes do not share their middle."""
 
 
 class SolverFailed(AmbushPlannerError):
-    """A solver stopped without a strategy whose certificate holds."""
+    """A solver failed, or its strategy has no valid certificate."""
 
 
 def shown(name: Path | str) -> str:
-    """Return a name of a file fit for a terminal: control characters and wrong bytes escaped."""
+    """Return a file name for a terminal, with control characters and invalid bytes escaped."""
     return ''.join(
         each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
     )

@@ -1,4 +1,4 @@
-"""Checks that the option records share: type and range, told in one line."""
+"""Checks of options' types and ranges; each raises InvalidOption with a message of one line."""
 
 from __future__ import annotations
 
@@ -12,20 +12,14 @@ from .errors import InvalidOption
 def check_at_least(
     name: str, value: object, least: float, unit: str = '', finite: bool = True
 ) -> None:
-    """Refuse what is not a number >= ``least``.
-
-    Raises
-    ------
-    InvalidOption
-        The message names the option, its range and the value.
-    """
+    """Check that ``value`` is a number >= ``least``, finite unless ``finite`` is false."""
     number = isinstance(value, int | float | np.integer | np.floating)
     if not number or isinstance(value, bool):
         raise InvalidOption(f'{name} must be a number, got {value!r}')
     try:
         value = float(value)  # type: ignore[arg-type]
     except OverflowError as error:
-        raise InvalidOption(f'{name} is too large a whole number') from error
+        raise InvalidOption(f'{name} is too large') from error
     if not value >= least or (finite and math.isinf(value)):
         kind = 'finite and ' if finite else ''
         range_ = f'{kind}>= {least:g}' + (f' [{unit}]' if unit else '')
@@ -33,13 +27,13 @@ def check_at_least(
 
 
 def check_whole(name: str, value: object, least: int) -> None:
-    """Refuse what is not a whole number >= ``least``; raises InvalidOption."""
+    """Check that ``value`` is a whole number >= ``least``."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool | np.bool_)
     if not whole or value < least:  # type: ignore[operator]
         raise InvalidOption(f'{name} must be a whole number >= {least}, got {value!r}')
 
 
 def check_flag(name: str, value: object) -> None:
-    """Refuse what is neither true nor false; raises InvalidOption."""
+    """Check that ``value`` is true or false."""
     if not isinstance(value, bool | np.bool_):
         raise InvalidOption(f'{name} must be true or false, got {value!r}')

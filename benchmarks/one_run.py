@@ -20,7 +20,7 @@ from peers import Answer, EntropyProblem, clarabel_entropy, highs
 from problems import Problem, problem
 
 from ambush_planner import Network, Strategy, TimeLimit, solve
-from ambush_planner.game.cut import solve_by_cut
+from ambush_planner.game.cut import solve_by_min_cut
 from ambush_planner.game.game import make_game
 
 # With this our side loads what it loads at its first use.
@@ -44,7 +44,7 @@ def value(given: Problem, file: Path) -> Callable[[], Answer]:
 
     def run() -> Answer:
         started = time.process_time()
-        found = solve_by_cut(game)
+        found = solve_by_min_cut(game)
         return {'seconds': time.process_time() - started, 'value': found.value}
 
     return run

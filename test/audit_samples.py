@@ -18,7 +18,8 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.parameters import PARAMETERS
-from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import Attachment, RecordedMessage
 from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
@@ -57,7 +58,7 @@ def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
         NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
         StrategyOptions(solver),
     )
-    return plan(risk_map, start, GOAL, options)
+    return plan_trip(risk_map, start, GOAL, options)
 
 
 def strategy_arrays(strategy):

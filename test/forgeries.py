@@ -14,7 +14,7 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from ambush_planner.game.certificate import upper_bound
-from ambush_planner.game.route_sampler import always, shortest_route
+from ambush_planner.game.route_sampler import route_strategy, shortest_route
 from ambush_planner.recordings import RecordedMessage, recordings_in, type_name
 from ambush_planner.recordings.recorded_case import Case
 
@@ -148,7 +148,7 @@ def always_shortest(forger, rng):
     """Another strategy, all of whose numbers follow from it: always the shortest route."""
     strategy = Case(forger.recorded).strategy()
     network = strategy.network
-    p = always(network, shortest_route(network, np.arange(len(network.edges))))
+    p = route_strategy(network, shortest_route(network, np.arange(len(network.edges))))
     forger.set_arrays(
         edge_probability=p, value=upper_bound(strategy.game, p), edge_entropy=0.0,
         route_entropy=0.0, expected_length=float(p @ network.lengths),
@@ -318,7 +318,7 @@ FORGERIES = [
     (NEW_ROUTE, scale('value', 1.01), True, 'recorded strategy: value is stated'),
     (NEW_ROUTE, scale('value', 1.0 + 1e-8), True, 'strategy: value is stated'),
     (GET_PLAN, scale('edge_entropy', 1.0 + 1e-8), True, 'strategy: edge_entropy is stated'),
-    (NEW_ROUTE, lose_flow, True, 'recorded strategy: p is no flow'),
+    (NEW_ROUTE, lose_flow, True, 'recorded strategy: p is not a flow'),
     (NEW_ROUTE, change_loss, True, 'alpha are others'),
     (NEW_ROUTE, always_shortest, True, 'strategy: its certificate does not close'),
     (NEW_ROUTE, in_a_hurry(always_shortest), True, 'strategy: its certificate does not close'),

@@ -47,7 +47,7 @@ class HandedOn(WorkerProcess):
         return None
 
     def _start(self, connection):
-        process = Forked(target=child.work_on, args=(connection,), daemon=True)
+        process = Forked(target=child.serve, args=(connection,), daemon=True)
         process.start()
         return process
 

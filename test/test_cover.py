@@ -9,7 +9,8 @@ import pytest
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
 from ambush_planner.network.hiding_places import with_hiding_places
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions, plan, with_cover
+from ambush_planner.planning.plan import DriveOptions, PlanningOptions, add_hiding_places
+from ambush_planner.planning.trip import plan_trip
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)
 
@@ -69,9 +70,9 @@ def test_without_a_reach_nobody_hides_beside_the_road():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
     game = GameOptions(ambush_in_obstacles=True)
-    assert with_cover(network, risk_map, PlanningOptions(game=game)) is network
+    assert add_hiding_places(network, risk_map, PlanningOptions(game=game)) is network
     reaching = PlanningOptions(game=replace(game, ambush_radius=3.0))
-    assert len(with_cover(network, risk_map, reaching).points) > len(network.points)
+    assert len(add_hiding_places(network, risk_map, reaching).points) > len(network.points)
 
 
 @pytest.mark.parametrize('hides', [False, True])
@@ -82,7 +83,7 @@ def test_a_plan_knows_of_them_when_asked(hides):
         StrategyOptions(),
         DriveOptions(tube=0.0),
     )
-    made = plan(walled_map(), START, GOAL, options)
+    made = plan_trip(walled_map(), START, GOAL, options)
     sites = made.strategy.game.sites
     inside = walled_map().obstacles[walled_map().cells(made.network.points[sites])]
     assert inside.any() == hides

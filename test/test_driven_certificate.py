@@ -13,8 +13,8 @@ from ambush_planner.planning.plan import (
     PlanningOptions,
     depart,
     departure_paths,
-    plan,
 )
+from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
 DRAWS = 1400 * HUNT
@@ -53,7 +53,7 @@ def gates():
 
 def planned(ground, reach, tube):
     alpha, obstacles = ground()
-    return plan(
+    return plan_trip(
         RiskMap(alpha, obstacles, SIDE / 50), (3.0, 50.0), (97.0, 50.0),
         PlanningOptions(
             NetworkOptions(spacing=SPACING),

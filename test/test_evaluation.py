@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from games import examples, least_weight, networks, paper_example, terrain_networks
 from hypothesis import given
+from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, Network, StrategyOptions, evaluate, solve
 from ambush_planner.planning.evaluation import energy_efficient_route, risk_avoiding_route
@@ -39,20 +40,10 @@ def test_fixed_routes_are_the_best_of_all_routes(network):
     assert length(network, careful) == pytest.approx(min(length(network, r) for r in ties))
 
 
-@examples(40)
-@given(networks())
-def test_rows_of_any_network(network):
+@examples(50)
+@given(st.one_of(networks(), terrain_networks))
+def test_measures_of_any_network(network):
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
-    check_rows(strategy)
-
-
-@examples(20)
-@given(terrain_networks)
-def test_rows_on_terrain(network):
-    check_rows(solve(network, options=StrategyOptions(max_detour=np.inf)))
-
-
-def check_rows(strategy) -> None:
     rows = evaluate(strategy)
     assert list(rows) == PLANNERS
     q, x = strategy.ambush_probability, strategy.visit_probability

@@ -14,7 +14,8 @@ from ambush_planner.commands import figures
 from ambush_planner.commands.demo_figures import FixedRoute, routes_figure
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions, depart, plan
+from ambush_planner.planning.plan import PlanningOptions, depart
+from ambush_planner.planning.trip import plan_trip
 from paper.figures import binned_directions
 
 
@@ -29,7 +30,7 @@ def small_map():
 @pytest.fixture(scope='module')
 def small_plan(small_map):
     options = PlanningOptions(NetworkOptions(spacing=10.0))
-    return plan(small_map, (12.0, 52.0), (108.0, 48.0), options)
+    return plan_trip(small_map, (12.0, 52.0), (108.0, 48.0), options)
 
 
 @pytest.fixture

@@ -85,22 +85,6 @@ def test_p_is_a_flow_and_its_entropy_is_log_z_and_the_prices(seed, size):
     assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
 
 
-def test_the_gradient_is_what_finite_differences_say():
-    network = terrain_network(7, cells=9)
-    part, acyclic = forward(network)
-    rows, rng = rows_of(part, acyclic), np.random.default_rng(1)
-
-    def value(v):
-        return acyclic.law(rows.T @ v)[0] + v.sum()
-
-    v = rng.random(rows.shape[0])
-    gradient = 1.0 - rows @ acyclic.law(rows.T @ v)[1]
-    for _ in range(20):
-        step = 1e-5 * rng.normal(size=len(v))
-        slope = (value(v + step) - value(v - step)) / 2.0
-        assert slope == pytest.approx(gradient @ step, rel=1e-5, abs=1e-10)
-
-
 @pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
 def test_the_optimum_is_clarabels(cells, reach):
     network = terrain_network(3, cells=cells)

@@ -24,7 +24,8 @@ from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import ChangedGround, Standing
-from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import read_departure
 from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.ros import subscriptions
@@ -51,7 +52,7 @@ def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
     risk_map = risk_map_from_occupancy(values, RESOLUTION, origin, OCCUPANCY)
     game = game or GameOptions()
     options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
-    made = plan(risk_map, *risk_map.to_world([START, GOAL]), options)
+    made = plan_trip(risk_map, *risk_map.to_world([START, GOAL]), options)
     on = grid(values, origin)
     return made, on, ChangedGround(made, on, OCCUPANCY)
 

@@ -13,10 +13,9 @@ from nav_msgs.srv import GetPlan
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import Parameter
 from ros_harness import pose, risk_grid, stage, wait_until
-from waiting import TIMEOUT, answer_of
+from waiting import answer_of
 
 from ambush_planner.worker.process import WorkerProcess
-from ambush_planner.worker.solve_queue import SolveQueue
 
 # The paper's simplex method needs minutes for 40 000 nodes.
 SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5}
@@ -146,31 +145,6 @@ def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
         assert len(solves) == 2
 
 
-def test_who_asks_while_the_end_of_a_solve_is_told_shares_it(monkeypatch, solves):
-    told, go_on, submit = threading.Event(), threading.Event(), SolveQueue.submit
-
-    def hold_up(solve):
-        told.set()
-        assert go_on.wait(TIMEOUT)
-
-    def submit_held_up(*arguments):
-        solve = submit(*arguments)
-        solve.add_done_callback(hold_up)  # before all others
-        return solve
-
-    monkeypatch.setattr(SolveQueue, 'submit', submit_held_up)
-    with stage(parameters=QUICK) as running:
-        client = running.give(field(), (5.0, 50.0), (95.0, 50.0))
-        first = client.send('new_route')
-        try:
-            assert told.wait(TIMEOUT)
-            assert client.get_plan(pose(5.3, 50.0), GOAL).poses
-        finally:
-            go_on.set()
-        assert answer(first).success
-        assert len(solves) == 1
-
-
 def test_who_allows_another_time_waits_for_another_solve(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
@@ -205,20 +179,8 @@ def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
         wait_until(lambda: len(submitted) == before + 2, 'the requests')
         assert not client.get_plan(NORTH, START).poses
         report = client.diagnostics(code='BUSY', level=b'\2', state='solving')
-        assert '2 others wait, the most that may (queue.size)' in report['message']
+        assert '2 others are waiting, the limit set by queue.size' in report['message']
         assert client.call('cancel').success
-
-
-def test_many_wait_and_all_are_answered():
-    with solving() as (running, future):
-        client = running.client
-        futures = [future, *(client.send('new_route') for _ in range(30))]
-        use(running, QUICK)
-        wait_until(lambda: client.call('cancel') and all(each.done() for each in futures),
-                   'the answers')
-        answers = [answer(each) for each in futures]
-        assert any(each.message == 'the solve was cancelled' for each in answers)
-        assert all(each.success for each in answers if 'cancelled' not in each.message)
 
 
 def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for(submitted):

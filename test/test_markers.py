@@ -14,7 +14,8 @@ from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.ros_messages import risk_map_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
-from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.markers import (
     ambush_sites,
     edge_probabilities,
@@ -30,7 +31,7 @@ BLUE, ORANGE = np.array([0.0, 0.2, 1.0]), np.array([0.9, 0.3, 0.0])
 def strategy():
     risk_map = risk_map_from_ros(risk_grid(), OccupancyOptions())
     options = PlanningOptions(NetworkOptions(spacing=1.0))
-    return plan(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
+    return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
 
 
 def only(serialised):

@@ -28,7 +28,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.network.construction import Roads
-from ambush_planner.planning.plan import DriveOptions, depart, departure_path, strategy_on
+from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_paths
@@ -157,21 +157,6 @@ def test_a_site_that_two_legs_pass_counts_twice():
     assert solve(roads.network((2, 3)), options=FREE).value == pytest.approx(0.75, rel=NEAR)
 
 
-def test_legs_past_different_sites_cost_as_much_as_the_worst():
-    points = np.array([(0, 0), (1, 0), (2, 0), (3, 0), (4, 0)], float)
-    pairs = np.array([(0, 1), (1, 2), (2, 3), (3, 4)])
-    roads = Roads(points, np.array([0, 2, 0, 5, 0], float), pairs, (0, 2, 4))
-    strategy = solve(roads.network(roads.visits), options=FREE)
-    assert strategy.value == pytest.approx(5.0, rel=NEAR)
-    assert strategy.ambush_probability[3] == pytest.approx(1.0)
-
-
-def test_several_ambushers_hold_different_places():
-    roads = there_and_back(1.0, 1.0)
-    strategy = solve(roads.network(roads.visits), GameOptions(ambushers=2), FREE)
-    assert strategy.value == pytest.approx(2.0, rel=NEAR)
-
-
 @pytest.mark.parametrize(('change', 'words'), [
     ({'legs': 0}, 'legs must be'), ({'legs': 4}, 'copies'), ({'legs': True + 1.5}, 'legs must be'),
     ({'alpha': [0, 0, 0, 0, 1, 0]}, 'same points and losses'),
@@ -230,7 +215,7 @@ def test_the_best_order_is_the_best_of_all(risk_map, radius):
                for order, network in networks.items()}
     budget = asked.strategy.max_detour * min(lengths.values())
     values = {
-        order: strategy_on(risk_map, network, PlanningOptions(
+        order: solve_on_network(risk_map, network, PlanningOptions(
             asked.network, asked.game,
             StrategyOptions(max_detour=max(1.0, budget / lengths[order])))).value
         for order, network in networks.items() if lengths[order] <= budget

@@ -18,7 +18,7 @@ from ros_harness import header, pose, risk_grid, stage
 
 from ambush_planner.commands import verify as tool
 from ambush_planner.network.construction import build_network
-from ambush_planner.planning.plan import Route, departure_path, plan_on
+from ambush_planner.planning.plan import Route, departure_path, make_plan, solve_on_network
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.recordings.metadata import KEYS
 from ambush_planner.recordings.recorded_case import Case
@@ -274,7 +274,7 @@ def test_a_consistent_forgery_holds(files, tmp_path, capsys):
     old = case.message('path')
     planning, risk_map = case.parameters.planning, case.risk_map()
     network = build_network(risk_map, *case.metadata.ends, planning.network)
-    made = plan_on(risk_map, network, planning)
+    made = make_plan(risk_map, solve_on_network(risk_map, network, planning), planning, 0.0)
     again = path_between(
         departure_path(made, Route(route, network.points[route]), made.spacing),
         case.message('start').pose, case.message('goal').pose, old.header,

@@ -12,7 +12,8 @@ from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_n
 from ambush_planner.game.strategy_solver import Multipliers
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.planning import plan as planner
-from ambush_planner.planning.plan import PlanningOptions, WarmStart, plan
+from ambush_planner.planning.plan import PlanningOptions, WarmStart
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.recordings.verify import Verifier
@@ -27,9 +28,9 @@ def ground(seed, changed=()):
     return risk_map_from_occupancy(values, 0.5)
 
 
-def strategy_on(risk_map, options, warm=None):
+def solve_on_network(risk_map, options, warm=None):
     network = build_network(risk_map, *ENDS, options.network)
-    return planner.strategy_on(risk_map, network, options, warm)
+    return planner.solve_on_network(risk_map, network, options, warm)
 
 
 @examples(5)
@@ -43,22 +44,22 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
         NetworkOptions(spacing=1.0), GameOptions(ambush_radius=reach),
         StrategyOptions(max_detour=detour),
     )
-    before = strategy_on(ground(seed), options)
+    before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
-    cold = strategy_on(newest, options)
-    warm = strategy_on(newest, options, WarmStart(before.network.points, before.multipliers))
+    cold = solve_on_network(newest, options)
+    warm = solve_on_network(newest, options, WarmStart(before.network.points, before.multipliers))
     assert (cold.start, warm.start is None) == (None, False)
     assert np.array_equal(warm.network.points, cold.network.points)
     assert warm.value <= cold.lower_bound * 1.01 * (1 + 1e-5)
     assert warm.lower_bound == pytest.approx(cold.lower_bound, rel=2e-3)
     assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.01)
     # The law that was used, on these nodes, leads to the same strategy bit for bit.
-    again = strategy_on(newest, options, WarmStart(warm.network.points, warm.start))
+    again = solve_on_network(newest, options, WarmStart(warm.network.points, warm.start))
     assert np.array_equal(again.edge_probability, warm.edge_probability)
 
 
 def test_multipliers_are_those_of_the_nearest_node():
-    made = plan(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
+    made = plan_trip(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
     law = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
     found = WarmStart(np.array([ENDS[0], ENDS[1]]), law).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(

@@ -1,6 +1,7 @@
 """The ambush game on a network, and its solution.
 
-``game`` says who may wait where, ``discs`` whom an ambush with a reach hits. ``certificate`` judges
-any pair of strategies. ``cut`` and ``least_risk`` find the value, ``gibbs`` and ``entropy_search``
-the most unpredictable strategy that attains it; ``strategy`` is the record, with ``solve``.
+``game`` has the ambush sites and losses, ``discs`` the edges that enter an ambush's reach.
+``certificate`` bounds the value from both sides. ``cut`` and ``least_risk`` find the value,
+``gibbs``, ``entropy_search`` and ``strategy_solver`` the most unpredictable strategy that attains
+it. Use ``strategy`` from outside: the record ``Strategy``, its options, and ``solve``.
 """

@@ -1,11 +1,11 @@
-"""An acyclic part of the network: one order of the nodes, and the edges that go forward in it.
+"""An acyclic part of the network: an order of the nodes, and the edges that go forward in it.
 
-On such a part every strategy's p and x are probabilities and every drawn route is simple. The
-order is that of the *harmonic potential*: the voltage when the edges are resistors as long as they
-are, the source is at 0 and the target at 1. Every node but these two lies between its neighbours,
-so on a two-way network every node that can lie on a route has a forward edge out of it and one
-into it, and each edge is kept in one of its two directions. A strategy that has to stay possible
-comes first: its edges go forward, and the potential only decides between nodes that are free.
+On an acyclic part every strategy's p and x are probabilities and every drawn route is simple. The
+order follows the *harmonic potential*: the voltage if each edge is a resistor in proportion to its
+length, the source is at 0 and the target at 1. The potential of every other node lies between
+those of its neighbours, so on a two-way network every node on a route keeps a forward edge in and
+out, and each road keeps one direction. Where a given strategy has to remain possible, its edges go
+forward, and the potential only orders the nodes that these leave free.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from ..network.network import Network
 from ..network.shortest_paths import edge_matrix
 from .game import Game
 
-# Nodes up to which the potential is solved for; beyond, progress takes its place.
+# Largest number of nodes for which the potential is solved; larger networks use the progress.
 POTENTIAL_NODES = 250_000
 
 
 def order_potential(game: Game) -> FloatArray:
-    """A number for each node (N,) that rises from the source to the target; inf off every route."""
+    """A number for each node (N,) that rises from source to target; inf for unused nodes."""
     driven = np.zeros(game.node_count, dtype=bool)
     driven[game.network.edges[game.playable]] = True
     if driven.sum() > POTENTIAL_NODES:
@@ -36,7 +36,7 @@ def order_potential(game: Game) -> FloatArray:
 
 
 def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
-    """Voltage (N,) with the source at 0 and the target at 1; inf off the nodes ``driven`` (K,)."""
+    """Voltage (N,) of the nodes ``driven`` (K,), 0 at source and 1 at target; inf elsewhere."""
     network, edges = game.network, game.network.edges[game.playable]
     lengths = network.lengths[game.playable]
     conductance = 1.0 / np.maximum(lengths, 1e-9 * float(lengths.mean()) or 1.0)
@@ -54,8 +54,8 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
         rows = laplacian.tocsr()[place[inner]]
         pull = -rows[:, [place[network.target]]].toarray().ravel()
         system = rows[:, place[inner]].tocsc()
-        # Positive definite: pivots on the diagonal keep the order that fills in least. With so
-        # little fill, narrow panels are the fastest.
+        # The system is positive definite, so diagonal pivots keep the order with the least
+        # fill-in. Narrow panels are the fastest when there is so little of it.
         factor = splu(
             system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1, panel_size=4,
             options={'SymmetricMode': True},
@@ -65,7 +65,7 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
 
 
 def progress(game: Game) -> FloatArray:
-    """d(source, j) - d(j, target) over length [m] for each node (N,); inf off every route."""
+    """d(source, j) - d(j, target) by length [m] for each node (N,); inf for unused nodes."""
     network = game.network
     ahead, behind = game.distances_ahead(network.lengths), game.distances_behind(network.lengths)
     off = ~(np.isfinite(ahead) & np.isfinite(behind))
@@ -84,13 +84,13 @@ def rank_by(potential: FloatArray) -> IndexArray:
 def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
     """Position (N,) of each node in an order in which the edges of an acyclic p (M,) go forward.
 
-    Among the nodes whose predecessors under p are all placed, the one of least potential comes
-    next; the source is first and the target last.
+    The next node is the one of least potential whose predecessors under p are all placed; the
+    source is first and the target last.
     """
     network, n = game.network, game.node_count
     potential = potential.copy()
     potential[network.source] = -np.inf
-    # Nodes go by their number in the order of the potential: the heap is one of whole numbers.
+    # Nodes are numbered in the order of the potential, so the heap holds integers.
     number = rank_by(potential)
     tail, head = number[network.edges[p > 0.0]].T
     order = np.argsort(tail, kind='stable')
@@ -114,12 +114,12 @@ def rank_around(game: Game, p: FloatArray, potential: FloatArray) -> IndexArray:
 
 
 def forward_part(game: Game, rank: IndexArray) -> Game | None:
-    """The game on the edges along which ``rank`` (N,) rises; None if no route is among them."""
+    """The game on the edges along which ``rank`` (N,) rises; None if it has no route."""
     return game.restricted_to(rank[game.network.tails] < rank[game.network.heads])
 
 
 def without_cycles(network: Network, p: FloatArray) -> FloatArray:
-    """Return p less the flow that goes round in cycles: same trips, no node visited more often."""
+    """Return p (M,) without the flow around cycles; no node is visited more often."""
     p = p.copy()
     while len(circling := _circling_edges(network, p)):
         _cancel_cycles(network.edges, p, circling)
@@ -127,12 +127,12 @@ def without_cycles(network: Network, p: FloatArray) -> FloatArray:
 
 
 def is_acyclic(network: Network, p: FloatArray) -> bool:
-    """Tell whether the edges with p > 0 form no cycle."""
+    """Whether the edges with p > 0 form no cycle."""
     return len(_circling_edges(network, p)) == 0
 
 
 def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
-    """Edges with p > 0 that lie on a cycle of such edges: both ends in one strong component."""
+    """Edges with p > 0 on a cycle of such edges: both ends are in one strong component."""
     used = np.flatnonzero(p > 0.0)
     edges = network.edges[used]
     graph = edge_matrix(edges, np.ones(len(used)), len(network.points))
@@ -142,7 +142,7 @@ def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
 
 
 def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> None:
-    """Walk the circling edges; on meeting a node again, take the least p off that cycle."""
+    """Walk along the circling edges; cancel each cycle that the walk closes."""
     leaving: dict[int, list[int]] = {}
     for k in circling.tolist():
         leaving.setdefault(int(edges[k, 0]), []).append(k)
@@ -154,30 +154,30 @@ def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> No
             walk.append(k)
             node = int(edges[k, 1])
             if node in position:
-                _take_off(edges, p, walk[position[node] :], leaving)
+                _cancel_cycle(edges, p, walk[position[node] :], leaving)
                 break
             position[node] = len(walk)
         else:
-            # A dead end: what led here lies on no cycle any more.
+            # A dead end: the edge that led here is no longer on a cycle.
             leaving.pop(node, None)
             if walk:
                 leaving[int(edges[walk[-1], 0])].pop()
 
 
-def _take_off(
+def _cancel_cycle(
     edges: IndexArray, p: FloatArray, cycle: list[int], leaving: dict[int, list[int]]
 ) -> None:
+    """Subtract the least p of the cycle's edges from all of them."""
     p[cycle] -= p[cycle].min()
     for k in cycle:
         if p[k] <= 0.0:
             leaving[int(edges[k, 0])].remove(k)
 
 
-def conserved(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
+def conserved_strategy(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray | None:
     """Turn an almost conserved p (M,) into an exact, acyclic strategy with the same shares.
 
-    Edges with p <= ``negligible`` are left out. Where p circles, the cycles are taken off first.
-    None: what is left holds no route.
+    Edges with p <= ``negligible`` and cycles are removed first. Returns None if no route remains.
     """
     part = game.restricted_to(p > negligible)
     if part is None:
@@ -197,7 +197,7 @@ def conserved(game: Game, p: FloatArray, negligible: float = 0.0) -> FloatArray 
 def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
     """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
     network, n = game.network, game.node_count + 1
-    # In the order of the flow, the target last, the system is triangular: nothing fills in.
+    # In the order of the flow, the target last, the system is triangular: there is no fill-in.
     rank = rank_around(game, flow, np.zeros(game.node_count))
     used = np.flatnonzero(flow > 0.0)
     tail, head = rank[network.tails[used]], rank[network.heads[used]]

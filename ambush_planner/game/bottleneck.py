@@ -1,4 +1,4 @@
-"""Which sites decide the value, and what the rest of the map would allow."""
+"""The sites that decide the value, and the value if the ends were secured."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import numpy as np
 from ..arrays import IndexArray, frozen_array
 from .discs import near_ends
 from .least_risk import least_value
-from .revaluation import budgets_in
+from .revaluation import budgets_in_game
 from .strategy import Strategy
 
-# Sites this many median edges from the source, a stop or the target are said to hug it.
-NEAR = 2.0
-# Share of the ambusher's mass that makes a site count.
-COUNTS = 1e-6
-# The secured value is no further off than this, relative.
-ROUGH = 0.01
+# Sites are near the source, a stop or the target within this many median edge lengths.
+NEAR_EDGES = 2.0
+# Sites are decisive from this share of the ambusher's largest probability.
+DECISIVE_SHARE = 1e-6
+# Relative tolerance of the secured value.
+SECURED_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Bottleneck:
     """The ambusher's sites and where they lie.
 
-    ``sites`` (K,) are the nodes that decide the value: the equilibrium ambusher waits only there
-    (in the plain game, a minimum cut). ``near_ends`` counts those within ``distance`` [m] of
-    source, stops or target. ``secured_value`` is the value if nobody could wait within ``distance``
-    of these ends; it equals ``value`` when no site hugs them.
+    The equilibrium ambusher waits only at ``sites`` (K,): in the plain game, a minimum cut.
+    ``near_ends`` counts the sites within ``distance`` [m] of source, stops or target.
+    ``secured_value`` is the value if nobody could wait within ``distance`` of these ends; it
+    equals ``value`` when no site is that near.
     """
 
     sites: IndexArray
@@ -41,24 +41,19 @@ class Bottleneck:
 def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottleneck:
     """Report the sites that decide the strategy's value.
 
-    The secured value is the least one within the strategy's own budgets if nobody could wait near
-    the ends; at ``deadline`` (``time.monotonic``) it is what is known by then, a lower bound.
+    The secured value keeps the strategy's budgets. At ``deadline`` (``time.monotonic``) the best
+    lower bound so far takes its place.
     """
     game, q = strategy.game, strategy.ambush_probability
     network = game.network
-    decisive = (q > COUNTS * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
+    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
     sites = np.flatnonzero(decisive)
-    distance = NEAR * float(np.median(network.lengths[game.playable]))
+    distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
     near = near_ends(network, distance)
     secured = strategy.value
     if near[sites].any():
         game = game.without_sites(near)
-        least = least_value(game, budgets_in(game, strategy), ROUGH, deadline)
-        secured = min(least, strategy.value)
-    return Bottleneck(
-        frozen_array(sites, np.int64),
-        int(near[sites].sum()),
-        distance,
-        strategy.value,
-        secured,
-    )
+        budgets = budgets_in_game(game, strategy)
+        secured = min(least_value(game, budgets, SECURED_TOLERANCE, deadline), strategy.value)
+    count = int(near[sites].sum())
+    return Bottleneck(frozen_array(sites, np.int64), count, distance, strategy.value, secured)

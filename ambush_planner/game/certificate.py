@@ -1,13 +1,13 @@
-"""The certificate: what a strategy costs at worst, and what no strategy can do better.
+"""The certificate: the worst mean loss of a strategy, and a bound that no strategy can beat.
 
 For any strategy p within the budgets, any q >= 0 that sums to the number of ambushers k with
 q_j <= 1, and prices >= 0,
 
-    z(p) >= q' D p >= min over routes of sum over edges (D' q + price * excess) - price * room,
+    z(p) >= q' D p >= min over routes of sum over edges (D' q + price * excess) - price * margin,
 
-where excess is how much longer (or more exposed) an edge makes the route than the best one, and
-room is what the budget leaves over the best route. The left side is read off p, the right side is
-one Dijkstra; neither knows where p, q and the prices come from.
+where an edge's excess is how much it lengthens (or exposes) the route beyond the best one, and the
+margin is the budget minus the best route's cost. The left side follows from p, the right side from
+one Dijkstra; neither depends on the solver that found p, q and the prices.
 """
 
 from __future__ import annotations
@@ -21,18 +21,19 @@ from ..arrays import FloatArray, sums
 from ..errors import BudgetInfeasible, SolverFailed
 from .game import Game
 
-# Rooms below this share of the best route's cost count as this: ties of best routes are rounding.
-LEAST_ROOM = 1e-12
+# Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
+LEAST_MARGIN = 1e-12
+# Largest imbalance of the flow at a node.
 CONSERVATION_TOLERANCE = 1e-8
-# Rounding that a bound may exceed a value by, relative.
+# Relative rounding by which a bound may exceed a value.
 ROUNDING = 1e-9
-# A solver's strategy keeps its budgets within this, relative.
-FITS = 5e-7
+# Relative overrun of a budget that a solver's strategy may have.
+BUDGET_TOLERANCE = 5e-7
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """A limit on the mean of a cost that adds up along the route: length, or exposure.
+    """A limit on the mean cost of the route: its length, or its exposure.
 
     Parameters
     ----------
@@ -41,16 +42,11 @@ class Budget:
     cost : (M,)
         Cost of each edge, >= 0.
     limit
-        Largest mean cost; ``inf``: none.
+        Largest mean cost; ``inf``: no limit.
     least
-        Cost of the best route of the whole network, the measure of the limit.
+        Cost of the best route of the whole network.
     name, unit
-        For messages.
-
-    Raises
-    ------
-    BudgetInfeasible
-        The best playable route costs more than the limit.
+        For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
     """
 
     game: Game
@@ -86,18 +82,17 @@ class Budget:
         return bool(np.isfinite(self.limit))
 
     @cached_property
-    def room(self) -> float:
-        """What the limit leaves over the best playable route's cost, > 0."""
+    def margin(self) -> float:
+        """The limit minus the best playable route's cost, > 0."""
         best = float(self._behind[self.game.network.source])
-        # Where the best route costs nothing the others' costs are the measure.
         scale = best or float(self.cost.max(initial=0.0))
-        return max(self.limit - best, LEAST_ROOM * scale, np.finfo(float).tiny)
+        return max(self.limit - best, LEAST_MARGIN * scale, np.finfo(float).tiny)
 
     @cached_property
     def excess(self) -> FloatArray:
-        """Cost (M,) that each edge adds over the best way on from its tail; >= 0, inf off routes.
+        """Cost (M,) that each edge adds to the best way on from its tail; inf if not playable.
 
-        Along a route they add up to its cost less the best one's, without cancellation.
+        The sum along a route is its cost minus the best route's, without cancellation.
         """
         network, behind = self.game.network, self._behind
         with np.errstate(invalid='ignore'):
@@ -109,18 +104,18 @@ class Budget:
         return float(p @ self.cost)
 
     def keeps(self, p: FloatArray) -> bool:
-        """Whether p (M,) is within the limit but for a solver's rounding."""
-        return self.mean(p) <= self.limit * (1.0 + FITS)
+        """Whether p (M,) is within the limit, up to a solver's rounding."""
+        return self.mean(p) <= self.limit * (1.0 + BUDGET_TOLERANCE)
 
     def overrun(self, p: FloatArray) -> float:
-        """By how much the mean cost of p (M,) is over the limit, without cancellation."""
+        """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
-        return max(float(p[used] @ self.excess[used]) - self.room, 0.0)
+        return max(float(p[used] @ self.excess[used]) - self.margin, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """``value`` z(p) of a strategy and the ``bound`` that no strategy within the budgets beats."""
+    """``value`` z(p) of a strategy, and the ``bound`` that no strategy within the budgets beats."""
 
     value: float
     bound: float
@@ -130,13 +125,10 @@ def certify(
     game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...],
     prices: tuple[float, ...],
 ) -> Certificate:
-    """Judge a strategy p (M,) by an ambusher's q (N,) and the prices of the budgets.
+    """Certify a strategy p (M,) with an ambusher's q (N,) and the prices of the budgets.
 
-    Raises
-    ------
-    SolverFailed
-        p is no flow from source to target or over a budget, q is no strategy, a price is
-        negative, or the bound exceeds the value: something is wrong with the solver or the game.
+    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, q is not
+    a strategy, a price is negative, or the bound exceeds the value.
     """
     _check_flow(game, p)
     for budget in budgets:
@@ -147,7 +139,7 @@ def certify(
             )
     value = upper_bound(game, p)
     bound = lower_bound(game, q, budgets, prices)
-    # What rounding lets p be over a budget, others may be, too: the bound is for all of them.
+    # Rounding may put p over a budget; the bound then holds for strategies as far over it.
     over = sum(price * budget.overrun(p) for budget, price in zip(budgets, prices, strict=True))
     bound = max(bound - over, 0.0)
     if bound > value * (1.0 + ROUNDING):
@@ -156,7 +148,7 @@ def certify(
 
 
 def upper_bound(game: Game, p: FloatArray) -> float:
-    """z(p): what the best ambush against p costs on average, the sum of the k worst sites."""
+    """z(p): mean loss of the best ambush against p (M,), the sum over the k worst sites."""
     losses = game.site_losses(p)
     if game.ambushers == 1:
         return float(losses.max(initial=0.0))
@@ -168,10 +160,7 @@ def lower_bound(
 ) -> float:
     """Value that no strategy within the budgets can beat, given q (N,): one Dijkstra.
 
-    Raises
-    ------
-    SolverFailed
-        q is no strategy of the ambusher, or a price is negative.
+    Raises SolverFailed if q is not a strategy of the ambusher, or a price is negative.
     """
     _check_ambusher(game, q)
     for budget, price in zip(budgets, prices, strict=True):
@@ -184,12 +173,12 @@ def lower_bound(
 def priced_edges(
     game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...]
 ) -> tuple[FloatArray, float]:
-    """What each edge (M,) costs by q (N,) and the budgets' prices, and what their room is worth."""
+    """Cost of each edge (M,) under q (N,) and the prices, and the priced margins to subtract."""
     weights, paid = game.mean_loss_on_edges(q), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             weights = weights + price * budget.excess
-            paid += price * budget.room
+            paid += price * budget.margin
     return weights, paid
 
 
@@ -203,7 +192,7 @@ def _check_flow(game: Game, p: FloatArray) -> None:
     balance[network.target] += 1.0
     residual = float(np.abs(balance).max())
     if not residual <= CONSERVATION_TOLERANCE:
-        raise SolverFailed(f'p is no flow from source to target: residual {residual:.1e}')
+        raise SolverFailed(f'p is not a flow from source to target: residual {residual:.1e}')
     if p[~game.playable].any():
         raise SolverFailed('p uses edges that are not playable')
 

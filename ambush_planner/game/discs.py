@@ -1,4 +1,4 @@
-"""Ambushes with a reach: which edges enter which disc."""
+"""Ambushes with a reach: the edges that enter the disc around each site."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from ..network.network import Network
 
 
 def inside(offset: FloatArray, radius: float) -> BoolArray:
-    """Tell which points, given by their offsets (K, 2) from a centre, lie in the closed disc.
+    """Whether points, given by their offsets (K, 2) from a centre, lie in the closed disc.
 
-    The one predicate for it: an edge leaves a node as inside or outside as the edge before it
-    arrived there, so no disc is entered unseen or twice at once.
+    All code decides this here, so that consecutive edges agree about their common node.
     """
     return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) <= radius)
 
@@ -29,8 +28,8 @@ def near_ends(network: Network, radius: float) -> BoolArray:
 def entering_edges(network: Network, sites: IndexArray, radius: float) -> csr_matrix:
     """(S, M) 0/1: edges whose tail lies outside a site's disc and whose segment meets it.
 
-    Along any route that starts outside, the entries of a row add up to the number of times that
-    the route enters the disc.
+    The sum of a row along any route that starts outside is the number of times that the route
+    enters the disc.
     """
     centres = network.points[sites]
     edge, site = _close_pairs(network, centres, radius)
@@ -44,7 +43,7 @@ def entering_edges(network: Network, sites: IndexArray, radius: float) -> csr_ma
 def _close_pairs(
     network: Network, centres: FloatArray, radius: float
 ) -> tuple[IndexArray, IndexArray]:
-    """(edge, site) pairs near enough that the segment may meet the disc."""
+    """(edge, site) pairs whose segment may meet the disc."""
     middle = (network.points[network.tails] + network.points[network.heads]) / 2
     reach = (radius + network.lengths / 2) * (1.0 + 1e-9)
     near = cKDTree(centres).query_ball_point(middle, reach) if len(centres) else []
@@ -54,10 +53,10 @@ def _close_pairs(
 
 
 def _crosses(tail: FloatArray, head: FloatArray, radius: float) -> BoolArray:
-    """Tell which segments (K,) come into the disc between their ends."""
+    """Whether segments (K,) come into the disc between their ends."""
     along = head - tail
     squared = (along**2).sum(axis=1)
     projection = -(tail * along).sum(axis=1)
     between = (projection > 0.0) & (projection < squared)
     t = np.where(between, projection / np.where(between, squared, 1.0), 0.0)
-    return between & inside(tail + t[:, None] * along, radius)
+    return np.asarray(between & inside(tail + t[:, None] * along, radius))

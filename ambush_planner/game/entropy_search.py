@@ -1,15 +1,14 @@
-"""The most unpredictable strategy within limits: the multipliers of the Gibbs law.
+"""The search for the multipliers of the Gibbs law: the most unpredictable strategy within limits.
 
-Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = C' v is
-the one of greatest route entropy if v >= 0 minimises the convex function
+Among all strategies p on an acyclic network with C p <= 1, the Gibbs law with weights c = C' v has
+the greatest route entropy if v >= 0 minimises the convex function
 
     log Z(C' v) + sum v,        gradient 1 - C p,   Hessian the covariance of the rows' costs.
 
-For every strategy with C p <= 1 that function is at least its entropy, so at least 0: a value
-below 0 proves that there is none. The search begins with L-BFGS-B, each multiplier in a unit that
-brings the Hessian's diagonal near 1; only limits that are near take part, the others stay at 0.
-Where few limits are tight it ends with Newton's method in the multipliers of those, damped as
-Levenberg and Marquardt do.
+This function is at least the entropy of any strategy with C p <= 1, so a value below 0 proves that
+no such strategy exists. The search begins with L-BFGS-B, which scales the multipliers to bring the
+Hessian's diagonal near 1 and moves only those of nearly tight limits. If few limits are tight, it
+ends with Newton's method in their multipliers, with Levenberg-Marquardt damping.
 """
 
 from __future__ import annotations
@@ -26,45 +25,46 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from .gibbs import AcyclicNetwork
 
 MAX_EVALUATIONS = 1500
-# Evaluations before Newton's method takes over, the most limits that it moves at once, and the
-# multiplications that its Hessians may take.
+# Evaluations before Newton's method starts, limits that it moves at once, and multiplications for
+# its Hessians.
 FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_WORK = 150, 800, 1e11
-# The search ends with this share of the entropy, plus as many nats, still to be had.
-CLOSE = 2e-3
-# The function's value has rounding of this size, relative to its terms.
+# Missing entropy at which the search ends, relative and in nats.
+ENTROPY_TOLERANCE = 2e-3
+# Rounding of the function's value, relative to its terms.
 ROUNDING = 1e-9
-# Weights of edges from which on sums along a route have no digit left behind the point.
-RUNAWAY = 1e16
-# Multipliers below this are as good as 0.
+# Largest weight of an edge; beyond, sums along a route lose all decimals.
+MAX_WEIGHT = 1e16
+# Smaller multipliers count as 0.
 LEAST_MULTIPLIER = 1e-7
-# The most that a line search may make of one, in its unit: far enough out to prove what cannot be.
-MOST_SCALED = 1e10
-# Limits with less than this to spare take part in the search.
-FAR = 0.7
+# Largest scaled multiplier in a line search; large enough to prove limits infeasible.
+MAX_SCALED = 1e10
+# A limit takes part in the search when less than this share of it is unused.
+NEAR_LIMIT = 0.7
 # Correction pairs of L-BFGS.
 CORRECTIONS = 30
-# Damping of Newton's method: at first, its range, how it rises after a bad step and falls after a
-# good one; a step is good when the function falls by this share of what the model says.
+# Newton's damping: initial value, range, factors after bad and good steps.
 DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
-RISE, FALL, ACCEPTED, TRUSTED = 6.0, 0.2, 0.01, 0.5
-# Limits with less excess than this share of the tolerance, and edges used less than this, are left
-# out of the model.
-NEARLY, NEGLIGIBLE_USE = 0.1, 1e-7
+RISE, FALL = 6.0, 0.2
+# Ratios of actual to predicted decrease at which a step is accepted and the damping reduced.
+ACCEPTED, TRUSTED = 0.01, 0.5
+# Newton's model omits limits with less excess than this share of the tolerance, and edges with less
+# use than this.
+MODEL_EXCESS, NEGLIGIBLE_USE = 0.1, 1e-7
 
 
-class _Done(Exception):
-    """Ends a search from within."""
+class _SearchEnded(Exception):
+    """Raised from within an evaluation to end the search."""
 
 
-class _Joining(Exception):
-    """Another limit joins the search."""
+class _LimitJoins(Exception):
+    """Raised from within an evaluation when another limit has to join the search."""
 
 
 @dataclass
 class GibbsStrategy:
-    """The last evaluation of the law: p (m,), multipliers v (R,), how far it is over its limits.
+    """The last evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``excess`` is max(C p) - 1; ``infeasible`` says that no strategy is within the limits.
+    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
     """
 
     p: FloatArray
@@ -80,17 +80,17 @@ def maximize_entropy(
 ) -> GibbsStrategy:
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
 
-    Every evaluation is a strategy. The search ends at one that is over its limits C p <= 1, C =
-    ``rows`` (R, m), by no more than ``tolerance`` and has all but ``CLOSE`` of the entropy that the
-    minimum has, when the limits are proved infeasible, after so many ``evaluations``, or at
-    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy be over its limits by
-    softness * sum v: then there always is a minimum.
+    Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
+    ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
+    entropy; when the limits are proved infeasible; after ``evaluations``; or at ``deadline``
+    (``time.monotonic``). ``softness`` lets the strategy exceed its limits by softness * sum v, so
+    that a minimum always exists.
     """
     if rows.shape[0] == 0:
         _, p, _ = network.law(np.zeros(len(network.edge)))
         return GibbsStrategy(p, start, 0.0, False, 1)
-    search = _Search(network, rows, tolerance, deadline, softness, evaluations)
-    with contextlib.suppress(_Done):
+    search = _DualSearch(network, rows, tolerance, deadline, softness, evaluations)
+    with contextlib.suppress(_SearchEnded):
         first = min(FIRST_EVALUATIONS, evaluations)
         search.quasi_newton(start, first)
         if softness == 0.0:
@@ -99,8 +99,8 @@ def maximize_entropy(
     return search.found
 
 
-class _Search:
-    """The function, its last evaluation, and the ways down."""
+class _DualSearch:
+    """The dual function, its last evaluation, and the methods that minimise it."""
 
     def __init__(
         self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
@@ -111,15 +111,15 @@ class _Search:
         self.evaluations = evaluations
         self.found = GibbsStrategy(np.empty(0), np.empty(0))
         self.share = self.gradient = np.empty(0)
-        # Where a limit is used up in portions of c, its use has a variance of about c.
+        # A limit used in portions of c has a use with a variance of about c.
         portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
         self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
 
     def __call__(self, v: FloatArray) -> tuple[float, FloatArray]:
-        """Value and gradient at v; ends the search where it can end."""
+        """Return value and gradient at v (R,), or end the search."""
         weights = self.columns @ v
-        if not np.abs(weights).max() < RUNAWAY:  # a line search that ran away
-            raise _Done
+        if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
+            raise _SearchEnded
         log_z, p, self.share = self.network.law(weights)
         used, total, found = self.rows @ p, float(v.sum()), self.found
         found.p, found.multipliers = p, v.copy()
@@ -127,41 +127,41 @@ class _Search:
         found.evaluations += 1
         value = log_z + total + self.softness / 2.0 * total**2
         hard = self.softness == 0.0
-        # The value is at least the most entropy there is; p's own is less by v' (1 - C p).
+        # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
-        near = missing <= CLOSE * (1.0 + value - missing)
+        near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
         reached = hard and found.excess <= self.tolerance and near
         found.infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
         late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
         if reached or found.infeasible or late:
-            raise _Done
+            raise _SearchEnded
         self.gradient = 1.0 - used + self.softness * total
         return value, self.gradient
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
-        """L-BFGS-B in the limits that are near; when another is the worst, it joins."""
+        """Run L-BFGS-B on the near limits; another limit joins once it is the worst."""
         last, moved = self.found.evaluations + evaluations, np.zeros(len(start), dtype=bool)
         self(start)
         while self.found.evaluations < last:
-            moved |= (self.found.multipliers > 0.0) | (self.gradient < FAR)
-            with contextlib.suppress(_Joining):
+            moved |= (self.found.multipliers > 0.0) | (self.gradient < NEAR_LIMIT)
+            with contextlib.suppress(_LimitJoins):
                 self._descend(moved, last - self.found.evaluations)
                 return
 
     def _descend(self, moved: BoolArray, evaluations: int) -> None:
-        """L-BFGS-B in the limits ``moved`` (R,), from where the search is."""
-        # Who solves nothing does without it: it is a seventh of what loading the package takes.
+        """Run L-BFGS-B on the limits ``moved`` (R,), from the last evaluation."""
+        # Imported only here because it takes a seventh of the package's loading time.
         from scipy.optimize import fmin_l_bfgs_b
 
         part, v = np.flatnonzero(moved), self.found.multipliers.copy()
         unit = self.unit[part]
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
-            v[part] = np.minimum(scaled, MOST_SCALED) * unit
+            v[part] = np.minimum(scaled, MAX_SCALED) * unit
             value, gradient = self(v)
             worst = gradient.argmin()
             if not moved[worst] and gradient[worst] < -self.tolerance:
-                raise _Joining
+                raise _LimitJoins
             return value, gradient[part] * unit
 
         fmin_l_bfgs_b(
@@ -170,13 +170,13 @@ class _Search:
         )
 
     def newton(self) -> None:
-        """Damped Newton steps in the limits that count most."""
+        """Take damped Newton steps in the limits of greatest weight."""
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
         work = 0.0
         while work < NEWTON_WORK:
-            weight = np.maximum(v, -gradient / (NEARLY * self.tolerance) - 1.0)
+            weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
             work += float(len(self.found.p)) * len(counts) ** 2
@@ -209,7 +209,7 @@ class _Search:
 def _bounded_step(
     hessian: FloatArray, gradient: FloatArray, v: FloatArray, damping: float
 ) -> FloatArray:
-    """Step (K,) to the minimum of the damped model; multipliers that would fall below 0 stop."""
+    """Step (K,) to the minimum of the damped model that keeps v + step >= 0."""
     diagonal = np.diag(hessian)
     damped = hessian + np.diag(damping * (diagonal + 1e-3 * diagonal.mean()))
     step, free = np.zeros(len(v)), np.ones(len(v), dtype=bool)

@@ -1,12 +1,11 @@
-"""The linear program of the least value: as much flow as the sites and the budgets allow.
+"""The linear program of the least value: the largest flow that the sites and budgets allow.
 
-With f = p / z in units of a loss near the value it is
+With f = p / z, in units of a loss near the value, it is
 
-    maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= room |f|,   A f = 0,
+    maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= margin |f|,   A f = 0.
 
-because a budget's row is homogeneous in f. With k ambushers, the losses of any k sites must add up
-to at most 1: loss_j <= t + s_j with k t + sum s <= 1. The duals are the ambusher's q and the
-prices of the budgets.
+With k ambushers, the losses of any k sites must add up to at most 1: loss_j <= t + s_j with
+k t + sum s <= 1. The duals are the ambusher's q and the prices of the budgets.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from . import highs
 from .certificate import Budget
 from .game import Game
 
-# Edges that are over a budget by this many times its room are as good as unused.
+# Cap on an edge's excess in units of the budget's margin; no strategy notices it.
 MOST_EXCESS = 1e7
 
 
 class FlowProgram:
-    """The linear program on the edges of a game, and what its solution means."""
+    """The linear program on the edges of a game; its solution as a flow and an ambusher."""
 
     def __init__(self, game: Game, budgets: tuple[Budget, ...], unit: float) -> None:
         self.game, self.budgets, self.unit = game, budgets, unit
@@ -35,7 +34,7 @@ class FlowProgram:
         loss = game.loss[game.sites][self.row] / unit
         out = (game.network.tails[self.edge] == game.network.source).astype(float)
         over = [
-            csr_matrix(np.minimum(b.excess[self.edge] / b.room, MOST_EXCESS) - out)
+            csr_matrix(np.minimum(b.excess[self.edge] / b.margin, MOST_EXCESS) - out)
             for b in budgets if b.binds
         ]
         rows = csr_matrix(vstack([csr_matrix(hits[self.row].multiply(loss[:, None])), *over]))
@@ -43,7 +42,7 @@ class FlowProgram:
         rows_of_a, node = conservation(game)
         inner = rows_of_a[node != game.network.source]
         if game.ambushers > 1:
-            rows, limits, inner = _shared(rows, len(loss), inner, game.ambushers)
+            rows, limits, inner = _with_several_ambushers(rows, len(loss), inner, game.ambushers)
         cost = np.zeros(rows.shape[1])
         cost[: len(out)] = -out
         self.program = highs.Program(cost, rows, limits, inner, np.zeros(inner.shape[0]))
@@ -63,24 +62,24 @@ class FlowProgram:
         return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
 
     def ambusher(self, duals: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
-        """q (N,) and the budgets' prices; a site too costly ever to be passed stays barred."""
+        """q (N,) and the budgets' prices from the duals."""
         sites, k = len(self.row), self.game.ambushers
         q = np.zeros(self.game.node_count)
         q[self.game.sites[self.row]] = duals[:sites]
-        # With several, the dual of the sum's row: no q_j is over it, and all may sum to less.
+        # With several ambushers, the dual of the sum's row bounds every q_j.
         total = float(duals[-1]) if k > 1 else float(q.sum())
         if not total > 0.0:
             raise SolverFailed('the program has no ambusher')
         price = iter(duals[sites:] / total * self.unit)
-        return at_most_one(q / total, k), tuple(
-            float(next(price)) / budget.room if budget.binds else 0.0 for budget in self.budgets
+        return capped_at_one(q / total, k), tuple(
+            float(next(price)) / budget.margin if budget.binds else 0.0 for budget in self.budgets
         )
 
 
-def _shared(
+def _with_several_ambushers(
     rows: csr_matrix, sites: int, inner: csr_matrix, ambushers: int
 ) -> tuple[csr_matrix, FloatArray, csr_matrix]:
-    """Rows, limits and conservation with columns for t and each site's s_j after the flow's."""
+    """Rows, limits and conservation with columns for t and each s_j appended to the flow's."""
     column = np.concatenate((np.zeros(sites, dtype=int), 1 + np.arange(sites)))
     places = np.tile(np.arange(sites), 2), column
     less = csr_matrix((np.full(2 * sites, -1.0), places), (rows.shape[0], 1 + sites))
@@ -92,9 +91,9 @@ def _shared(
 
 
 def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
-    """Rows of ``A`` over the playable edges, and their nodes: all in use but the target.
+    """Rows of ``A`` over the playable edges, and their nodes.
 
-    The target's row follows from the others.
+    The target's row follows from the others and is omitted.
     """
     network = game.network
     tail, head = network.edges[game.playable].T
@@ -108,8 +107,8 @@ def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
     return full[node], node
 
 
-def at_most_one(q: FloatArray, ambushers: int) -> FloatArray:
-    """Bring q (N,), which sums to the number of ambushers, below 1 everywhere."""
+def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:
+    """Cap q (N,) at 1 everywhere and keep its sum, the number of ambushers."""
     for _ in range(100):
         over = q >= 1.0
         missing = ambushers - float(np.minimum(q, 1.0).sum())

@@ -1,9 +1,8 @@
-"""The ambush game on a network: where the convoy may drive, who may wait where, what it costs.
+"""The ambush game on a network: playable edges, ambush sites and losses.
 
 Letters follow the paper: p (M,) expected uses of each edge, x (N,) visits, q (N,) the ambusher's
 probabilities, z the value, alpha the losses, ``A p = b`` the conservation of flow, ``D`` the
-losses by site and edge: row j of ``D p`` is what an ambush at site j costs on average (the
-paper's equation 1).
+losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site j (equation 1).
 """
 
 from __future__ import annotations
@@ -25,23 +24,23 @@ from .discs import entering_edges, near_ends
 
 @dataclass(frozen=True)
 class GameOptions:
-    """What the ambusher can do and where the convoy may drive.
+    """The ambusher's abilities, and where the convoy may drive.
 
     Parameters
     ----------
     ambush_radius
-        An ambush hits every route that passes within this distance of its site [m]. 0: routes
-        through the site's node. Discs that hold the source, a stop or the target are no sites.
+        An ambush hits every route that passes within this distance of its site [m]; 0: routes
+        through the site's node. A site's disc cannot contain the source, a stop or the target.
     secured_radius
         Nobody can wait within this distance of the source, a stop or the target [m].
     alpha_threshold
-        Nodes whose alpha is over it are not driven through (the paper's "forbid areas"). With a
-        reach the ambusher can wait there all the same.
+        The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
+        the ambusher can still wait there.
     ambushers
         Number of different sites held at once; their losses add up.
     ambush_in_obstacles
-        With a reach, the ambusher can also hide in obstacle cells: a plan makes them nodes that
-        no edge leads to.
+        With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
+        without edges.
 
     Raises
     ------
@@ -67,9 +66,9 @@ class GameOptions:
 class Game:
     """A network with the rows of its ambush game.
 
-    ``playable`` (M,) marks the edges that lie on some route once forbidden nodes are gone;
-    ``loss`` (N,) is alpha where an ambush is possible, else 0. Where a trip has several legs, an
-    ambush hits them all: each place is one site, and its hits add up over the layers.
+    ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
+    alpha where an ambush is possible, else 0. On a trip of several legs each place is one site,
+    and its hits add up over the layers.
     """
 
     network: Network
@@ -85,14 +84,14 @@ class Game:
 
     @cached_property
     def sites(self) -> IndexArray:
-        """Nodes (S,) where an ambush costs something; those of the first layer."""
+        """Nodes (S,) of the first layer where an ambush causes a loss."""
         return np.flatnonzero(self.loss[: self.network.place_count] > 0.0)
 
     @cached_property
     def hits(self) -> csr_matrix:
-        """(S, M) 0/1: which edges' use puts a route in each site's reach.
+        """(S, M) 0/1: the edges that bring a route into each site's reach.
 
-        Radius 0: the edges into the node. Otherwise the edges that enter the disc.
+        These are the edges into the node if the radius is 0, else those that enter the disc.
         """
         if self.ambush_radius > 0.0:
             return entering_edges(self.network, self.sites, self.ambush_radius)
@@ -110,34 +109,34 @@ class Game:
         return losses
 
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
-        """``D' q`` (M,): what the ambusher's strategy q (N,) costs on average on each edge."""
+        """``D' q`` (M,): mean loss on each edge against the ambusher's strategy q (N,)."""
         on_edges: FloatArray = self.hits.T @ (self.loss * q)[self.sites]
         return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
-        """Expected visits x (N,) of each node; the source is visited once more than entered."""
+        """Expected visits x (N,) of each node; 1 at the source."""
         x = sums(self.network.heads, p, self.node_count)
         x[self.network.source] += 1.0
         return x
 
     def distances_ahead(self, weights: FloatArray) -> FloatArray:
-        """Least weight (N,) of a way to each node from the source; inf where there is none."""
+        """Least weight (N,) of a way from the source to each node; inf if unreachable."""
         edges = self.network.edges[self.playable]
         return distances_from(edges, weights[self.playable], self.node_count, self.network.source)
 
     def distances_behind(self, weights: FloatArray) -> FloatArray:
-        """Least weight (N,) of a way from each node to the target; inf where there is none."""
+        """Least weight (N,) of a way from each node to the target; inf if unreachable."""
         edges = self.network.edges[self.playable][:, ::-1]
         return distances_from(edges, weights[self.playable], self.node_count, self.network.target)
 
     def through(self, weights: FloatArray) -> FloatArray:
-        """Least weight (M,) of a route by way of each edge; inf off the playable ones."""
+        """Least weight (M,) of a route that uses each edge; inf if not playable."""
         ahead = self.distances_ahead(weights)[self.network.tails]
         behind = self.distances_behind(weights)[self.network.heads]
         return np.where(self.playable, ahead + weights + behind, np.inf)
 
     def restricted_to(self, edges: BoolArray) -> Game | None:
-        """The game on those of ``edges`` (M,) that still lie on a route; None if there is none."""
+        """The game on the routes that use only ``edges`` (M,); None if no route does."""
         network, usable = self.network, self.playable & edges
         useful = on_some_route(
             network.edges[usable], self.node_count, network.source, network.target
@@ -147,8 +146,8 @@ class Game:
         kept = usable & useful[network.tails] & useful[network.heads]
         return replace(self, playable=frozen_array(kept, np.bool_))
 
-    def past_all_sites(self) -> Game | None:
-        """The game on the edges that no ambush hits; None if no route is left."""
+    def avoiding_all_sites(self) -> Game | None:
+        """The game on the edges that no ambush hits; None if no route uses only these."""
         return self.restricted_to(np.asarray(self.hits.getnnz(axis=0) == 0))
 
     def without_sites(self, nodes: BoolArray) -> Game:
@@ -159,17 +158,13 @@ class Game:
 def make_game(network: Network, options: GameOptions) -> Game:
     """Apply the options to the network.
 
-    Raises
-    ------
-    NoRoute
-        Nothing leads from the source to the target, perhaps because of ``alpha_threshold``.
-    InvalidOption
-        There are more ambushers than nodes.
+    Raises NoRoute if no route leads from the source to the target, perhaps because of
+    ``alpha_threshold``, and InvalidOption if there are more ambushers than nodes.
     """
     if options.ambushers > network.place_count:
         raise InvalidOption(
-            f'{options.ambushers} ambushers need as many different sites, and the network has '
-            f'{network.place_count} nodes'
+            f'{options.ambushers} ambushers need as many different sites, but the network has '
+            f'only {network.place_count} nodes'
         )
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
@@ -181,7 +176,7 @@ def make_game(network: Network, options: GameOptions) -> Game:
     )
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
-        raise NoRoute(_no_route(network, options, int((~allowed).sum())))
+        raise _no_route(network, options, int((~allowed).sum()))
     if options.ambush_radius > 0.0:
         return game
     places = network.places
@@ -190,21 +185,19 @@ def make_game(network: Network, options: GameOptions) -> Game:
     return game.without_sites(~driven[places])
 
 
-def _no_route(network: Network, options: GameOptions, forbidden: int) -> str:
+def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute:
     (x, y), (u, v) = network.points[[network.source, network.target]].tolist()
     text = f'no route leads from ({x:.3f}, {y:.3f}) to ({u:.3f}, {v:.3f})'
-    if forbidden == 0:
-        return text
-    return (
-        f'{text}; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, allow '
-        'more'
-    )
+    if forbidden:
+        text += (
+            f'; alpha_threshold {options.alpha_threshold:g} discards {forbidden} nodes, raise it'
+        )
+    return NoRoute(text)
 
 
 def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     """Nodes (N,) where the ambusher can wait."""
-    # A radius of 0 is none: nodes may share the place of the ends, as where places do not matter.
     radius = max(options.secured_radius, options.ambush_radius)
-    if radius == 0.0:
+    if radius == 0.0:  # other nodes may be at the same place as an end
         return np.ones(len(network.points), dtype=bool)
     return ~near_ends(network, radius)

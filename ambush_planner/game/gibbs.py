@@ -1,13 +1,13 @@
-"""The Gibbs law of routes: of all strategies within given limits, the one of most route entropy.
+"""The Gibbs law of routes: the strategy of greatest route entropy within given limits.
 
-On an acyclic network let every edge e have a weight c_e, and draw a route with probability
+On an acyclic network, a weight c_e for every edge e defines the probability of each route:
 
     P(route) = exp(-sum of c_e over its edges) / Z.
 
-With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1 it is the Markov chain that goes
-from i to k with probability exp(-c_ik) Z_k / Z_i: one pass backward and one forward over the edges
-in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural Computation
-21, 2009; the law is also known as maximum causal entropy).
+With Z_i = sum over edges i->k of exp(-c_ik) Z_k and Z_target = 1, it is the Markov chain that goes
+from i to k with probability exp(-c_ik) Z_k / Z_i. It takes one backward and one forward pass over
+the edges in topological order (M. Saerens et al., *Randomized shortest-path problems*, Neural
+Computation 21, 2009; also known as maximum causal entropy).
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from .triangular import UnitTriangle
 
 
 class AcyclicNetwork:
-    """The edges of an acyclic game in topological order, ready for the two passes.
+    """The edges of an acyclic game in topological order.
 
-    ``edge`` (m,) are the network's edge indices, ``tail`` and ``head`` (m,) their positions in the
-    order, in which the source is 0 and the target n - 1.
+    ``edge`` (m,) are the network's edge indices, ``tail`` and ``head`` (m,) the positions of their
+    nodes in the order; the source is 0 and the target n - 1.
     """
 
     def __init__(self, game: Game, rank: IndexArray) -> None:
@@ -53,8 +53,8 @@ class AcyclicNetwork:
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
 
-        Weights are scaled by the partition function of the evaluation before; where that is too
-        far off for floating point its logarithm is found first.
+        The partition function is scaled by the previous evaluation's; where that overflows, its
+        logarithm is computed first.
         """
         scaled = self._scaled_partition(weights)
         if scaled is None:
@@ -71,15 +71,12 @@ class AcyclicNetwork:
         p *= share
         return float(self._level[0]), p, share
 
-    def deviations(
-        self, share: FloatArray, used: IndexArray, costs: FloatArray
-    ) -> FloatArray:
-        """How far each edge's choice moves the rest of a route's costs from their mean: (U, R).
+    def deviations(self, share: FloatArray, used: IndexArray, costs: FloatArray) -> FloatArray:
+        """How far the choice of each edge moves a route's costs from their mean: (U, R).
 
-        For ``costs`` (U, R) of the edges ``used`` (U,), several costs that add up along the route,
-        the mean cost of what follows is one backward pass; the deviations of a route's edges are
-        the steps of a martingale, so the covariance of the costs is their products' sum over the
-        edges, weighed by p.
+        ``costs`` (U, R) are R costs of the edges ``used`` (U,) that add up along the route. The
+        deviations are the steps of a martingale, so the covariance of the costs is the sum of
+        their products over the edges, weighted by p.
         """
         along = csr_matrix(
             (share[used], (self.tail[used], np.arange(len(used)))), shape=(self.count, len(used))
@@ -103,7 +100,7 @@ class AcyclicNetwork:
         return (factor, partition) if good else None
 
     def _exact_choice(self, weights: FloatArray) -> FloatArray:
-        """Probability (m,) of each edge at its tail where the levels are log Z itself."""
+        """Probability (m,) of each edge at its tail when the levels are log Z itself."""
         choice = np.exp(self._level[self.head] - self._level[self.tail] - weights)
         return np.asarray(choice / sums(self.tail, choice, self.count)[self.tail])
 
@@ -120,7 +117,7 @@ class AcyclicNetwork:
         return self._one_less_w.solve(first, transposed=True)
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
-        """log Z_i (n,) whatever their size: sums of logarithms, from the target on."""
+        """log Z_i (n,) of any size, as sums of logarithms from the target backwards."""
         log_z = np.zeros(self.count)
         for nodes, edges, first in self._layers:
             ways = log_z[self.head[edges]] - weights[edges]
@@ -129,9 +126,9 @@ class AcyclicNetwork:
 
     @cached_property
     def _layers(self) -> list[tuple[IndexArray, IndexArray, IndexArray]]:
-        """Nodes by the most edges that a way to the target has: nodes, the edges out of them.
+        """Layers of nodes by the largest number of edges on a way to the target.
 
-        The third array says where the edges of each node begin.
+        Each layer has its nodes, the edges out of them, and where each node's edges begin.
         """
         into = np.argsort(self.head, kind='stable')
         first_into = np.searchsorted(self.head[into], np.arange(self.count + 1))
@@ -149,7 +146,7 @@ class AcyclicNetwork:
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """The numbers from begin (K,) up to end (K,), range after range, and where each starts."""
+    """The concatenated ranges from begin (K,) to end (K,), and where each range starts."""
     lengths = end - begin
     start = np.cumsum(lengths) - lengths
     return np.arange(lengths.sum()) + np.repeat(begin - start, lengths), start

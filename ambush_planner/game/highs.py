@@ -1,4 +1,4 @@
-"""HiGHS through scipy: one call, with the workarounds that its versions need."""
+"""HiGHS through scipy, with the workarounds that its versions need."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from scipy.sparse import csr_matrix
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
 
-if TYPE_CHECKING:  # see most_entropy
+if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
-# ipm_optimality_tolerance, one after the other until HiGHS is content; its default is 1e-8.
+# Values of ipm_optimality_tolerance to try in turn; HiGHS' default is 1e-8.
 OPTIMALITY = (1e-11, 1e-8, 1e-7)
-# HiGHS' own tolerances, far below the certificate's.
+# HiGHS' primal and dual feasibility tolerances.
 TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """minimise cost' v, ``inequalities v <= limits``, ``equalities v = rhs``, v >= 0."""
+    """Minimise cost' v with ``inequalities v <= limits``, ``equalities v = rhs`` and v >= 0."""
 
     cost: FloatArray
     inequalities: csr_matrix
@@ -35,19 +35,12 @@ class Program:
     rhs: FloatArray
 
 
-def run(
-    program: Program, solver: str, deadline: float, presolve: bool = True
-) -> OptimizeResult:
+def run(program: Program, solver: str, deadline: float, presolve: bool = True) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
-    ``presolve`` is what the interior point method tries first; without it HiGHS ends in an unknown
-    state less often on flow programs. Returns scipy's result, with status ``OPTIMAL`` or
-    ``INFEASIBLE``.
-
-    Raises
-    ------
-    TimeLimit, SolverFailed
-        As the names say.
+    ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an
+    unknown state less often on flow programs. Returns scipy's result, with status ``OPTIMAL`` or
+    ``INFEASIBLE``; raises TimeLimit or SolverFailed.
     """
     options: dict[str, Any] = {
         'primal_feasibility_tolerance': TOLERANCE,
@@ -55,7 +48,7 @@ def run(
     }
     left = deadline - time.monotonic()
     if left <= 0.0:
-        raise TimeLimit(f'{solver}: time is up before the first iteration')
+        raise TimeLimit(f'{solver}: the time limit passed before the first iteration')
     if np.isfinite(left):
         options['time_limit'] = left
     if solver == 'interior_point':
@@ -63,7 +56,7 @@ def run(
     else:
         result = _linprog(program, 'highs-ds', options)
     if result.status == LIMIT_REACHED:
-        raise TimeLimit(f'{solver}: time is up after {result.nit} iterations')
+        raise TimeLimit(f'{solver}: the time limit passed after {result.nit} iterations')
     if result.status != INFEASIBLE and (result.x is None or result.status != OPTIMAL):
         raise SolverFailed(f'{solver}: {result.message}')
     return result
@@ -72,9 +65,9 @@ def run(
 def _interior_point(
     program: Program, options: dict[str, Any], presolve_first: bool
 ) -> OptimizeResult:
-    """Run without crossover; where HiGHS ends in an unknown state, another tolerance may help.
+    """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.
 
-    HiGHS 1.2 (scipy 1.11) also ends so where its presolve leaves nothing, or nothing feasible.
+    HiGHS 1.2 (scipy 1.11) also ends so when its presolve removes everything.
     """
     options = {**options, 'run_crossover': _no_crossover()}
     for presolve in (presolve_first, not presolve_first):
@@ -91,7 +84,7 @@ def _linprog(program: Program, method: str, options: dict[str, Any]) -> Optimize
 
     constrained = program.inequalities.shape[0] > 0
     with warnings.catch_warnings():
-        # run_crossover is not among scipy's documented options: it is passed through to HiGHS.
+        # scipy does not document run_crossover, but passes it through to HiGHS.
         warnings.simplefilter('ignore', OptimizeWarning)
         return linprog(
             program.cost,
@@ -105,6 +98,6 @@ def _linprog(program: Program, method: str, options: dict[str, Any]) -> Optimize
 
 
 def _no_crossover() -> bool | str:
-    """HiGHS' option as the scipy at hand takes it: a bool before 1.15, then a string."""
+    """The value of run_crossover: a bool before scipy 1.15, then a string."""
     major, minor = (int(part) for part in scipy.__version__.split('.')[:2])
     return False if (major, minor) < (1, 15) else 'off'

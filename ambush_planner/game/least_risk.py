@@ -1,8 +1,8 @@
-"""Stage 1: the least value, and strategies of both sides that have it.
+"""Stage 1: the least value, and optimal strategies of both sides.
 
-Where no budget binds, without a reach, a cut tells it. Elsewhere HiGHS' interior point method
-solves a linear program (``flow_program``) on a part of the network. If the certificate then finds
-better routes outside that part, their edges join it, and so on.
+Without a reach and without a binding budget, a cut gives them. Otherwise HiGHS' interior point
+method solves a linear program (``flow_program``) on a part of the network. While the certificate
+finds better routes outside that part, their edges are added.
 """
 
 from __future__ import annotations
@@ -14,37 +14,37 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, sums
 from ..errors import BudgetInfeasible, SolverFailed, TimeLimit
-from .acyclic import conserved, forward_part, order_potential, rank_around, rank_by
+from .acyclic import conserved_strategy, forward_part, order_potential, rank_around, rank_by
 from .certificate import Budget, lower_bound, priced_edges, upper_bound
-from .cut import indifferent_ambusher, solve_by_cut
+from .cut import solve_by_min_cut, uniform_ambusher
 from .flow_program import FlowProgram
 from .game import Game
-from .route_sampler import always_shortest
+from .route_sampler import shortest_route_strategy
 
-# Sites where an ambush costs this many times the value are driven past only if nothing else is
-# left: a strategy may use them so little that rounding alone would break the limit.
-BARRED = 1e7
-# The most that the edges of the program may grow by in one round.
+# Sites with a loss of this many times the value are avoided if possible: a strategy could use them
+# only so little that rounding would break the limit.
+EXCESSIVE_LOSS = 1e7
+# Largest number of edges added in one round: this share of the program's, or this many.
 GROWTH, LEAST_GROWTH = 0.3, 1000
-# After the first round, edges on routes that cost this many times the value or more are dropped.
-KEPT = 1.1
-# Prices of a budget that are tried beside the program's, over value and room.
+# The first round drops edges whose routes cost more than this many times the value.
+KEPT_COST = 1.1
+# Prices of a budget to try besides the program's, in units of value over margin.
 PRICES = tuple(10.0**k for k in range(-9, 1))
-# Flows below this are the interior point method's rounding.
+# Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
-# Edges that only routes over budget by this many times its room use are left for later.
+# The first program omits edges whose routes exceed the budget by this many times its margin.
 FAR_OVER_BUDGET = 2.0
-# A unit of loss is this near to the value, or the program is built again.
-UNIT_RANGE = 1e3
+# The program is built again if the unit of loss is off the value by more than this factor.
+MOST_RESCALED = 1e3
 MAX_ROUNDS = 30
 
 
 @dataclass(frozen=True, eq=False)
 class LeastRisk:
-    """An optimal strategy p (M,), acyclic, with its value, and the ambusher's side.
+    """An acyclic optimal strategy p (M,) and the ambusher's q (N,), with value and bound.
 
-    ``level`` (S,) is what each site's mean loss may be; ``prices`` of the budgets, in loss per
-    unit of cost; ``bound`` is the certificate's.
+    ``level`` (S,) is the largest mean loss allowed at each site; ``prices`` are those of the
+    budgets, in loss per unit of cost.
     """
 
     value: float
@@ -58,53 +58,49 @@ class LeastRisk:
 def least_value(
     game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
 ) -> float:
-    """The least value within the budgets, from below and no further off than ``closed``.
+    """A lower bound of the least value within the budgets, no further off than ``closed``.
 
-    At the deadline it is the value without budgets, and 0 where no cut tells that.
-
-    Raises
-    ------
-    BudgetInfeasible
-        No strategy fits all budgets.
+    At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
+    BudgetInfeasible if no strategy fits all budgets.
     """
-    loose = by_cut(game)
+    loose = least_risk_by_cut(game)
     if loose and all(budget.keeps(loose.p) for budget in budgets):
         if loose.value <= loose.bound * (1.0 + closed):
             return loose.bound
     try:
-        part = first_part(game, budgets, order_potential(game))
+        part = initial_part(game, budgets, order_potential(game))
         return least_risk(game, part, budgets, closed, deadline).bound
     except (TimeLimit, SolverFailed):
         return loose.bound if loose else 0.0
 
 
-def by_cut(game: Game) -> LeastRisk | None:
-    """The least value where no budget raises it: routes past all sites, or a minimum cut.
+def least_risk_by_cut(game: Game) -> LeastRisk | None:
+    """The least value without budgets, by routes that avoid all sites or by a minimum cut.
 
-    None with a reach, and where a cut does not hold several ambushers: with k of them the game is
-    that of one k times over, if none of k q is over 1. With several legs the cut is that of the
-    costliest leg, a lower bound; it is attained where the others need not pass that leg's sites.
+    None with a reach, or if a cut does not solve the game of k ambushers: it does when no k q_j
+    exceeds 1. On a trip, the cut of the costliest leg is a lower bound, attained if the other legs
+    avoid its sites.
     """
-    safe, k = game.past_all_sites(), game.ambushers
+    safe, k = game.avoiding_all_sites(), game.ambushers
     if safe is not None:
-        p, nothing = always_shortest(safe), np.zeros(len(game.sites))
-        return LeastRisk(0.0, 0.0, p, indifferent_ambusher(game), (0.0, 0.0), nothing)
+        p, nothing = shortest_route_strategy(safe), np.zeros(len(game.sites))
+        return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
     if game.ambush_radius > 0.0:
         return None
-    cut = solve_by_cut(replace(game, ambushers=1))
+    cut = solve_by_min_cut(replace(game, ambushers=1))
     q = k * sums(game.network.places, cut.q, game.node_count)
     if q.max() > 1.0:
         return None
-    lean, p = without_barred(game, cut.value), cut.p
+    lean, p = without_excessive_sites(game, cut.value), cut.p
     if lean is not game:
-        p = solve_by_cut(replace(lean, ambushers=1)).p
+        p = solve_by_min_cut(replace(lean, ambushers=1)).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(upper_bound(game, p), k * cut.value, p, q, (0.0, 0.0), level)
 
 
-def without_barred(game: Game, value: float, p: FloatArray | None = None) -> Game:
-    """The game without sites far too costly ever to pass, if a route is left (with p's edges)."""
-    barred = game.loss[game.sites] > BARRED * value
+def without_excessive_sites(game: Game, value: float, p: FloatArray | None = None) -> Game:
+    """The game without edges past excessively costly sites, if a route remains; keeps p's edges."""
+    barred = game.loss[game.sites] > EXCESSIVE_LOSS * value
     if not barred.any():
         return game
     open_edges = np.asarray(game.hits[barred].getnnz(axis=0) == 0)
@@ -113,43 +109,37 @@ def without_barred(game: Game, value: float, p: FloatArray | None = None) -> Gam
     return game.restricted_to(open_edges) or game
 
 
-def first_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
-    """Edges that the program begins with: forward in an order around a maximum flow.
+def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
+    """The part of the game that the program begins with: forward in an order around a maximum flow.
 
-    The flow is the plain game's on edges that some route not too far over the budgets uses.
+    It leaves out edges whose routes are far over the budgets.
     """
     near = np.ones(len(game.network.edges), dtype=bool)
     for budget in budgets:
         if budget.binds:
-            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.room
+            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.margin
     part = game.restricted_to(near) or game
     rank = rank_by(potential)
     if game.ambush_radius == 0.0:
-        rank = rank_around(part, solve_by_cut(replace(part, ambushers=1)).p, potential)
+        rank = rank_around(part, solve_by_min_cut(replace(part, ambushers=1)).p, potential)
     return forward_part(part, rank) or part
 
 
 def least_risk(
     game: Game, part: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
 ) -> LeastRisk:
-    """Solve the linear program, starting on the edges of ``part``.
+    """Solve the linear program from the edges of ``part`` until the relative gap is ``closed``.
 
-    It is solved when value and bound are within ``closed`` of each other, relative.
-
-    Raises
-    ------
-    BudgetInfeasible
-        No strategy fits all budgets.
-    TimeLimit
-        The deadline passed before the first solution.
+    Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
+    before the first solution.
     """
     chosen = part.playable
-    unit = first_unit(part)
+    unit = shortest_route_loss(part)
     best: LeastRisk | None = None
     first, solver = True, 'interior_point'
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
-        assert restricted is not None  # it holds the routes of the strategy before
+        assert restricted is not None  # it contains the previous strategy's routes
         try:
             found, unit = _solve(game, restricted, budgets, unit, solver, deadline)
         except (SolverFailed, BudgetInfeasible):
@@ -161,19 +151,18 @@ def least_risk(
             if best is None:
                 raise
             return best
-        best = _better(best, _priced(game, found, budgets, closed))
+        best = _best_of_both(best, _with_better_prices(game, found, budgets, closed))
         if best.bound >= best.value * (1.0 - closed):
             return best
         weights, paid = priced_edges(game, found.q, budgets, found.prices)
         through = game.through(weights) - paid
-        added = _missing(chosen, through, found.value * (1.0 - closed / 2.0))
-        if not added.any() and solver == 'simplex':
-            return best
+        added = _edges_to_add(chosen, through, found.value * (1.0 - closed / 2.0))
         if not added.any():
-            # Nothing is missing but digits.
-            first, solver = True, 'simplex'
+            if solver == 'simplex':
+                return best
+            first, solver = True, 'simplex'  # only precision is missing
         if first:
-            chosen = chosen & ((through <= KEPT * found.value) | (found.p > 0.0))
+            chosen = chosen & ((through <= KEPT_COST * found.value) | (found.p > 0.0))
         first = False
         chosen = chosen | added
         if time.monotonic() > deadline:
@@ -181,8 +170,8 @@ def least_risk(
     return best  # type: ignore[return-value]
 
 
-def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
-    """The better strategy with the better bound, each with what belongs to it."""
+def _best_of_both(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
+    """The strategy of least value together with the ambusher of greatest bound."""
     if best is None:
         return found
     lower = found if found.bound >= best.bound else best
@@ -190,16 +179,16 @@ def _better(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
 
 
-def _priced(
+def _with_better_prices(
     game: Game, found: LeastRisk, budgets: tuple[Budget, ...], closed: float
 ) -> LeastRisk:
-    """The program's bound with other prices, where they do better: its edges know few of them."""
+    """Raise the bound by other prices of the budgets, one at a time."""
     for k, budget in enumerate(budgets):
         for price in PRICES if budget.binds else ():
             if found.bound >= found.value * (1.0 - closed):
                 return found
             prices = list(found.prices)
-            prices[k] = price * found.value / budget.room
+            prices[k] = price * found.value / budget.margin
             if not np.isfinite(prices[k]):
                 continue
             bound = lower_bound(game, found.q, budgets, tuple(prices))
@@ -208,8 +197,8 @@ def _priced(
     return found
 
 
-def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
-    """Edges (M,) outside the program on routes that cost less than ``limit``, the best first."""
+def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
+    """Edges (M,) outside the program on the best routes that cost less than ``limit``."""
     outside = np.where(chosen, np.inf, through)
     most = max(int(GROWTH * chosen.sum()), LEAST_GROWTH)
     if len(outside) > most:
@@ -218,26 +207,26 @@ def _missing(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:
     return missing
 
 
-def first_unit(game: Game) -> float:
-    """A loss not below the value, to begin with: what the shortest route risks."""
-    return upper_bound(game, always_shortest(game)) or 1.0
+def shortest_route_loss(game: Game) -> float:
+    """The value of always driving the shortest route: an upper bound and first unit of loss."""
+    return upper_bound(game, shortest_route_strategy(game)) or 1.0
 
 
 def _solve(
     game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str, deadline: float
 ) -> tuple[LeastRisk, float]:
-    """Solve on the edges of ``part``, in a unit of loss that is brought near the value."""
+    """Solve on the edges of ``part``; also returns the unit of loss, adjusted to the value."""
     for _ in range(6):
         program = FlowProgram(part, budgets, unit)
         size, f, duals = program.solve(solver, deadline)
-        if 1.0 / UNIT_RANGE < size < UNIT_RANGE:
+        if 1.0 / MOST_RESCALED < size < MOST_RESCALED:
             break
         unit = unit / max(size, 1e-9)
     q, prices = program.ambusher(duals)
-    p = conserved(part, f / size, NEGLIGIBLE)
+    p = conserved_strategy(part, f / size, NEGLIGIBLE)
     if p is None:
-        raise SolverFailed("the program's flow holds no route")
-    # Each site may cause as much as the k-th worst one, or its own loss if that is worse.
+        raise SolverFailed("the program's flow contains no route")
+    # Each site may cause as much loss as the k-th worst site, or its own if that is more.
     losses = game.site_losses(p)
     level = np.maximum(losses, np.sort(losses)[-min(game.ambushers, len(losses))])
     value, bound = upper_bound(game, p), lower_bound(game, q, budgets, prices)

@@ -13,45 +13,42 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible, InvalidOption
 from . import highs
 from .certificate import Budget
-from .cut import indifferent_ambusher, solve_by_cut
+from .cut import solve_by_min_cut, uniform_ambusher
 from .flow_program import conservation
 from .game import Game
-from .least_risk import first_unit
-from .route_sampler import always_shortest
+from .least_risk import shortest_route_loss
+from .route_sampler import shortest_route_strategy
 from .strategy_solver import Solution
 
-if TYPE_CHECKING:  # see most_entropy
+if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
-# No node is visited this often; where a loss is so small, its row says this instead.
+# Upper limit of a node's visits where its loss is so small that its row does not matter.
 MOST_VISITS = 1e6
-# A unit this near to the value or nearer serves; from far above it is lowered, so often at most.
+# The unit of loss is lowered until the value is above this many units, in this many attempts.
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
-# Values in this range need no unit of their own.
+# Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
-# The rows A p = b are met to this, in so many attempts at the most.
+# Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
 
 @dataclass(frozen=True, eq=False)
 class LinearProgram(highs.Program):
-    """The program in v = (p, z').
+    """The program in v = (p, z'), with p on the playable edges ``edge`` (m,), and z' = z / unit.
 
-    p are the expected uses of the playable edges ``edge`` (m,), z' is the value in units of
-    ``unit``. Rows of ``inequalities``: one a site, ``sum p into j - z' unit / alpha_j <= 0``, and
-    last, where a budget is set, ``l' p <= budget``.
+    The rows of ``inequalities`` are ``sum p into j - z' unit / alpha_j <= 0`` for each site and,
+    if a budget is set, ``l' p <= budget``.
     """
 
     edge: IndexArray
     unit: float
 
 
-def linear_program(
-    game: Game, length_weight: float, budget: float, unit: float
-) -> LinearProgram:
-    """Build the program: (1 - w) z + w l' p under D p <= z, A p = b and l' p <= budget.
+def linear_program(game: Game, length_weight: float, budget: float, unit: float) -> LinearProgram:
+    """Build the program: minimise (1 - w) z + w l' p with D p <= z, A p = b and l' p <= budget.
 
-    ``unit`` > 0 is a loss near to the value, so that the digits of z count.
+    ``unit`` > 0 is a loss near the value, for numerical precision.
     """
     network = game.network
     edge = np.flatnonzero(game.playable)
@@ -64,16 +61,9 @@ def linear_program(
         inequalities = vstack((inequalities, csr_matrix(np.append(lengths, 0.0))))
         limits = np.append(limits, budget)
     rows_of_a, node = conservation(game)
-    nothing = csr_matrix((len(node), 1))
-    return LinearProgram(
-        cost,
-        inequalities.tocsr(),
-        limits,
-        hstack((rows_of_a, nothing)).tocsr(),
-        np.where(node == network.source, 1.0, 0.0),
-        edge,
-        unit,
-    )
+    equalities = hstack((rows_of_a, csr_matrix((len(node), 1)))).tocsr()
+    rhs = np.where(node == network.source, 1.0, 0.0)
+    return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
 def linear_program_strategy(
@@ -81,22 +71,16 @@ def linear_program_strategy(
 ) -> tuple[Solution, Budget]:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
-    The budget's row is added only when the solution without it is too long, so that where the
-    budget does not bind the program is the paper's own. Returns the outcome and the budget that
-    its price is for: with a length weight, the solution's own expected length.
-
-    Raises
-    ------
-    InvalidOption
-        The game has several ambushers.
-    BudgetInfeasible, TimeLimit, SolverFailed
-        As the names say.
+    The budget's row is added only if the solution without it is too long; otherwise the program is
+    the paper's own. Returns the solution and the budget that its price belongs to: with a length
+    weight, the solution's own expected length. Raises InvalidOption if the game has several
+    ambushers, and BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
     """
     if game.ambushers > 1:
-        raise InvalidOption(f'the solver {solver} takes one ambusher; max_entropy takes more')
+        raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
     if length_weight == 0.0:
-        game = _past_all_sites(game, length.limit) or game
-    program = linear_program(game, length_weight, np.inf, _unit(game))
+        game = _avoiding_all_sites(game, length.limit) or game
+    program = linear_program(game, length_weight, np.inf, _loss_unit(game))
     result = _run(program, solver, deadline)
     lengths = game.network.lengths
     row_added = float(lengths[program.edge] @ result.x[:-1]) > length.limit * (1 + 1e-9)
@@ -105,30 +89,30 @@ def linear_program_strategy(
     p = np.zeros(len(lengths))
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    outcome = _with_ambusher(game, program, p, result, price)
+    solution = _with_ambusher(game, program, p, result, price)
     own = replace(length, limit=float(p @ lengths))
     if length_weight > 0.0:
-        return outcome, own
-    return outcome, own if outcome.prices[0] == 0.0 and own.limit > length.limit else length
+        return solution, own
+    return solution, own if solution.prices[0] == 0.0 and own.limit > length.limit else length
 
 
-def _past_all_sites(game: Game, budget: float) -> Game | None:
-    """The game on the edges that no ambush hits, if a route within the budget is left; else None.
+def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
+    """The game on the edges that no ambush hits, if it has a route within the budget.
 
-    Its value is 0 exactly; on all edges the solver's rounding would be all the loss there is.
+    Its value is exactly 0; on all edges, rounding would decide.
     """
-    safe = game.past_all_sites()
-    if safe is None or always_shortest(safe) @ game.network.lengths > budget * (1 + 1e-9):
+    safe = game.avoiding_all_sites()
+    if safe is None or shortest_route_strategy(safe) @ game.network.lengths > budget * (1 + 1e-9):
         return None
     return safe
 
 
-def _unit(game: Game) -> float:
-    """A loss near to the value: 1, or where that is far off the value without a budget.
+def _loss_unit(game: Game) -> float:
+    """The unit of loss: 1 as in the paper, or a loss near the value if that is far from 1.
 
-    The optimum that an interior point method stops at depends on the unit; 1 is the paper's.
+    The optimum at which an interior point method stops depends on the unit.
     """
-    value = solve_by_cut(game).value if game.ambush_radius == 0.0 else 0.0
+    value = solve_by_min_cut(game).value if game.ambush_radius == 0.0 else 0.0
     value = value or float(game.loss.max(initial=0.0)) or 1.0
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
@@ -136,8 +120,8 @@ def _unit(game: Game) -> float:
 def _within_budget(
     game: Game, solver: str, length: Budget, length_weight: float, deadline: float
 ) -> tuple[LinearProgram, OptimizeResult]:
-    """Solve with the budget's row; the unit falls from the shortest route's loss to the value."""
-    unit = first_unit(game)
+    """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
+    unit = shortest_route_loss(game)
     for _ in range(MAX_UNITS):
         program = linear_program(game, length_weight, length.limit, unit)
         result = _run(program, solver, deadline)
@@ -149,7 +133,7 @@ def _within_budget(
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
-    """Meet ``A p = b`` to rounding by small relative changes of p; HiGHS stops at about 1e-8."""
+    """Make p satisfy ``A p = b`` to rounding by small relative changes; HiGHS stops near 1e-8."""
     rows = program.equalities[:, :-1]
     for _ in range(ATTEMPTS):
         missing = program.rhs - rows @ p
@@ -164,15 +148,15 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
 def _with_ambusher(
     game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float
 ) -> Solution:
-    """Read q off the duals of the sites' rows; q and ``price`` share their scale."""
+    """Add q and the price of length, from the duals of the sites' rows."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
-    # The row of a loss far below the unit never binds: its dual is rounding, and large over alpha.
+    # The row of a loss far below the unit never binds: its dual is rounding.
     q = np.zeros(game.node_count)
     q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
     total = q.sum()
     if total <= 0.0:
-        return Solution(p, indifferent_ambusher(game), (0.0, 0.0), int(result.nit))
+        return Solution(p, uniform_ambusher(game), (0.0, 0.0), int(result.nit))
     return Solution(p, q / total, (max(price / total, 0.0), 0.0), int(result.nit))
 
 

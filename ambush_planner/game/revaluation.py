@@ -1,4 +1,4 @@
-"""A strategy judged again: on other losses, in another game, by the slack that was asked for."""
+"""The value and lower bound of a strategy when the losses change, and its gap beyond the slack."""
 
 from __future__ import annotations
 
@@ -14,15 +14,10 @@ from .game import Game, GameOptions, make_game
 from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, least_cost
 
 
-def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
-    """The strategy's own budgets in another game on its network.
+def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
+    """The strategy's budgets in another game on its network, as multiples of the best routes.
 
-    The budget of exposure is as many times the least one as it was.
-
-    Raises
-    ------
-    BudgetInfeasible
-        The best playable route is over a budget.
+    Raises BudgetInfeasible if the best playable route exceeds a budget.
     """
     network, most = game.network, strategy.exposure_budget
     length = Budget(
@@ -39,17 +34,17 @@ def budgets_in(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
 def revalue(
     strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray | None = None
 ) -> Certificate:
-    """Value and bound of a strategy where the losses of its nodes are ``alpha`` (N,).
+    """Recompute value and bound of a strategy for the node losses ``alpha`` (N,).
 
-    ``options`` are the game's. ``p`` (M,) takes the place of the strategy's own probabilities; 0
-    everywhere has an infinite value. The bound is the strategy's old ambusher's, and infinitely far
-    from the value where no route is left that may be driven, or none within the budgets.
+    ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The
+    bound follows from the strategy's ambusher. Without a playable route within the budgets, the
+    value is infinite.
     """
     p = strategy.edge_probability if p is None else p
     network = replace(strategy.network, alpha=alpha)
     try:
         game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
-        budgets = budgets_in(game, strategy)
+        budgets = budgets_in_game(game, strategy)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value = upper_bound(game, p) if p.any() else math.inf
@@ -59,11 +54,8 @@ def revalue(
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
-    """How much smaller another strategy's value may be, beyond what was asked for with the slack.
-
-    0 where the certificate closes but for rounding; else the solve was cut short.
-    """
-    # With a length weight it is the weighted sum that is minimal.
+    """The gap between value and bound beyond the risk slack; 0 if the solve was complete."""
+    # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
     slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
     gap = strategy.value / (1.0 + slack) - strategy.lower_bound

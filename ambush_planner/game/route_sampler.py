@@ -1,4 +1,4 @@
-"""Drawing routes from a strategy; routes as edges and as strategies."""
+"""Random routes from a strategy; routes as edges and as strategies."""
 
 from __future__ import annotations
 
@@ -13,23 +13,22 @@ from ..network.shortest_paths import shortest_path
 from .acyclic import is_acyclic
 from .game import Game
 
-# Nobody drives by more; and making a message of them would keep all else waiting for seconds.
+# Largest number of poses in a path; serialising more would block the node for seconds.
 MOST_POSES = 20_000
 
 
 class RouteSampler:
-    """Draws routes: at each node the next edge is taken with probability p_ij / x_i.
+    """Draws routes: at each node, the next edge has probability p_ij / x_i.
 
-    Where p is acyclic, a drawn route uses each edge with exactly the published probability.
-    Where p has cycles, the walk's loops are cut out as they close (loop-erased random walk), so
-    that no node comes twice.
+    If p is acyclic, a drawn route uses each edge with exactly the published probability. If p has
+    cycles, loops are erased as they close (loop-erased random walk), so that routes are simple.
     """
 
     def __init__(self, network: Network, p: FloatArray) -> None:
         used = np.flatnonzero(p > 0.0)
         order = used[np.argsort(network.tails[used], kind='stable')]
         self._source, self._target = network.source, network.target
-        # Lists, not arrays: a step looks at a few numbers, where an array costs ten times as much.
+        # A step reads only a few numbers, which is ten times faster from lists than from arrays.
         self._heads = network.heads[order].tolist()
         tails = network.tails[order]
         self._first = np.searchsorted(tails, np.arange(len(network.points) + 1)).tolist()
@@ -54,14 +53,14 @@ class RouteSampler:
         return np.array(route, dtype=np.int64)
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
-        """Return ``n`` routes; where p is acyclic they all go on by a step at once."""
+        """Return ``n`` routes; if p is acyclic, all of them advance together."""
         if n == 0 or not self._acyclic:
             return [self.draw(rng) for _ in range(n)]
         heads, first = np.array(self._heads), np.array(self._first)
         steps = np.array(self._steps)
         total = steps[np.maximum(first[1:] - 1, 0)] if len(steps) else np.zeros(len(first) - 1)
         tails = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        # Shares of each node's steps, after the node's number: one sorted array to search in.
+        # One sorted array to search: the node's number plus its cumulative shares.
         keys = tails + np.minimum(steps / total[tails], 1.0 - 1e-15)
         keys[first[1:][np.diff(first) > 0] - 1] = np.unique(tails) + 1.0
         at, moving = np.full(n, self._source), np.arange(n)
@@ -80,11 +79,12 @@ class RouteSampler:
     def _next(self, node: int, rng: np.random.Generator) -> int:
         first, last = self._first[node], self._first[node + 1] - 1
         at = bisect_right(self._steps, rng.random() * self._steps[last], first, last)
-        return self._heads[at]
+        head: int = self._heads[at]
+        return head
 
 
 def route_edges(network: Network, route: IndexArray) -> IndexArray:
-    """Indices (K - 1,) of the edges that join the route's nodes one after the other."""
+    """Indices (K - 1,) of the edges along a route (K,)."""
     count = len(network.points)
     keys = network.tails * count + network.heads
     order = np.argsort(keys)
@@ -95,21 +95,18 @@ def route_edges(network: Network, route: IndexArray) -> IndexArray:
 def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
     """Nodes (K,) of a shortest route that uses only the edges with indices ``edge``."""
     return shortest_path(
-        network.edges[edge],
-        network.lengths[edge],
-        len(network.points),
-        network.source,
-        network.target,
+        network.edges[edge], network.lengths[edge], len(network.points),
+        network.source, network.target,
     )
 
 
-def always(network: Network, route: IndexArray) -> FloatArray:
+def route_strategy(network: Network, route: IndexArray) -> FloatArray:
     """The strategy p (M,) of always driving ``route`` (K,)."""
     p = np.zeros(len(network.edges))
     p[route_edges(network, route)] = 1.0
     return p
 
 
-def always_shortest(game: Game) -> FloatArray:
+def shortest_route_strategy(game: Game) -> FloatArray:
     """The strategy p (M,) of always driving the shortest playable route."""
-    return always(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))
+    return route_strategy(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))

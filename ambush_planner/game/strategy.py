@@ -28,32 +28,32 @@ CERTIFICATE_TOLERANCE = 1e-5
 
 @dataclass(frozen=True)
 class StrategyOptions:
-    """Which optimal strategy is taken, and how it is found.
+    """Options of the solver, and the strategy to choose among the optimal ones.
 
     Parameters
     ----------
     solver
         'max_entropy': least risk, then the most unpredictable routes, on an acyclic network.
         'interior_point' and 'simplex': the paper's linear program by HiGHS' interior point method
-        without crossover or by its dual simplex method; their solutions may wander in circles.
+        without crossover or by its dual simplex method; their solutions may have cycles.
     max_detour
-        The expected length is at most this many times the shortest route's; ``inf``: any length.
-        The most unpredictable strategy uses all of it, so it is a target as well.
+        Limit of the expected length, as a multiple of the shortest route's; ``inf``: no limit.
+        The most unpredictable strategy usually uses all of it.
     max_exposure
-        The expected exposure, the integral of alpha along the route, is at most this many times
-        the least one's; ``inf``: any ('max_entropy' only).
+        Limit of the expected exposure (the integral of alpha along the route), as a multiple of
+        the least; ``inf``: no limit ('max_entropy' only).
     risk_slack
-        Accept values up to (1 + risk_slack) times the least one; 0: within 1e-5 of the bound. The
-        linear programs take the least value whatever it is.
+        Accept values up to (1 + risk_slack) times the least; 0: within 1e-5 of the bound. The
+        linear programs ignore it.
     length_weight
         w: minimise (1 - w) z + w sum p l, the paper's 0.99 / 0.01 variant (linear programs only).
     time_limit
-        Give up after this time [s].
+        Time limit of the solve [s].
 
     Raises
     ------
     InvalidOption
-        A value is out of range or of another type, or an option does not go with the solver.
+        A value is out of range or of the wrong type, or the solver does not support an option.
     """
 
     solver: str = 'max_entropy'
@@ -75,16 +75,14 @@ class StrategyOptions:
             raise InvalidOption(f'length_weight must be in [0, 1), got {self.length_weight}')
         if self.time_limit == 0.0:
             raise InvalidOption(f'time_limit must be positive [s], got {self.time_limit}')
-        plain = self.solver == 'max_entropy'
-        if plain and self.length_weight > 0.0:
+        if self.solver == 'max_entropy' and self.length_weight > 0.0:
             raise InvalidOption(
-                f'length_weight {self.length_weight} goes with the solvers interior_point and '
-                'simplex; max_entropy bounds the length with max_detour'
+                f'length_weight {self.length_weight} needs the solver interior_point or simplex; '
+                'max_entropy limits the length with max_detour'
             )
-        if not plain and math.isfinite(self.max_exposure):
+        if self.solver != 'max_entropy' and math.isfinite(self.max_exposure):
             raise InvalidOption(
-                f'max_exposure {self.max_exposure} goes with the solver max_entropy, not '
-                f'{self.solver}'
+                f'max_exposure {self.max_exposure} needs the solver max_entropy, got {self.solver}'
             )
 
 
@@ -103,9 +101,9 @@ class Strategy:
     ambush_probability : (N,)
         q: the ambusher's equilibrium strategy, sums to the number of ambushers.
     value : float
-        z(p): what the best ambush costs on average. With a reach every entry into its disc
-        counts: an upper bound where a route comes back to a disc, and at most R times what the
-        best ambush costs if no route enters a disc more than R times.
+        z(p): mean loss of the best ambush. With a reach, every entry into a disc counts: an upper
+        bound if routes come back to a disc, and at most R times the mean loss if no route enters a
+        disc more than R times.
     lower_bound : float
         No strategy within the budgets has a smaller value (one Dijkstra over q).
     gap : float
@@ -117,14 +115,13 @@ class Strategy:
         [m]; the shortest route is the whole network's. With ``length_weight`` the budget is the
         strategy's own expected length.
     expected_exposure, least_exposure, exposure_budget : float
-        Integral of alpha along the route [loss x m]: its mean, the least of any route's, and the
-        budget.
+        Integral of alpha along the route [loss x m]: its mean, the least of any route, the budget.
     length_price, exposure_price : float
-        Fall of the value per unit that the budget grows.
+        Decrease of the value per unit of increase of the budget.
     iterations : int
-        Evaluations of the law, or iterations of the interior point or simplex method.
-    law, start : Law or None
-        The Gibbs law's multipliers, for a warm start, and those that the search started from.
+        Evaluations of the Gibbs law, or iterations of the interior point or simplex method.
+    multipliers : Multipliers or None
+        Those of the Gibbs law, for a warm start.
     """
 
     game: Game
@@ -146,7 +143,6 @@ class Strategy:
     exposure_price: float
     iterations: int
     multipliers: Multipliers | None = field(repr=False)
-    start: Multipliers | None = field(repr=False)
 
     @property
     def network(self) -> Network:
@@ -162,14 +158,14 @@ class Strategy:
         return self._sampler.draw(rng)
 
     def sample_routes(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
-        """Draw ``n`` routes, many times faster than one by one."""
+        """Draw ``n`` routes at once, much faster than one by one."""
         return self._sampler.draw_many(n, rng)
 
     def mean_direction(self) -> FloatArray:
-        """Mean direction (N, 2) in which the convoy leaves each node; 0 where it never comes.
+        """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
 
-        The mean of the unit vectors along the edges out of the node, weighted by p (the right
-        column of the paper's figure 3): its length is 1 where the next step is certain.
+        It is the mean of the unit vectors along the edges out of the node, weighted by p (the right
+        column of the paper's figure 3); its length is 1 if the next step is certain.
         """
         network, p = self.network, self.edge_probability
         step = network.points[network.heads] - network.points[network.tails]
@@ -189,20 +185,20 @@ def solve(
 ) -> Strategy:
     """Find the convoy's optimal mixed strategy.
 
-    ``warm`` is the law of a strategy for the same nodes, with other losses, budgets or slack: the
-    search starts from there.
+    ``warm`` are the multipliers of a strategy for the same nodes with other losses, budgets or
+    slack, to start the search from.
 
     Raises
     ------
     InvalidNetwork
         A loss is too large or too small to compute with.
     NoRoute
-        Nothing leads from the source to the target.
+        No route leads from the source to the target.
     BudgetInfeasible
-        Every route left is longer, or more exposed, than the budget.
+        Every playable route is longer, or more exposed, than the budget.
     TimeLimit
-        Time was up, or rounding stood in the way, before the value was within the slack of its
-        bound; ``strategy`` is what was reached.
+        The time limit passed, or rounding prevailed, before the value was within the slack of its
+        bound; the error's ``strategy`` is the best so far.
     """
     options = options or StrategyOptions()
     deadline = time.monotonic() + options.time_limit
@@ -210,87 +206,82 @@ def solve(
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
     if options.solver == 'max_entropy':
-        outcome = max_entropy_strategy(
-            prepared, budgets, options.risk_slack, deadline, warm
-        )
+        solution = max_entropy_strategy(prepared, budgets, options.risk_slack, deadline, warm)
     else:
-        outcome, length = linear_program_strategy(
+        solution, length = linear_program_strategy(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _published(prepared, outcome, budgets, options, warm)
+    return _with_gap_checked(prepared, solution, budgets, options)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
-    """The budgets of length and exposure, measured from the best routes of the whole network.
+    """The budgets of length and exposure, as multiples of the whole network's best routes.
 
-    Raises
-    ------
-    BudgetInfeasible
-        The best playable route is over a budget.
+    Raises BudgetInfeasible if the best playable route exceeds a budget.
     """
     network = game.network
-    costs = (network.lengths, network.edge_exposure)
-    factors = (options.max_detour, options.max_exposure)
-    names = (('length', 'm'), ('exposure', 'loss x m'))
-    budgets = []
-    for cost, factor, (name, unit) in zip(costs, factors, names, strict=True):
-        least = least_cost(network, cost)
-        limit = factor * least if math.isfinite(factor) else math.inf
-        budgets.append(Budget(game, cost, limit, least, name, unit))
-    return budgets[0], budgets[1]
+    return (
+        _budget(game, network.lengths, options.max_detour, 'length', 'm'),
+        _budget(game, network.edge_exposure, options.max_exposure, 'exposure', 'loss x m'),
+    )
+
+
+def _budget(game: Game, cost: FloatArray, factor: float, name: str, unit: str) -> Budget:
+    least = least_cost(game.network, cost)
+    limit = factor * least if math.isfinite(factor) else math.inf
+    return Budget(game, cost, limit, least, name, unit)
 
 
 def least_cost(network: Network, cost: FloatArray) -> float:
-    """What the network's best route costs, by the costs (M,) of edges."""
+    """Cost of the network's best route, from the costs (M,) of edges."""
     found = distances_from(network.edges, cost, len(network.points), network.source)
     return float(found[network.target])
 
 
 def _check_losses(network: Network) -> None:
-    """Refuse losses that products of probabilities would take out of floating point."""
+    """Refuse losses whose products with probabilities leave the range of floating point."""
     odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
     if odd.any():
         node = int(np.argmax(odd))
         raise InvalidNetwork(
-            f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g} for the game to be solved, got '
+            f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
             f'{network.alpha[node]:g} at node {node}; scale the losses'
         )
 
 
-def _published(
-    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
-    start: Multipliers | None,
+def _with_gap_checked(
+    game: Game, solution: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions
 ) -> Strategy:
-    """The strategy that was found; TimeLimit if its gap is too wide."""
-    strategy = strategy_of(game, outcome, budgets, start)
+    """The strategy of the solution; raises TimeLimit if its gap is too wide."""
+    strategy = strategy_from_solution(game, solution, budgets)
     slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
     slack += CERTIFICATE_TOLERANCE
-    # With a length weight it is the weighted sum that is minimal, and that the gap is held against.
+    # With a length weight, the weighted sum is minimal and sets the scale of the gap.
     weighed = options.length_weight > 0.0
-    extra = outcome.prices[0] * strategy.expected_length if weighed else 0.0
+    extra = solution.prices[0] * strategy.expected_length if weighed else 0.0
     if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
         return strategy
     raise TimeLimit(
         f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
-        f'{strategy.lower_bound:.6g} after {outcome.iterations} steps; allow more time',
+        f'{strategy.lower_bound:.6g} after {solution.iterations} steps; allow more time',
         strategy,
     )
 
 
-def strategy_of(
-    game: Game, outcome: Solution, budgets: tuple[Budget, Budget], start: Multipliers | None
+def strategy_from_solution(
+    game: Game, solution: Solution, budgets: tuple[Budget, Budget]
 ) -> Strategy:
-    """The strategy with its certificate, as computed from p, q and prices alone."""
-    network, p = game.network, outcome.p
-    certificate = certify(game, p, outcome.q, budgets, outcome.prices)
+    """The strategy with its certificate, computed from p, q and prices alone."""
+    network, p = game.network, solution.p
+    certificate = certify(game, p, solution.q, budgets, solution.prices)
     leaving = sums(network.tails, p, game.node_count)
     length, exposure = budgets
     return Strategy(
         game=game,
         edge_probability=frozen_array(p, np.float64),
         visit_probability=frozen_array(game.visits(p), np.float64),
-        ambush_probability=frozen_array(outcome.q, np.float64),
+        ambush_probability=frozen_array(solution.q, np.float64),
         value=certificate.value,
         lower_bound=certificate.bound,
         gap=certificate.value - certificate.bound,
@@ -299,14 +290,13 @@ def strategy_of(
         expected_length=length.mean(p),
         shortest_length=length.least,
         length_budget=length.limit,
-        length_price=outcome.prices[0],
+        length_price=solution.prices[0],
         expected_exposure=exposure.mean(p),
         least_exposure=exposure.least,
         exposure_budget=exposure.limit,
-        exposure_price=outcome.prices[1],
-        iterations=outcome.iterations,
-        multipliers=outcome.multipliers,
-        start=start,
+        exposure_price=solution.prices[1],
+        iterations=solution.iterations,
+        multipliers=solution.multipliers,
     )
 
 

@@ -1,10 +1,10 @@
 """The default strategy: least risk within the budgets, then the most unpredictable routes.
 
-1. The least value z: by a cut where that is exact, otherwise by a linear program (``least_risk``).
-2. Values up to (1 + slack) z are accepted.
-3. Of these, on an acyclic part of the network that holds an optimal strategy, the one of greatest
-   route entropy: a Gibbs law. What is left over its limits when the search ends is taken off by
-   mixing in the optimal strategy of stage 1.
+1. Find the least value z, by a cut if that is exact, else by a linear program (``least_risk``).
+2. Accept values up to (1 + slack) z.
+3. Find the strategy of greatest route entropy (a Gibbs law) on an acyclic part of the network that
+   contains an optimal strategy. If it still exceeds a limit when the search ends, mix in the
+   optimal strategy of stage 1.
 """
 
 from __future__ import annotations
@@ -19,33 +19,40 @@ from scipy.sparse import csr_matrix, diags, vstack
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
 from .acyclic import forward_part, order_potential, rank_around
-from .certificate import FITS, ROUNDING, Budget, lower_bound, upper_bound
-from .cut import indifferent_ambusher
+from .certificate import BUDGET_TOLERANCE, ROUNDING, Budget, lower_bound, upper_bound
+from .cut import uniform_ambusher
 from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
-from .flow_program import at_most_one
+from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
-from .least_risk import LeastRisk, by_cut, first_part, least_risk, without_barred
-from .route_sampler import always_shortest
+from .least_risk import (
+    LeastRisk,
+    initial_part,
+    least_risk,
+    least_risk_by_cut,
+    without_excessive_sites,
+)
+from .route_sampler import shortest_route_strategy
 
-# The least slack: values this near to the bound, relative, count as optimal.
+# Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
-# The law aims at these shares of its limits, so that it may end a little over its aim.
-AIM, BUDGET_AIM, ROUGHNESS = 0.95, 0.999, 0.04
-# The share of a mixture is found in so many halvings.
-HALVINGS = 30
-# The program's value and bound may be apart by this share of the slack.
-CLOSED = 0.02
-# Hits below this are rounding; with several ambushers the level of a site may be 0.
+# Shares of the slack and of each budget's margin that the search aims at, and its tolerance as a
+# share of the slack.
+LEVEL_AIM, BUDGET_AIM, LIMIT_TOLERANCE = 0.95, 0.999, 0.04
+# Bisection steps for the share of a mixture.
+BISECTIONS = 30
+# Relative gap of the linear program, as a share of the slack.
+PROGRAM_GAP = 0.02
+# Smallest limit of a site's hits; with several ambushers its level may be 0.
 LEAST_HITS = 1e-9
-# Share of the time left that the program may take; the rest is for the law.
+# Share of the remaining time for the linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
-# Without a program: rounds, evaluations a round, and how the softness falls from round to round.
-SOFT_ROUNDS, SOFT_EVALUATIONS, SOFTER = 8, 80, 0.25
-# There the limits are at this share of the shortest route's value, unless more is known.
-REFERENCE, FIRST_ENTROPY = 0.05, 30.0
-# Largest first multiplier of a site or budget.
-FIRST_PRICE = 300.0
+# The search with soft limits: rounds, evaluations per round, factor of the softness per round.
+SOFT_ROUNDS, SOFT_EVALUATIONS, SOFTNESS_FACTOR = 8, 80, 0.25
+# Its limits, at least this share of the shortest route's value, and a typical entropy [nats].
+REFERENCE_SHARE, FIRST_ENTROPY = 0.05, 30.0
+# Largest initial multiplier of a site or budget, scaled to its limit.
+MAX_FIRST_MULTIPLIER = 300.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +65,7 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """What a solver hands on: p (M,), q (N,), the budgets' prices [loss / unit], effort, law."""
+    """A solver's p (M,), q (N,), prices of the budgets [loss / unit], effort and multipliers."""
 
     p: FloatArray
     q: FloatArray
@@ -73,30 +80,27 @@ def max_entropy_strategy(
 ) -> Solution:
     """Solve the three stages; at the deadline, return the best strategy so far.
 
-    Raises
-    ------
-    BudgetInfeasible
-        No strategy fits all budgets.
-    TimeLimit
-        The deadline passed before the first strategy.
+    Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
+    before the first strategy.
     """
     slack = max(risk_slack, LEAST_SLACK)
-    search, least = _Search(game, budgets, slack, deadline, warm), 0.0
-    if loose := by_cut(game):
-        if found := search.spread(loose):
+    search, least = _EntropyStage(game, budgets, slack, deadline, warm), 0.0
+    if loose := least_risk_by_cut(game):
+        if found := search.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
     now = time.monotonic()
     until = now + PROGRAM_SHARE * max(deadline - now, 0.0)
     try:
-        part = first_part(game, budgets, search.potential)
-        risk = least_risk(game, part, budgets, CLOSED * slack, until)
+        part = initial_part(game, budgets, search.potential)
+        risk = least_risk(game, part, budgets, PROGRAM_GAP * slack, until)
     except (TimeLimit, SolverFailed):
-        return search.without_program(least)
-    return search.spread(risk) or Solution(risk.p, risk.q, risk.prices, search.evaluations)
+        return search.without_linear_program(least)
+    found = search.most_unpredictable(risk)
+    return found or Solution(risk.p, risk.q, risk.prices, search.evaluations)
 
 
-class _Search:
+class _EntropyStage:
     """Stages 2 and 3 for one game."""
 
     def __init__(
@@ -105,33 +109,34 @@ class _Search:
     ) -> None:
         self.game, self.budgets, self.slack = game, budgets, slack
         self.deadline, self.warm = deadline, warm
-        # What decides the order of nodes that nothing else decides.
         self.potential = order_potential(game)
         self.evaluations = 0
 
-    def spread(self, least: LeastRisk) -> Solution | None:
-        """The most entropy at the least risk; None if value or budgets cannot be kept so."""
-        network = self._around(without_barred(self.game, least.bound, least.p), least.p)
-        limits = _Limits(
-            self.game, network, least.level * (1.0 + AIM * self.slack), self.budgets
+    def most_unpredictable(self, least: LeastRisk) -> Solution | None:
+        """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
+        game = without_excessive_sites(self.game, least.bound, least.p)
+        network = self._acyclic_part(game, least.p)
+        limits = _LimitRows(
+            self.game, network, least.level * (1.0 + LEVEL_AIM * self.slack), self.budgets
         )
-        roughness = min(ROUGHNESS * self.slack, 1.0 - BUDGET_AIM)
-        p, found = self._law(network, limits, limits.start(self.warm), roughness)
-        law = None if found.infeasible else limits.unscaled(found.multipliers)
-        return self._mixed(Solution(p, least.q, least.prices, self.evaluations, law), least)
+        tolerance = min(LIMIT_TOLERANCE * self.slack, 1.0 - BUDGET_AIM)
+        p, found = self._gibbs_strategy(network, limits, limits.start(self.warm), tolerance)
+        multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
+        solution = Solution(p, least.q, least.prices, self.evaluations, multipliers)
+        return self._mixed_to_fit(solution, least)
 
-    def _around(self, game: Game, p: FloatArray) -> AcyclicNetwork:
-        """The edges that go forward in an order of the nodes in which those of p (M,) do."""
+    def _acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
+        """The edges that go forward in an order of the nodes around the strategy p (M,)."""
         rank = rank_around(game, p, self.potential)
         part = forward_part(game, rank)
-        assert part is not None  # it holds p
+        assert part is not None  # it contains p
         return AcyclicNetwork(part, rank)
 
-    def _law(
-        self, network: AcyclicNetwork, limits: _Limits, start: FloatArray, tolerance: float,
+    def _gibbs_strategy(
+        self, network: AcyclicNetwork, limits: _LimitRows, start: FloatArray, tolerance: float,
         softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
     ) -> tuple[FloatArray, GibbsStrategy]:
-        """The law's p (M,), and how ``maximize_entropy`` ended the search for it."""
+        """The p (M,) of the entropy search, and its result."""
         found = maximize_entropy(
             network, limits.rows, start, tolerance, self.deadline, softness, evaluations
         )
@@ -140,14 +145,14 @@ class _Search:
         p[network.edge] = found.p
         return p, found
 
-    def _mixed(self, found: Solution, least: LeastRisk) -> Solution | None:
-        """Mix in so much of the least risk's p that value and budgets hold; None if nothing does.
+    def _mixed_to_fit(self, found: Solution, least: LeastRisk) -> Solution | None:
+        """Mix in the strategy of least risk until value and budgets hold; None if they cannot.
 
-        Where rounding puts p itself over a budget, the mixture may be over it by as much.
+        If rounding puts that strategy over a budget, the mixture may be over it by as much.
         """
         limit = least.bound * (1.0 + self.slack)
         most = [
-            np.clip(b.mean(least.p), b.limit * (1.0 + ROUNDING), b.limit * (1.0 + FITS))
+            np.clip(b.mean(least.p), b.limit * (1.0 + ROUNDING), b.limit * (1.0 + BUDGET_TOLERANCE))
             for b in self.budgets
         ]
         priced = [(c, b) for c, b in zip(found.prices, self.budgets, strict=True) if c > 0.0]
@@ -160,27 +165,26 @@ class _Search:
         p = _mixture(found.p, least.p, holds)
         return None if p is None else replace(found, p=p)
 
-    def without_program(self, least: float) -> Solution:
-        """Where no program could be solved: soft limits, ever harder, and the best of each side.
+    def without_linear_program(self, least: float) -> Solution:
+        """Search with ever harder soft limits; return the best strategy of each side.
 
-        ``least`` is what the worst site is known to cost at least. The multipliers, scaled to an
+        ``least`` is a lower bound of the worst site's mean loss. The multipliers, scaled to an
         ambusher's strategy, give a bound at every step.
         """
-        shortest = always_shortest(self.game)
-        if not self._keeps(shortest):
-            raise TimeLimit('time is up before a strategy within the budgets was found')
-        best = Solution(
-            shortest, indifferent_ambusher(self.game), (0.0,) * len(self.budgets), 0
-        )
+        shortest = shortest_route_strategy(self.game)
+        if not self._within_budgets(shortest):
+            raise TimeLimit('the time limit passed before a strategy within the budgets was found')
+        best = Solution(shortest, uniform_ambusher(self.game), (0.0,) * len(self.budgets), 0)
         value, bound = upper_bound(self.game, shortest), 0.0
-        network, reference = self._around(self.game, shortest), max(least, REFERENCE * value)
+        network = self._acyclic_part(self.game, shortest)
+        reference = max(least, REFERENCE_SHARE * value)
         level = np.full(len(self.game.sites), reference)
-        limits = _Limits(self.game, network, level, self.budgets)
+        limits = _LimitRows(self.game, network, level, self.budgets)
         start, softness = limits.start(self.warm), value / reference / FIRST_ENTROPY
         for _ in range(SOFT_ROUNDS):
-            p, found = self._law(network, limits, start, 0.0, softness, SOFT_EVALUATIONS)
-            start, softness = found.multipliers, softness * SOFTER
-            short = _mixture(p, shortest, self._keeps)
+            p, found = self._gibbs_strategy(network, limits, start, 0.0, softness, SOFT_EVALUATIONS)
+            start, softness = found.multipliers, softness * SOFTNESS_FACTOR
+            short = _mixture(p, shortest, self._within_budgets)
             if short is not None and upper_bound(self.game, short) < value:
                 value = upper_bound(self.game, short)
                 best = replace(
@@ -195,7 +199,7 @@ class _Search:
                 break
         return best
 
-    def _keeps(self, p: FloatArray) -> bool:
+    def _within_budgets(self, p: FloatArray) -> bool:
         """Whether p (M,) is within all budgets."""
         return all(budget.keeps(p) for budget in self.budgets)
 
@@ -203,23 +207,24 @@ class _Search:
 def _mixture(
     p: FloatArray, partner: FloatArray, holds: Callable[[FloatArray], bool]
 ) -> FloatArray | None:
-    """p (M,) with just so much of its partner that it ``holds``; None if neither does."""
+    """p (M,) mixed with as little of its partner as ``holds`` requires; None if neither does."""
     if holds(p):
         return p
     if not holds(partner):
         return None
     low, high = 0.0, 1.0
-    for _ in range(HALVINGS):
+    for _ in range(BISECTIONS):
         share = (low + high) / 2.0
         if holds((1.0 - share) * p + share * partner):
             high = share
         else:
             low = share
-    return (1.0 - high) * p + high * partner
+    mixture: FloatArray = (1.0 - high) * p + high * partner
+    return mixture
 
 
-class _Limits:
-    """The limits of stage 3 as rows C p <= 1: sites that can be over theirs, then the budgets."""
+class _LimitRows:
+    """The limits of stage 3 as rows C p <= 1: sites that can exceed theirs, then the budgets."""
 
     def __init__(
         self, game: Game, network: AcyclicNetwork, level: FloatArray, budgets: tuple[Budget, ...]
@@ -230,43 +235,43 @@ class _Limits:
         self._row = np.flatnonzero((hits.getnnz(axis=1) > 0) & (most < _most_hits(game)))
         self._most = most[self._row]
         self._binding = [b for b in budgets if b.binds]
-        self._room = np.array([BUDGET_AIM * b.room for b in self._binding])
+        self._margin = np.array([BUDGET_AIM * b.margin for b in self._binding])
         over = [csr_matrix(b.excess[network.edge]) for b in self._binding]
-        scale = np.concatenate((self._most, self._room))
+        scale = np.concatenate((self._most, self._margin))
         self.rows = csr_matrix(diags(1.0 / scale) @ vstack([hits[self._row], *over]))
         edge = network.edge
         mean = np.array([float(b.cost[edge].mean()) for b in self._binding])
-        self._first = np.minimum(self._room / np.maximum(mean, 1e-300), FIRST_PRICE)
+        self._first = np.minimum(self._margin / np.maximum(mean, 1e-300), MAX_FIRST_MULTIPLIER)
 
     def start(self, warm: Multipliers | None) -> FloatArray:
-        """Multipliers (R,) to start from: those of another law, or 0 for sites."""
+        """Scaled multipliers (R,) to start from: those of ``warm``, or 0 for sites."""
         if warm is None or len(warm.sites) != self._game.node_count:
             return np.concatenate((np.zeros(len(self._row)), self._first))
         sites = warm.sites[self._game.sites[self._row]] * self._most
         pairs = zip(warm.budgets, self._budgets, strict=True)
-        budgets = np.array([price for price, b in pairs if b.binds]) * self._room
-        return np.minimum(np.concatenate((sites, budgets)), FIRST_PRICE)
+        budgets = np.array([price for price, b in pairs if b.binds]) * self._margin
+        return np.asarray(np.minimum(np.concatenate((sites, budgets)), MAX_FIRST_MULTIPLIER))
 
     def unscaled(self, multipliers: FloatArray) -> Multipliers:
-        """The multipliers (R,) per hit and per unit of cost."""
+        """The scaled multipliers (R,) as multipliers per hit and per unit of cost."""
         sites = np.zeros(self._game.node_count)
         count = len(self._row)
         sites[self._game.sites[self._row]] = multipliers[:count] / self._most
-        price = iter(multipliers[count:] / self._room)
+        price = iter(multipliers[count:] / self._margin)
         budgets = (float(next(price)) if b.binds else 0.0 for b in self._budgets)
         return Multipliers(sites, tuple(budgets))
 
     def ambusher(self, multipliers: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
-        """The ambusher's strategy and prices that the multipliers stand for."""
-        law, game = self.unscaled(multipliers), self._game
+        """The ambusher's strategy q (N,) and the prices in proportion to the multipliers (R,)."""
+        found, game = self.unscaled(multipliers), self._game
         q = np.zeros(game.node_count)
-        q[game.sites] = law.sites[game.sites] / game.loss[game.sites]
+        q[game.sites] = found.sites[game.sites] / game.loss[game.sites]
         total = float(q.sum()) / game.ambushers
         if not total > 0.0:
-            return indifferent_ambusher(game), (0.0,) * len(law.budgets)
-        return at_most_one(q / total, game.ambushers), tuple(b / total for b in law.budgets)
+            return uniform_ambusher(game), (0.0,) * len(found.budgets)
+        return capped_at_one(q / total, game.ambushers), tuple(b / total for b in found.budgets)
 
 
 def _most_hits(game: Game) -> float:
-    """Hits of one site by one route: once a leg at its node; a leg may come back to a disc."""
+    """Largest number of hits of one site by one route; a leg may come back to a disc."""
     return (1.0 if game.ambush_radius == 0.0 else 3.0) * game.network.legs

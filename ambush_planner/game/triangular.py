@@ -1,7 +1,7 @@
-"""Sparse triangular systems of one pattern, solved again and again.
+"""Repeated solves of sparse triangular systems with one pattern.
 
-``spsolve_triangular`` copies and checks its matrix at every call, which takes longer than SuperLU's
-solve inside of it; and before scipy 1.13 it was a loop in Python.
+scipy's ``spsolve_triangular`` copies and checks its matrix at every call, which takes longer than
+the solve itself; before scipy 1.13 it was a loop in Python.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ except ImportError:
 
 
 class UnitTriangle:
-    """An upper triangular matrix (n, n) by rows, the diagonal, which is 1, first in each.
+    """An upper triangular matrix (n, n) in rows that begin with the diagonal, which is 1.
 
-    ``data`` are its entries, to be set between solves.
+    Set its entries, ``data``, between solves.
     """
 
     def __init__(self, indices: IndexArray, indptr: IndexArray) -> None:
@@ -31,9 +31,9 @@ class UnitTriangle:
         self.data = np.ones(len(indices))
 
     def solve(self, right: FloatArray, transposed: bool = False) -> FloatArray:
-        """Solve for ``right`` (n,) or (n, R), with the transposed matrix where so told."""
+        """Solve for ``right`` (n,) or (n, R)."""
         if gstrs is not None:
-            # It is scipy's own affair how it calls SuperLU.
+            # The signature of this private function may change.
             with contextlib.suppress(TypeError, ValueError):
                 return self._by_superlu(right, transposed)
         return self._by_factors(right, transposed)
@@ -47,7 +47,7 @@ class UnitTriangle:
             n, 0, none, nowhere, np.zeros(n + 1, np.intc),
             right,
         )
-        assert not failed  # nothing on the diagonal is 0
+        assert not failed  # the diagonal has no 0
         return np.asarray(solution)
 
     def _by_factors(self, right: FloatArray, transposed: bool) -> FloatArray:

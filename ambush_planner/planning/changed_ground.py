@@ -226,7 +226,8 @@ class ChangedGround:
     def _losses(self, grid: OccupancyMap, cells: _Cells) -> FloatArray:
         """Alpha (N,) of the nodes on a map, where they lie in these ``cells``."""
         values = grid.values[cells[:, 1], cells[:, 0]][None, :]
-        alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
+        risk_map = risk_map_from_occupancy(values, 1.0, options=self._occupancy)
+        alpha: FloatArray = risk_map.alpha[0].copy()
         network = self._plan.network
         alpha[network.ends] = 0.0
         return alpha

@@ -1,4 +1,4 @@
-"""Measures of the stochastic planner beside deterministic ones (the paper's table III)."""
+"""Comparison of the stochastic planner with deterministic ones (the paper's table III)."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..game.certificate import upper_bound
 from ..game.game import Game
-from ..game.route_sampler import always, shortest_route
+from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
 
-# Sums of alpha this near to each other, relative, are ties.
+# Relative difference up to which sums of alpha are ties.
 TIE = 1e-12
 
 
@@ -20,9 +20,9 @@ TIE = 1e-12
 class Measures:
     """One planner's row of the table.
 
-    ``expected_length`` E [m]; ``p_first`` P_1, the probability of an ambush by the equilibrium
-    ambusher; ``p_repeated`` and ``v_repeated`` P_inf and V_inf, probability and mean loss of an
-    ambush by one who has learnt the planner's own strategy.
+    ``expected_length`` is E [m]; ``p_first`` is P_1, the probability of an ambush by the
+    equilibrium ambusher; ``p_repeated`` and ``v_repeated`` are P_inf and V_inf, probability and
+    mean loss of an ambush by an ambusher who has learnt the planner's strategy.
     """
 
     planner: str
@@ -35,10 +35,10 @@ class Measures:
 def evaluate(strategy: Strategy) -> dict[str, Measures]:
     """Compare a strategy with the planners that always drive the same route.
 
-    Returns one row a planner: 'stochastic', 'energy_efficient' (shortest length) and
-    'risk_avoidance' (least sum of alpha, ties by length), all on the edges that the game leaves.
-    An ambusher who has learnt a fixed route waits there every time, at its worst site; against
-    the stochastic planner he can do no better than the equilibrium.
+    Returns one row per planner: 'stochastic', 'energy_efficient' (shortest length) and
+    'risk_avoidance' (least sum of alpha, ties by length), all on the playable edges. An ambusher
+    who has learnt a fixed route waits at its worst site; against the stochastic planner he can do
+    no better than the equilibrium.
     """
     game, q = strategy.game, strategy.ambush_probability
     p_first = _meeting_probability(game, strategy.edge_probability, q)
@@ -70,7 +70,7 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
-    p = always(game.network, route)
+    p = route_strategy(game.network, route)
     worst = upper_bound(game, p)
     return Measures(
         planner,

@@ -1,4 +1,4 @@
-"""What a longer way, or a little more risk, buys: one strategy for each of several budgets."""
+"""The trade-off of length, risk and entropy: one strategy for each of several budgets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..network.network import Network
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
-# What a row takes over from its strategy.
+# Attributes that a row copies from its strategy.
 MEASURED = (
     'value', 'lower_bound', 'expected_length', 'shortest_length', 'expected_exposure',
     'least_exposure', 'route_entropy',
@@ -23,11 +23,11 @@ MEASURED = (
 
 @dataclass(frozen=True)
 class FrontierRow:
-    """What the strategy for one pair of budgets is like.
+    """Measures of the strategy for one pair of budgets.
 
-    ``swept`` is the option that changes from row to row, 'max_detour' or 'risk_slack'; lengths are
-    in m, exposure in loss x m, route entropy in nats. Where there is no strategy, ``error`` says
-    why and the numbers are NaN.
+    ``swept`` is the option that varies, 'max_detour' or 'risk_slack'; lengths are in m, exposures
+    in loss x m, route entropy in nats. Without a strategy, ``error`` says why and the numbers are
+    NaN.
     """
 
     swept: str
@@ -51,23 +51,18 @@ def frontier(
     options: StrategyOptions | None = None,
     on_row: Callable[[FrontierRow], None] | None = None,
 ) -> tuple[FrontierRow, ...]:
-    """Solve for each of ``detours``, then for each of ``slacks``, the other as ``options`` has it.
+    """Solve for each of ``detours``, then for each of ``slacks``; the other is that of ``options``.
 
-    Each solve starts from the one before, the longest detour first; ``on_row`` is called with each
-    row as it comes, the result has them in the order asked for.
-    ``options.time_limit`` holds for each solve; a strategy that is not finished by then has its
-    row, with the bound that was reached.
-
-    Raises
-    ------
-    InvalidNetwork, InvalidOption, NoRoute
-        As ``solve`` does; all options are checked before the first solve.
+    Each solve starts from the previous one, the longest detour first. ``on_row`` is called with
+    each finished row; the result has the requested order. ``options.time_limit`` is that of each
+    solve; at the limit the row is that of the best strategy so far, with its bound. Raises
+    InvalidNetwork, InvalidOption and NoRoute as ``solve``, before the first solve.
     """
     options = options or StrategyOptions()
     game = game or GameOptions()
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
     tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
-    # A warm for looser budgets is the better one to start from.
+    # Looser budgets make the better warm start.
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
@@ -75,7 +70,7 @@ def frontier(
     warm: Multipliers | None = None
     for k in order:
         swept, budgets = tasks[k]
-        if budgets not in solved:  # both sweeps pass the budgets as set
+        if budgets not in solved:  # both sweeps may contain the budgets of ``options``
             solved[budgets], found = _row(network, game, swept, budgets, warm)
             warm = found or warm
         rows[k] = replace(solved[budgets], swept=swept)

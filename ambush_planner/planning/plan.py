@@ -1,4 +1,4 @@
-"""The story on one page: a risk map becomes a plan once, and a plan becomes a route each time."""
+"""Requests and plans: a risk map becomes a plan once, and a plan gives a route per departure."""
 
 from __future__ import annotations
 
@@ -19,37 +19,31 @@ from ..game.strategy_solver import Multipliers
 from ..maps.obstacles import nearest_free_cell
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, build_network, chosen_spacing
+from ..network.construction import NetworkOptions, chosen_spacing
 from ..network.hiding_places import with_hiding_places
 from ..network.network import Network
 from ..option_checks import check_at_least
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
 
-# Tube with a reach, in distances of nodes.
+# Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
-# Routes that are drawn to count their different paths.
+# Number of routes drawn to count the different paths.
 DRAWN = 1000
 
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """How a drawn route becomes the path that is driven.
+    """Options that turn a drawn route into the driven path; raises InvalidOption.
 
     Parameters
     ----------
     tube
-        Largest distance of the path from the drawn route [m]. The game is solved with this much
-        more reach, so that its certificate covers what is driven. None: without a reach, as far as
-        the path meets no node that its route does not use, so the game stays the plain one; with
-        a reach, ``DEFAULT_TUBE`` spacings.
+        Largest distance of the path from the drawn route [m]. It is added to the reach of the
+        game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
+        spacings; without one, the path only avoids nodes that its route does not use.
     turning_radius
-        Turns are at least this wide [m] where the corridors leave the room for it.
-
-    Raises
-    ------
-    InvalidOption
-        A value is out of range or of another type.
+        Least radius of turns [m], if the corridors have enough room.
     """
 
     tube: float | None = None
@@ -63,10 +57,10 @@ class DriveOptions:
 
 @dataclass(frozen=True)
 class PlanningOptions:
-    """All options of a plan: how the network is laid, what the game is, which optimum is taken.
+    """All options of a plan.
 
-    Where the time limit passes, the strategy that was reached is taken if no other one can be
-    better by more than ``max_gap`` of its value, beyond the risk slack.
+    If the time limit passes, a strategy is still accepted whose gap beyond the risk slack is at
+    most ``max_gap`` times its value.
     """
 
     network: NetworkOptions = field(default_factory=NetworkOptions)
@@ -81,13 +75,13 @@ class PlanningOptions:
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """The law of a strategy on other ground, and where its nodes (N, 2) are [m]."""
+    """The multipliers of another strategy, and its nodes' positions ``points`` (N, 2) [m]."""
 
     points: FloatArray
     multipliers: Multipliers
 
     def on(self, network: Network) -> Multipliers:
-        """The law with each site's multiplier taken from the node that was nearest."""
+        """The multipliers for another network: each site's from the nearest node."""
         if np.array_equal(self.points, network.points):
             return self.multipliers
         _, nearest = cKDTree(self.points).query(network.points)
@@ -97,14 +91,14 @@ class WarmStart:
 
 @dataclass(frozen=True, eq=False)
 class PlanRequest:
-    """Everything that a plan follows from.
+    """All inputs of a plan.
 
     Parameters
     ----------
     values : (H, W) int8, resolution, origin
         An occupancy grid, as ``risk_map_from_occupancy`` takes it.
     occupancy
-        How its values are read as losses.
+        The conversion of its values to losses.
     start_xy, goal_xy
         World positions [m].
     goal_tolerance
@@ -112,9 +106,9 @@ class PlanRequest:
     options
         Network, game and strategy.
     stops_xy, order
-        Where to go by, as ``plan_trip`` takes them [m].
+        Stops [m] and their order, as ``plan_trip`` takes them.
     warm
-        Where the search for the strategy starts, if anything like it is known.
+        A similar strategy to start the search from.
     """
 
     values: npt.NDArray[np.int8]
@@ -132,15 +126,12 @@ class PlanRequest:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What is worked out once for a map, a start and a goal; ``seconds`` says how long it took.
+    """The strategy for a map, a start and a goal, with all that departures need.
 
-    ``options`` are what it was worked out with.
-
-    ``bottleneck`` tells which sites decide the strategy's value. ``corridors`` are the room beside
-    the routes that the driven path may use. ``spacing`` is the distance of nodes that the network
-    was made with, but no less than the map's resolution [m]. ``different_paths`` is how many
-    different ones ``DRAWN`` routes make, at most; None: there was no time to count. ``order`` are
-    the indices of the stops of a trip as they are visited, and ``order_found`` tells how: 'given',
+    ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
+    distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts
+    those of ``DRAWN`` routes; None: the time limit had passed. ``seconds`` is the planning time.
+    ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'.
     """
 
@@ -163,12 +154,12 @@ class Plan:
 
     @property
     def tube(self) -> float | None:
-        """How far paths may leave the drawn route [m]; None: as far as no other node is met."""
+        """Largest distance of paths from the drawn route [m]; None: they avoid other nodes."""
         return _tube(self.options, self.spacing)
 
     @property
     def goal_xy(self) -> tuple[float, float]:
-        """Where the routes end [m]: the goal that was asked for, or where it was moved to."""
+        """End of the routes [m]: the requested goal, or where it was moved to."""
         x, y = self.network.points[self.network.target].tolist()
         return x, y
 
@@ -181,41 +172,19 @@ class Route:
     points: FloatArray
 
 
-def plan(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: PlanningOptions | None = None,
-    warm: WarmStart | None = None,
-) -> Plan:
-    """Build the network and solve the game; raises what ``build_network`` and ``solve`` raise."""
-    options = options or PlanningOptions()
-    begin = time.monotonic()
-    network = build_network(risk_map, start_xy, goal_xy, options.network)
-    return replace(plan_on(risk_map, network, options, warm), seconds=time.monotonic() - begin)
-
-
-def plan_on(
-    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
-) -> Plan:
-    """Solve the game on a network that was built on the map; raises what ``solve`` raises."""
-    begin = time.monotonic()
-    return plan_of(risk_map, strategy_on(risk_map, network, options, warm), options, begin)
-
-
-def strategy_on(
+def solve_on_network(
     risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
 ) -> Strategy:
-    """Solve the game on a network; raises what ``solve`` raises."""
-    network = with_cover(network, risk_map, options)
+    """Solve the game on a network built on the map; raises the errors of ``solve``."""
+    network = add_hiding_places(network, risk_map, options)
     start = warm.on(network) if warm else None
-    return _solved(network, options, reach(risk_map, options), start)
+    return _solve_within_max_gap(network, options, reach(risk_map, options), start)
 
 
-def plan_of(
+def make_plan(
     risk_map: RiskMap, strategy: Strategy, options: PlanningOptions, begin: float
 ) -> Plan:
-    """What else a plan tells of its strategy; ``begin`` is when the work on it began."""
+    """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
     tube = _tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
@@ -224,19 +193,19 @@ def plan_of(
     )
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
-        # Always of the same draws: the count tells nothing of what is drawn later.
+        # A fixed seed keeps the count independent of the departures' draws.
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
-    seconds = time.monotonic() - begin
     return Plan(
-        strategy.network, strategy, bottleneck, corridors, options, spacing, different, seconds
+        strategy.network, strategy, bottleneck, corridors, options, spacing, different,
+        time.monotonic() - begin,
     )
 
 
-def _solved(
+def _solve_within_max_gap(
     network: Network, options: PlanningOptions, radius: float, start: Multipliers | None
 ) -> Strategy:
-    """The strategy for the reach ``radius`` [m], or what was reached if that is good enough."""
+    """The strategy for the reach ``radius`` [m]; at the time limit, one within ``max_gap``."""
     game = replace(options.game, ambush_radius=radius)
     try:
         return solve(network, game, options.strategy, start)
@@ -248,21 +217,21 @@ def _solved(
         if gap <= options.max_gap * strategy.value:
             return strategy
         raise TimeLimit(
-            f'the strategy that was found in {options.strategy.time_limit:g} s may be '
-            f'{gap / strategy.value:.2g} of its value from the best, more than max_gap, '
+            f'after {options.strategy.time_limit:g} s the strategy may be '
+            f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
             f'{options.max_gap:g}; allow more time, or choose a larger spacing',
             strategy,
         ) from late
 
 
 def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
-    """How far an ambush reaches from its site in the game that is solved [m]: with the tube."""
+    """The reach of an ambush in the solved game [m]: the ambush radius plus the tube."""
     tube = _tube(options, node_spacing(risk_map, options.network))
     return options.game.ambush_radius + (tube or 0.0)
 
 
-def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
-    """The network with the obstacle cells in which an ambusher can hide, if the game has them."""
+def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
+    """Add the obstacle cells in which an ambusher can hide, if the game includes them."""
     radius = reach(risk_map, options)
     if not options.game.ambush_in_obstacles or radius == 0.0:
         return network
@@ -271,24 +240,21 @@ def with_cover(network: Network, risk_map: RiskMap, options: PlanningOptions) ->
 
 
 def _tube(options: PlanningOptions, spacing: float) -> float | None:
-    """The tube in use [m]; None for the one that leaves the plain game as it is."""
+    """The tube [m]; None if the game stays the plain one."""
     if options.drive.tube is None and options.game.ambush_radius > 0.0:
         return DEFAULT_TUBE * spacing
     return options.drive.tube
 
 
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """The distance of nodes, but no less than the map's resolution [m]."""
+    """The distance of nodes, at least the map's resolution [m]."""
     return max(risk_map.resolution, chosen_spacing(risk_map, options))
 
 
-def read_request(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
-    """Return the risk map, and the goal moved as far as it has to be and may be [m].
+def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:
+    """The risk map and the goal, moved off obstacles within the tolerance [m].
 
-    Raises
-    ------
-    InvalidRiskMap
-        The map is malformed.
+    Raises InvalidRiskMap if the map is malformed.
     """
     risk_map = risk_map_from_occupancy(
         request.values, request.resolution, request.origin, request.occupancy
@@ -308,14 +274,10 @@ def depart(a_plan: Plan, rng: np.random.Generator) -> Route:
 def departure_path(
     a_plan: Plan, route: Route, spacing: float, ends: Ends | None = None
 ) -> FloatArray:
-    """Poses (L, 3) = (x, y, yaw) of the path that is driven, at most ``spacing`` [m] apart.
+    """Poses (L, 3) = (x, y, yaw) of the driven path, at most ``spacing`` [m] apart.
 
-    ``ends`` are start and goal [m] where the plan's corridors lead from and to these.
-
-    Raises
-    ------
-    InvalidOption
-        That would be more than ``MOST_POSES``.
+    ``ends`` are start and goal [m] if they differ from the route's. Raises InvalidOption if there
+    would be more than ``MOST_POSES``.
     """
     radius = a_plan.options.drive.turning_radius
     return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)

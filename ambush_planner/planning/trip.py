@@ -1,9 +1,9 @@
-"""Trips by way of stops: one strategy over all legs, in the given order of stops or in the best.
+"""Plans of trips: one strategy over all legs, with the stops in the given order or in the best.
 
-An ambush hits every leg that passes its site, so the legs cannot be solved one by one: a layer of
-the network for each leg, and one game over all (``Network.legs``, ``Game.hits``). Arcs that are
-used twice count twice as in M. Salani, G. Duyckaerts and P. G. Swartz, *Ambush avoidance in vehicle
-routing for valuable delivery*, Journal of Transport Literature 4, 2010.
+An ambush hits every leg that passes its site, so the legs cannot be solved one by one: the network
+has a layer for each leg, and one game covers all (``Network.legs``, ``Game.hits``). Arcs used twice
+count twice, as in M. Salani, G. Duyckaerts and P. G. Swartz, *Ambush avoidance in vehicle routing
+for valuable delivery*, Journal of Transport Literature 4, 2010.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit
-from ..game.cut import solve_by_cut
-from ..game.flow_program import at_most_one
+from ..game.cut import solve_by_min_cut
+from ..game.flow_program import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
@@ -31,17 +31,17 @@ from .plan import (
     PlanningOptions,
     PlanRequest,
     WarmStart,
-    plan_of,
+    add_hiding_places,
+    make_plan,
     reach,
-    read_request,
-    strategy_on,
-    with_cover,
+    risk_map_and_goal,
+    solve_on_network,
 )
 
 ORDERS = ('given', 'best')
-# All orders of so many stops are looked at: 5040.
+# Largest number of stops for which all orders (5040) are compared.
 MOST_STOPS = 7
-# Lengths and values this near to each other, relative, are the same but for rounding.
+# Relative rounding of lengths and values.
 ROUNDING = 1e-9
 
 Position = tuple[float, float]
@@ -59,56 +59,41 @@ def plan_trip(
 ) -> Plan:
     """Plan a trip from start to goal by way of stops, all world positions [m].
 
-    There is one strategy over all legs: the losses of a site add up over the legs that it hits,
-    ``max_detour`` holds for the whole trip's expected length, value and certificate are those of
-    the whole trip. Nobody can wait at a stop, nor within ``secured_radius`` or the ambush's reach
-    of it, as at start and goal. A goal at the start's place makes a round trip.
+    One strategy covers all legs: a site's losses add up over the legs that it hits, and value,
+    certificate and ``max_detour`` are those of the whole trip. Nobody can wait at a stop, nor
+    within ``secured_radius`` or the ambush's reach of it, as at start and goal. A goal at the
+    start's position makes a round trip.
 
-    With the order 'best' that order is taken whose value is the least within the same budget:
-    ``max_detour`` times the shortest way in any order. For up to ``MOST_STOPS`` stops no other
-    order has a value that is better by more than the risk slack (``Plan.order_found`` is 'best');
-    with more, or where the time limit passes, the order may be a worse one ('heuristic'): with
-    more stops it is a short one. ``Plan.order`` tells which stop comes when. A ``warm`` start is
-    for the given order.
+    The order 'best' has the least value within the budget of ``max_detour`` times the shortest way
+    in any order. For up to ``MOST_STOPS`` stops, no other order is better by more than the risk
+    slack (``Plan.order_found`` is 'best'); with more stops, or if the time limit passes, the order
+    is a short one or the best so far ('heuristic'). ``Plan.order`` has the indices of the stops as
+    they are visited. A ``warm`` start is used for the given order only.
 
-    Raises
-    ------
-    InvalidOption
-        There is no such order.
-    StopBlocked
-        A stop is off the map, or within the clearance of an obstacle. All else as ``plan``.
+    Raises InvalidOption for any other order, StopBlocked for a stop off the map or within the
+    clearance of an obstacle, and the errors of ``build_network`` and ``solve``.
     """
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
     options, begin = options or PlanningOptions(), time.monotonic()
     asked = list(stops)
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    roads = lay_roads(
-        risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place]
-    )
-    chosen = tuple(range(len(asked)))
-    found = order
+    roads = lay_roads(risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place])
+    chosen, found = tuple(range(len(asked))), order
     if order == 'given' or len(asked) < 2:
-        strategy = strategy_on(risk_map, roads.network(roads.visits), options, warm)
+        strategy = solve_on_network(risk_map, roads.network(roads.visits), options, warm)
     else:
-        search = _OrderSearch(risk_map, roads, options)
-        strategy, chosen, found = search.run()
-    made = plan_of(risk_map, strategy, options, begin)
-    return replace(
-        made, order=tuple(place[k] for k in chosen), order_found=found,
-        seconds=time.monotonic() - begin,
-    )
+        strategy, chosen, found = _StopOrderSearch(risk_map, roads, options).run()
+    made = make_plan(risk_map, strategy, options, begin)
+    return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
-    """Read the map, move a blocked goal as far as it may be, and plan.
+    """Convert the map, move a blocked goal within its tolerance, and plan.
 
-    Raises
-    ------
-    InvalidRiskMap
-        The map is malformed. All else as ``plan_trip`` raises it.
+    Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
-    risk_map, goal_xy = read_request(request)
+    risk_map, goal_xy = risk_map_and_goal(request)
     return plan_trip(
         risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
         order=request.order, warm=request.warm,
@@ -119,7 +104,7 @@ def trip_network(
     risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
     visited: Sequence[Position], order: str,
 ) -> Network:
-    """The network of a plan for stops that were ``visited`` one after the other."""
+    """The network of a plan whose stops are ``visited`` in this sequence."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     roads = lay_roads(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
     nodes = roads.visits
@@ -127,29 +112,28 @@ def trip_network(
 
 
 def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
-    """The stops by their coordinates: the best order must not depend on the given one."""
+    """Indices of the stops by coordinates, so that the best order is independent of the given."""
     return sorted(range(len(stops)), key=lambda k: np.ravel(stops[k]).tolist())
 
 
 @dataclass(frozen=True, eq=False)
-class _Ambusher:
-    """What any order costs at least: by the sites' prices between ends (E, E), less ``paid``."""
+class _OrderBound:
+    """A lower bound of any order's value: costs between ends (E, E), minus ``paid``."""
 
     costs: FloatArray
     paid: float
 
     def bounds(self, legs: IndexArray) -> FloatArray:
-        """A lower bound (K,) for each order, by the ends of its ``legs`` (2, K, L)."""
-        return self.costs[tuple(legs)].sum(axis=1) - self.paid
+        """Lower bounds (K,) of orders from the ends of their ``legs`` (2, K, L)."""
+        return np.asarray(self.costs[tuple(legs)].sum(axis=1) - self.paid)
 
 
-class _OrderSearch:
-    """The order of least value, by bounds.
+class _StopOrderSearch:
+    """Search for the order of least value by lower bounds.
 
-    Any ambusher's strategy q, with any price of length, makes each leg cost at least the cheapest
-    route between its ends, and the sum over the legs bounds the value of that order from below.
-    Those of the pairs' own cuts are known before anything is solved; those of the orders that have
-    been solved are added.
+    With any ambusher's strategy q and any price of length, each leg costs at least the cheapest
+    route between its ends, and the sum over the legs bounds the value of the order. The first
+    bounds come from minimum cuts between pairs of ends; each solved order adds another.
     """
 
     def __init__(self, risk_map: RiskMap, roads: Roads, options: PlanningOptions) -> None:
@@ -161,20 +145,20 @@ class _OrderSearch:
         self._visits = np.array([at[node] for node in roads.visits])
         both = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
         steps = np.hypot(*(roads.points[both[:, 1]] - roads.points[both[:, 0]]).T)
-        self._lengths = self._between(both, steps, len(roads.points))
+        self._lengths = self._end_distances(both, steps, len(roads.points))
 
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
-        """The strategy, its order of stops, and how that was found."""
+        """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
         count = len(self._visits) - 2
         few = count <= MOST_STOPS
-        orders = self._short_order(count)[None]
+        orders = self._heuristic_order(count)[None]
         if few:
             orders = np.array(list(permutations(range(count))), dtype=np.int64)
         visits = self._visits[np.pad(orders + 1, ((0, 0), (1, 1)), constant_values=(0, count + 1))]
         legs = np.stack((visits[:, :-1], visits[:, 1:]))
         driven = (legs[0] != legs[1]).all(axis=1)
         if not driven.any():
-            raise InvalidNetwork('two of the stops are the same position, with nothing between')
+            raise InvalidNetwork('two consecutive stops are at the same position')
         orders, legs = orders[driven], legs[:, driven]
         lengths = self._lengths[tuple(legs)].sum(axis=1)
         limit = self._options.strategy.max_detour * float(lengths.min())
@@ -183,17 +167,17 @@ class _OrderSearch:
         if not few:
             strategy = self._solve(orders[0], float(lengths[0]), limit)
             return strategy, tuple(orders[0].tolist()), 'heuristic'
-        return self._least(orders, legs, lengths, limit)
+        return self._best_order(orders, legs, lengths, limit)
 
-    def _least(
+    def _best_order(
         self, orders: IndexArray, legs: IndexArray, lengths: FloatArray, limit: float
     ) -> tuple[Strategy, tuple[int, ...], str]:
-        """Solve the order that promises most, until none is left that could be better."""
+        """Solve the most promising order until no other can be better."""
         slack = self._options.strategy.risk_slack
-        network = with_cover(self._network(orders[0]), self._map, self._options)
+        network = add_hiding_places(self._network(orders[0]), self._map, self._options)
         first = make_game(network, self._game)
         bounds = np.zeros(len(orders))
-        for known in self._of_pairs(first):
+        for known in self._pair_bounds(first):
             bounds = np.maximum(bounds, known.bounds(legs))
         left = np.ones(len(orders), dtype=bool)
         best: tuple[Strategy, tuple[int, ...]] | None = None
@@ -212,7 +196,7 @@ class _OrderSearch:
                 return *best, 'heuristic'
             if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
                 best = strategy, tuple(orders[k].tolist())
-            known = self._ambusher(
+            known = self._bound_of(
                 strategy.game, strategy.ambush_probability, strategy.length_price, limit
             )
             bounds = np.maximum(bounds, known.bounds(legs))
@@ -224,43 +208,43 @@ class _OrderSearch:
         return self._roads.network([nodes[0], *(nodes[1 + k] for k in order), nodes[-1]])
 
     def _solve(self, order: IndexArray, length: float, limit: float) -> Strategy:
-        """The strategy for one order, within the budget of all."""
+        """The strategy for one order, within the common budget."""
         left = self._deadline - time.monotonic()
         if left <= 0.0:
-            raise TimeLimit('time is up before an order of the stops was solved')
+            raise TimeLimit('the time limit passed before an order of the stops was solved')
         detour = max(limit / length, 1.0)
         options = replace(self._options.strategy, max_detour=detour, time_limit=left)
-        return strategy_on(
+        return solve_on_network(
             self._map, self._network(order), replace(self._options, strategy=options)
         )
 
-    def _of_pairs(self, game: Game) -> Iterable[_Ambusher]:
-        """The ambushers of the minimum cuts between two ends: with a reach, they are only tried."""
+    def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
+        """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""
         k = game.ambushers
         options = replace(self._game, ambush_radius=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
-            cut = solve_by_cut(make_game(self._roads.network(pair), options))
+            cut = solve_by_min_cut(make_game(self._roads.network(pair), options))
             q = np.zeros(game.node_count)
-            q[: len(cut.q)] = at_most_one(k * cut.q, k)
-            yield self._ambusher(game, q)
+            q[: len(cut.q)] = capped_at_one(k * cut.q, k)
+            yield self._bound_of(game, q)
 
-    def _ambusher(
+    def _bound_of(
         self, game: Game, q: FloatArray, price: float = 0.0, limit: float = 0.0
-    ) -> _Ambusher:
+    ) -> _OrderBound:
         network = game.network
         edges = network.places[network.edges]
-        # Each place's edges once, from whichever layer: in all of them they cost the same.
+        # Each place's edges cost the same in all layers, so one copy suffices.
         _, once = np.unique(edges[:, 0] * network.place_count + edges[:, 1], return_index=True)
         weights = game.mean_loss_on_edges(q) + price * network.lengths
-        costs = self._between(edges[once], weights[once], network.place_count)
-        return _Ambusher(costs, price * limit if price > 0.0 else 0.0)
+        costs = self._end_distances(edges[once], weights[once], network.place_count)
+        return _OrderBound(costs, price * limit if price > 0.0 else 0.0)
 
-    def _between(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
+    def _end_distances(self, edges: IndexArray, weights: FloatArray, count: int) -> FloatArray:
         rows = [distances_from(edges, weights, count, end)[self._ends] for end in self._ends]
-        return np.array(rows)
+        return np.asarray(rows)
 
-    def _short_order(self, count: int) -> IndexArray:
-        """A short order of many stops: each put where it adds least, then parts turned round."""
+    def _heuristic_order(self, count: int) -> IndexArray:
+        """A short order of many stops: cheapest insertion, then 2-opt."""
         far = self._lengths[np.ix_(self._visits, self._visits)]
         tour = [0, count + 1]
         for stop in range(1, count + 1):

@@ -12,7 +12,7 @@ from ..arrays import frozen_array
 from ..errors import AmbushPlannerError
 from ..game.certificate import Budget
 from ..game.game import Game, GameOptions, make_game
-from ..game.strategy import Strategy, strategy_of
+from ..game.strategy import Strategy, strategy_from_solution
 from ..game.strategy_solver import Multipliers, Solution
 from ..network.network import Network
 from .npz import BadAttachment, Shape, packed, unpacked
@@ -54,7 +54,7 @@ _MOST_PACKED = 40
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file."""
-    network, start = strategy.network, strategy.start
+    network, start = strategy.network, None
     return packed({
         **{name: getattr(network, name) for name in ('points', 'alpha', 'edges')},
         **{name: np.int64(getattr(network, name)) for name in ('source', 'target', 'legs')},
@@ -135,7 +135,7 @@ def _strategy(game: Game, content: dict[str, np.ndarray]) -> Strategy:
                'exposure', 'loss x m'),
     )
     prices = stated['length_price'], stated['exposure_price']
-    return strategy_of(game, Solution(p, q, prices, 0), budgets, _start(content))
+    return strategy_from_solution(game, Solution(p, q, prices, 0), budgets)
 
 
 def _start(content: dict[str, np.ndarray]) -> Multipliers | None:

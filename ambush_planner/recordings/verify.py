@@ -168,7 +168,7 @@ class Verifier:
 
         The game is solved only on the network that was recorded.
         """
-        start = strategy.start and WarmStart(strategy.network.points, strategy.start)
+        start: WarmStart | None = None
         key = (*_plan_key(case, trip), start and _strategy_key(case))
         try:
             again = self._kept['plan'].get(key, lambda: self._plan(case, trip, start))

@@ -20,9 +20,9 @@ from ..planning.plan import (
     Plan,
     PlanningOptions,
     PlanRequest,
+    add_hiding_places,
     node_spacing,
-    read_request,
-    with_cover,
+    risk_map_and_goal,
 )
 from ..planning.trip import trip_network
 from .map_changes import changed_map
@@ -96,7 +96,7 @@ class PlannedAgain:
         solve: Callable[[PlanRequest], Plan],
     ) -> None:
         self._request, self._visited, self._solve = request, visited, solve
-        self._risk_map, self.goal_xy = read_request(request)
+        self._risk_map, self.goal_xy = risk_map_and_goal(request)
         self.spacing = node_spacing(self._risk_map, request.options.network)
 
     def network_faults(self, recorded: Network) -> list[str]:
@@ -131,7 +131,7 @@ class PlannedAgain:
             self._risk_map, self._request.start_xy, self.goal_xy, options.network,
             self._visited, self._request.order,
         )
-        return with_cover(network, self._risk_map, options)
+        return add_hiding_places(network, self._risk_map, options)
 
 
 def strategy_faults(

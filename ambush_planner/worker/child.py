@@ -1,7 +1,6 @@
-"""What the worker process does: read a request, work the plan out, send it back, again.
+"""The worker process: it reads requests and sends back their plans, as pickles.
 
-Requests and plans travel as pickles of protocol 5, in which an array is its raw bytes and comes
-out as it went in: read-only arrays stay read-only.
+Protocol 5 keeps read-only arrays read-only.
 """
 
 from __future__ import annotations
@@ -23,34 +22,23 @@ from .solve_errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
 READY = 'ready'
-_PR_SET_PDEATHSIG = 1  # Linux' prctl.h
-_NICENESS = 5
-_FIRST_OUT_OF_MEMORY = '500'
+_PR_SET_PDEATHSIG = 1  # from Linux' prctl.h
+_NICENESS = 5  # lower priority than the node's callbacks
+_OOM_SCORE = '500'  # the kernel kills the worker before the node when memory runs out
 
 
 def main() -> None:
-    """Work on the socket whose descriptor is the first argument."""
-    work_on(socket.socket(fileno=int(sys.argv[1])))
+    """Serve the socket whose file descriptor is the first argument."""
+    serve(socket.socket(fileno=int(sys.argv[1])))
 
 
-def work_on(connection: socket.socket) -> None:
-    """Be a worker process until the socket is closed."""
-    _be_a_worker()
-    # The other side may be gone at any time, also when the stream is flushed as it is closed; then
-    # there is nobody left to work for.
-    with (
-        suppress(EOFError, ConnectionError),
-        connection,
-        connection.makefile('rwb') as stream,
-    ):
-        serve(stream)
-
-
-def serve(stream: BufferedRWPair) -> None:
-    """Answer one request after the other; raises EOFError when there are no more."""
-    _send(READY, stream)
-    while True:
-        _send(_answer(pickle.load(stream)), stream)
+def serve(connection: socket.socket) -> None:
+    """Answer requests until the other side closes the socket, perhaps in the middle of one."""
+    _lower_priority()
+    with suppress(EOFError, ConnectionError), connection, connection.makefile('rwb') as stream:
+        _send(READY, stream)
+        while True:
+            _send(_answer(pickle.load(stream)), stream)
 
 
 def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
@@ -59,7 +47,7 @@ def _answer(request: PlanRequest) -> Plan | AmbushPlannerError:
     except TimeLimit as late:
         if late.strategy is None:
             return no_plan_in(request.options.strategy.time_limit)
-        return TimeLimit(str(late))  # what was reached is of no use, and large
+        return TimeLimit(str(late))  # without the strategy, which is large
     except AmbushPlannerError as error:
         return error
     except MemoryError:
@@ -73,16 +61,10 @@ def _send(answer: object, stream: BufferedRWPair) -> None:
     stream.flush()
 
 
-def _be_a_worker() -> None:
-    # The node's callbacks go first.
+def _lower_priority() -> None:
     os.nice(_NICENESS)
     if sys.platform == 'linux':
-        # Whatever happens to the node, nobody is left behind, also in the middle of a solve.
+        # The worker dies with the node, also in the middle of a solve.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        # When memory runs out, it is the solve that goes, and not the node.
         with suppress(OSError):
-            Path('/proc/self/oom_score_adj').write_text(_FIRST_OUT_OF_MEMORY)
-
-
-if __name__ == '__main__':
-    main()
+            Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)

@@ -1,4 +1,4 @@
-"""The worker process as its owner sees it: started, asked, killed."""
+"""The owner's side of the worker process: start it, have it solve, kill it."""
 
 from __future__ import annotations
 
@@ -10,30 +10,25 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from threading import TIMEOUT_MAX, Timer
-from typing import Any
 
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
 from .child import PICKLE_PROTOCOL
 from .solve_errors import WorkerFailed, no_plan_in
 
-# Importing numpy and scipy from a cold disk takes its time.
+# Time limit for the worker's start [s]; imports from a cold disk are slow.
 _START_LIMIT = 60.0
-# What a solve may take over its time limit: it ends by itself, with what was reached by then.
-_GRACE, _MARGIN = 1.2, 2.0  # of the limit, s
-# The node is on the other cores; the solver's own code gains nothing from more threads.
+# Grace period before killing a solve that overran its limit: a factor, and seconds to add.
+_GRACE, _MARGIN = 1.2, 2.0
+# The worker uses one thread; the solver gains nothing from more, and the node needs the cores.
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
 
 
 class WorkerProcess:
-    """A process that works plans out one after the other; dies with the thread that made it.
+    """A process that solves one request at a time; it dies with the thread that made it.
 
-    ``solve`` belongs to one thread; ``kill`` may be called from any other.
-
-    Raises
-    ------
-    OSError
-        The process could not be started.
+    Call ``solve`` from one thread only; ``kill`` is safe from any. Raises OSError if the process
+    cannot be started.
     """
 
     def __init__(self) -> None:
@@ -45,7 +40,7 @@ class WorkerProcess:
         self._ready = self._killed = False
 
     def _start(self, connection: socket.socket) -> subprocess.Popen[bytes]:
-        # The same modules as here, wherever this process has them from.
+        # The worker imports the same modules as this process.
         start = (
             f'import sys; sys.path[:] = {sys.path!r}; '
             'from ambush_planner.worker.child import main; main()'
@@ -55,26 +50,19 @@ class WorkerProcess:
             pass_fds=[connection.fileno()],
             stdin=subprocess.DEVNULL,
             env={**_ONE_THREAD, **os.environ},
-            # Ctrl-C in a terminal is for the node, which then ends this process.
-            start_new_session=True,
+            start_new_session=True,  # Ctrl-C reaches only the node, which then ends the worker
         )
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs and is wanted to."""
+        """Whether the process runs and was not killed."""
         return not self._killed and self._process.poll() is None
 
     def solve(self, request: PlanRequest) -> Plan:
-        """Have a plan worked out, in little more than the strategy's ``time_limit``.
+        """Solve a request, in little more than the strategy's ``time_limit``.
 
-        Raises
-        ------
-        TimeLimit
-            The time passed; where the solve did not end by itself, the process has been killed.
-        WorkerFailed
-            The process died, or met an error that is not the planner's own.
-        AmbushPlannerError
-            As ``plan_from_request`` raises them.
+        Raises the errors of ``plan_from_request``; TimeLimit if the solve overran its limit and was
+        killed; WorkerFailed if the process died.
         """
         limit = request.options.strategy.time_limit
         late = no_plan_in(limit)
@@ -86,27 +74,27 @@ class WorkerProcess:
         with self._killed_after(_GRACE * limit + _MARGIN, late):
             pickle.dump(request, self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
-            answer: Any = pickle.load(self._stream)
+            answer: Plan | AmbushPlannerError = pickle.load(self._stream)
         if isinstance(answer, AmbushPlannerError):
             raise answer
         return answer
 
     def kill(self) -> None:
-        """End the process at once; a ``solve`` that is waiting raises WorkerFailed."""
+        """Kill the process; a waiting ``solve`` raises WorkerFailed."""
         self._killed = True
         self._process.kill()
 
     def close(self) -> None:
-        """End the process, and wait until nothing is left of it."""
+        """Kill the process and wait for its end."""
         self.kill()
         self._process.wait()
-        with suppress(OSError):  # what was not sent yet is lost with it
+        with suppress(OSError):  # from flushing unsent bytes
             self._stream.close()
         self._socket.close()
 
     @contextmanager
     def _killed_after(self, seconds: float, late: AmbushPlannerError) -> Iterator[None]:
-        """Kill the process if the exchange takes longer, wherever it hangs, and raise ``late``."""
+        """Kill the process and raise ``late`` if the exchange takes longer than ``seconds``."""
         expired = False
 
         def expire() -> None:
@@ -122,7 +110,7 @@ class WorkerProcess:
             raise (late if expired else WorkerFailed(self._last_words())) from error
         finally:
             timer.cancel()
-            timer.join()  # or one that expires just now would kill the next solve's process
+            timer.join()  # an expiring timer must not kill the next solve
 
     def _last_words(self) -> str:
         code = self._process.wait()

@@ -1,4 +1,4 @@
-"""Solves one after the other: equal ones shared, as many as may wait, ended on request."""
+"""A queue of solves for one worker process: equal solves are shared and can be cancelled."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames
 
 _CANCELLED = 'the solve was cancelled'
 _CLOSING = 'the planner is shutting down'
-_SUPERSEDED = 'a later map has taken the place of this one'
+_SUPERSEDED = 'a newer map replaced this one'
 _WITHDRAWN = 'nobody waits for this solve any more'
 
-_Outcome = TypeVar('_Outcome')
+_Result = TypeVar('_Result')
 
 
 @dataclass(eq=False)
-class _Solve(Generic[_Outcome]):
-    """A solve that waits or runs; ``cancelled`` says why, once it is.
+class _Solve(Generic[_Result]):
+    """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
-    So many ``waiters`` wait for it; where there are none, it is one in the background. ``lasting``
-    says that it is wanted without them, too.
+    ``waiters`` callers wait for its outcome. Without any it is a background solve, which goes on
+    only if ``lasting``.
     """
 
     key: Hashable
     request: PlanRequest
-    finish: Callable[[Plan], _Outcome]
+    finish: Callable[[Plan], _Result]
     lasting: bool
     waiters: int
-    outcome: Future[_Outcome] = field(default_factory=Future)
+    outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
 
@@ -45,18 +45,17 @@ class _Solve(Generic[_Outcome]):
         return not self.waiters
 
 
-class SolveQueue(Generic[_Outcome]):
-    """Hands solves to one worker process, and replaces the process when it has died."""
+class SolveQueue(Generic[_Result]):
+    """Passes solves to one worker process, which it replaces if it died."""
 
     def __init__(self) -> None:
         self._condition = Condition()
-        self._waiting: dict[Hashable, _Solve[_Outcome]] = {}
-        self._running: _Solve[_Outcome] | None = None
-        # Its outcome is being told: it can still be shared, but no longer be ended.
-        self._finished: _Solve[_Outcome] | None = None
+        self._waiting: dict[Hashable, _Solve[_Result]] = {}
+        self._running: _Solve[_Result] | None = None
+        # The solve whose outcome is being set: it can still be shared but not cancelled.
+        self._finished: _Solve[_Result] | None = None
         self._worker: WorkerProcess | None = None
         self._closed = False
-        # A daemon only in case nobody calls close.
         self._thread = Thread(target=self._work, name='solves', daemon=True)
         self._thread.start()
 
@@ -70,30 +69,25 @@ class SolveQueue(Generic[_Outcome]):
         self,
         key: Hashable,
         request: PlanRequest,
-        finish: Callable[[Plan], _Outcome],
+        finish: Callable[[Plan], _Result],
         size: int,
         background: bool = False,
-    ) -> Future[_Outcome]:
-        """Queue a solve; where one with the same key waits or runs, its outcome is this one's too.
+    ) -> Future[_Result]:
+        """Queue a solve, or share the outcome of one with the same key.
 
-        The future raises what ``WorkerProcess.solve`` raises, or SolveCancelled.
+        The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
 
         Parameters
         ----------
         finish
-            Makes the outcome of the plan, in the thread of the queue.
+            Makes the outcome from the plan, in the queue's thread.
         size
-            How many solves may wait, beside the one that runs and the one in the background.
+            Number of solves that may wait, besides the running and the background ones.
         background
-            Nobody waits for it: it is put behind those that somebody waits for, and takes the
-            place of others in the background that have not begun.
+            No caller waits for it: it runs after all others and replaces other background solves
+            that have not begun.
 
-        Raises
-        ------
-        SolveCancelled
-            The queue is closed.
-        QueueFull
-            As many solves wait as may.
+        Raises SolveCancelled if the queue is closed, and QueueFull if ``size`` solves wait.
         """
         with self._condition:
             if self._closed:
@@ -105,17 +99,17 @@ class SolveQueue(Generic[_Outcome]):
                 return solve.outcome
             superseded = self._drop_background() if background else []
             waiting = sum(not each.background for each in self._waiting.values())
-            # Where none runs yet, the first of those that wait is about to.
+            # If none is running, the first waiting solve is about to begin.
             if not background and waiting - (self._running is None) >= size:
-                raise QueueFull(self._what_is_busy(size))
+                raise self._full(size)
             solve = _Solve(key, request, finish, background, int(not background))
             self._waiting[key] = solve
             self._condition.notify()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
-    def withdraw(self, outcome: Future[_Outcome]) -> None:
-        """Tell that one who asked no longer waits: a solve that nobody wants any more is ended."""
+    def withdraw(self, outcome: Future[_Result]) -> None:
+        """A caller no longer waits for ``outcome``: end its solve if nobody else does."""
         with self._condition:
             here = [each for each in (self._running, *self._waiting.values())
                     if each is not None and each.outcome is outcome]
@@ -128,13 +122,13 @@ class SolveQueue(Generic[_Outcome]):
         _end(waited, _WITHDRAWN)
 
     def withdraw_background(self) -> None:
-        """Withdraw the solves in the background that have not begun."""
+        """Drop the background solves that have not begun."""
         with self._condition:
             withdrawn = self._drop_background()
         _end(withdrawn, _SUPERSEDED)
 
     def cancel(self) -> int:
-        """End the solve that runs and all that wait; return how many there were."""
+        """Cancel all solves; return their number."""
         with self._condition:
             waiting, self._waiting = list(self._waiting.values()), {}
             running = self._running is not None and not self._running.cancelled
@@ -143,7 +137,7 @@ class SolveQueue(Generic[_Outcome]):
         return len(waiting) + running
 
     def close(self) -> None:
-        """End all solves, and the worker process with them."""
+        """Cancel all solves and end the worker process."""
         with self._condition:
             self._closed = True
             self._end_running(_CLOSING)
@@ -152,24 +146,24 @@ class SolveQueue(Generic[_Outcome]):
         _end(waiting, _CLOSING)
         self._thread.join()
 
-    def _same(self, key: Hashable) -> _Solve[_Outcome] | None:
+    def _same(self, key: Hashable) -> _Solve[_Result] | None:
         for solve in (self._running, self._finished, self._waiting.get(key)):
             if solve is not None and solve.key == key and not solve.cancelled:
                 return solve
         return None
 
-    def _drop_background(self) -> list[_Solve[_Outcome]]:
+    def _drop_background(self) -> list[_Solve[_Result]]:
         dropped = [solve for solve in self._waiting.values() if solve.background]
         for solve in dropped:
             del self._waiting[solve.key]
         return dropped
 
-    def _what_is_busy(self, size: int) -> str:
+    def _full(self, size: int) -> QueueFull:
         running = self._running
         since = f' (for {time.monotonic() - running.begin:.1f} s)' if running else ''
-        return (
-            f'a solve runs{since} and {size} others wait, the most that may (queue.size); ask '
-            'again later, or call cancel'
+        return QueueFull(
+            f'a solve is running{since} and {size} others are waiting, the limit set by '
+            'queue.size; try again later, or call cancel'
         )
 
     def _end_running(self, why: str) -> None:
@@ -179,25 +173,24 @@ class SolveQueue(Generic[_Outcome]):
                 self._worker.kill()
 
     def _work(self) -> None:
-        # The process is started in this thread and no other: it dies with the one it is from.
+        # Only this thread starts the worker, which dies with the thread that started it.
         try:
             self._warm_up()
             while (solve := self._next()) is not None:
                 self._answer(solve)
-                del solve  # with its map, until the next one comes
+                del solve  # frees its map
                 self._warm_up()
         finally:
             if self._worker is not None:
                 self._worker.close()
 
     def _warm_up(self) -> None:
-        """Have a worker ready before it is needed."""
+        """Start a worker before it is needed; the next solve reports if that fails."""
         if not self._closed:
-            # What keeps it from starting is told to whoever needs it.
             with suppress(WorkerFailed):
                 self._living_worker()
 
-    def _next(self) -> _Solve[_Outcome] | None:
+    def _next(self) -> _Solve[_Result] | None:
         with self._condition:
             self._condition.wait_for(lambda: self._waiting or self._closed)
             if self._closed:
@@ -207,15 +200,17 @@ class SolveQueue(Generic[_Outcome]):
             self._running.begin = time.monotonic()
             return self._running
 
-    def _answer(self, solve: _Solve[_Outcome]) -> None:
-        result: _Outcome | None = None
+    def _answer(self, solve: _Solve[_Result]) -> None:
+        result: _Result | None = None
         error: AmbushPlannerError | None = None
         try:
-            result = solve.finish(self._solve(solve))
+            worker = self._living_worker()
+            if solve.cancelled:  # before there was a worker to kill
+                raise SolveCancelled(solve.cancelled)
+            result = solve.finish(worker.solve(solve.request))
         except AmbushPlannerError as known:
             error = known
-        except Exception as unknown:
-            # Say, no memory for the plan here. Whatever it is: somebody waits for the outcome.
+        except Exception as unknown:  # such as MemoryError; callers wait for an outcome
             error = unexpected(unknown)
             forget_frames(unknown)
             if self._worker is not None:
@@ -232,13 +227,6 @@ class SolveQueue(Generic[_Outcome]):
         with self._condition:
             self._finished = None
 
-    def _solve(self, solve: _Solve[_Outcome]) -> Plan:
-        worker = self._living_worker()
-        # Cancelled before the worker was there to be killed.
-        if solve.cancelled:
-            raise SolveCancelled(solve.cancelled)
-        return worker.solve(solve.request)
-
     def _living_worker(self) -> WorkerProcess:
         if self._worker is None or not self._worker.alive:
             if self._worker is not None:
@@ -252,6 +240,6 @@ class SolveQueue(Generic[_Outcome]):
         return self._worker
 
 
-def _end(solves: list[_Solve[_Outcome]], why: str) -> None:
+def _end(solves: list[_Solve[_Result]], why: str) -> None:
     for solve in solves:
         solve.outcome.set_exception(SolveCancelled(why))
