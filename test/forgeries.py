@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from ambush_planner.game.certificate import upper_bound
+from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.route_sampler import route_strategy, shortest_route
 from ambush_planner.recordings import RecordedMessage, recordings_in, type_name
 from ambush_planner.recordings.recorded_case import Case
@@ -150,7 +150,7 @@ def always_shortest(forger, rng):
     network = strategy.network
     p = route_strategy(network, shortest_route(network, np.arange(len(network.edges))))
     forger.set_arrays(
-        edge_probability=p, value=upper_bound(strategy.game, p), edge_entropy=0.0,
+        edge_probability=p, value=worst_loss(strategy.game, p), edge_entropy=0.0,
         route_entropy=0.0, expected_length=float(p @ network.lengths),
         expected_exposure=float(p @ network.edge_exposure),
     )

@@ -19,7 +19,8 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.certificate import Budget, certify, lower_bound, upper_bound
+from ambush_planner.game.budget import Budget
+from ambush_planner.game.certificate import certify, lower_bound, upper_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets
 

@@ -24,7 +24,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions
-from ambush_planner.game.certificate import lower_bound, upper_bound
+from ambush_planner.game.entries import entry_bound, entry_value
 from ambush_planner.game.game import make_game
 from ambush_planner.game.least_risk import least_risk, least_risk_by_cut, least_value
 from ambush_planner.game.strategy import make_budgets
@@ -46,8 +46,8 @@ def check(game, budgets, risk, expected) -> None:
     assert unbalanced(network, risk.p) < 1e-9 and is_acyclic(network, risk.p)
     assert all(b.mean(risk.p) <= b.limit * (1 + 1e-6) for b in budgets)
     assert risk.q.sum() == pytest.approx(game.ambushers) and risk.q.max() <= 1 + 1e-12
-    assert risk.value == upper_bound(game, risk.p)
-    assert risk.bound == lower_bound(game, risk.q, budgets, risk.prices)
+    assert risk.value == entry_value(game, risk.p)
+    assert risk.bound == entry_bound(game, risk.q, budgets, risk.prices)
     assert risk.bound <= expected * (1 + OPTIMAL)
     assert risk.bound == pytest.approx(expected, rel=OPTIMAL)
     assert risk.value == pytest.approx(expected, rel=OPTIMAL)
@@ -160,7 +160,7 @@ def test_a_cut_tells_the_value_where_it_can_and_the_least_value_is_the_programs(
     if loose is not None:
         assert loose.value == pytest.approx(free, rel=OPTIMAL, abs=1e-9)
         assert loose.bound == pytest.approx(free, rel=OPTIMAL, abs=1e-9)
-        assert lower_bound(game, loose.q) == pytest.approx(loose.bound, rel=1e-9)
+        assert entry_bound(game, loose.q) == pytest.approx(loose.bound, rel=1e-9)
         assert is_acyclic(network, loose.p)
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
     shortest = least_weight(network, network.lengths)

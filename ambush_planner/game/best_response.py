@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from .certificate import Budget
+from .budget import Budget
 from .game import Game
 
 # Labels after which the search stops: the cost reached by then is still a lower bound.
@@ -45,7 +45,7 @@ def best_response(
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             base = base + price * budget.excess
-            paid += price * budget.room
+            paid += price * budget.margin
     charge = (game.loss * q)[game.sites]
     rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
     cost, edges, labels = _Labels(game, base, rows, charge[rows]).search(max_labels)

@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix, hstack, vstack
 from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible, SolverFailed
 from . import highs
-from .certificate import Budget
+from .budget import Budget
 from .game import Game
 
 # Cap on an edge's excess in units of the budget's margin; no strategy notices it.

@@ -15,8 +15,9 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, sums
 from ..errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .acyclic import conserved_strategy, forward_part, order_potential, rank_around, rank_by
-from .certificate import Budget, lower_bound, priced_edges, upper_bound
+from .budget import Budget
 from .cut import solve_by_min_cut, uniform_ambusher
+from .entries import entry_bound, entry_value, priced_edges
 from .flow_program import FlowProgram
 from .game import Game
 from .route_sampler import shortest_route_strategy
@@ -95,7 +96,7 @@ def least_risk_by_cut(game: Game) -> LeastRisk | None:
     if lean is not game:
         p = solve_by_min_cut(replace(lean, ambushers=1)).p
     level = np.full(len(game.sites), cut.value)
-    return LeastRisk(upper_bound(game, p), k * cut.value, p, q, (0.0, 0.0), level)
+    return LeastRisk(entry_value(game, p), k * cut.value, p, q, (0.0, 0.0), level)
 
 
 def without_excessive_sites(game: Game, value: float, p: FloatArray | None = None) -> Game:
@@ -191,7 +192,7 @@ def _with_better_prices(
             prices[k] = price * found.value / budget.margin
             if not np.isfinite(prices[k]):
                 continue
-            bound = lower_bound(game, found.q, budgets, tuple(prices))
+            bound = entry_bound(game, found.q, budgets, tuple(prices))
             if bound > found.bound:
                 found = replace(found, bound=bound, prices=tuple(prices))
     return found
@@ -209,7 +210,7 @@ def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolA
 
 def shortest_route_loss(game: Game) -> float:
     """The value of always driving the shortest route: an upper bound and first unit of loss."""
-    return upper_bound(game, shortest_route_strategy(game)) or 1.0
+    return entry_value(game, shortest_route_strategy(game)) or 1.0
 
 
 def _solve(
@@ -229,5 +230,5 @@ def _solve(
     # Each site may cause as much loss as the k-th worst site, or its own if that is more.
     losses = game.site_losses(p)
     level = np.maximum(losses, np.sort(losses)[-min(game.ambushers, len(losses))])
-    value, bound = upper_bound(game, p), lower_bound(game, q, budgets, prices)
+    value, bound = entry_value(game, p), entry_bound(game, q, budgets, prices)
     return LeastRisk(value, bound, p, q, prices, level), unit

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible, InvalidOption
 from . import highs
-from .certificate import Budget
+from .budget import Budget
 from .cut import solve_by_min_cut, uniform_ambusher
 from .flow_program import conservation
 from .game import Game

@@ -9,8 +9,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, NoRoute
-from .certificate import Budget, Certificate, lower_bound, upper_bound
+from .budget import Budget
+from .certificate import Certificate, hit_bound
 from .game import Game, GameOptions, make_game
+from .hits import worst_loss
 from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, least_cost
 
 
@@ -47,14 +49,16 @@ def revalue(
         budgets = budgets_in_game(game, strategy)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
-    value = upper_bound(game, p) if p.any() else math.inf
+    value = worst_loss(game, p) if p.any() else math.inf
     prices = strategy.length_price, strategy.exposure_price
-    bound = lower_bound(game, strategy.ambush_probability, budgets, prices)
+    bound = hit_bound(game, strategy.ambush_probability, budgets, prices)
     return Certificate(value, min(bound, value))
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:
     """The gap between value and bound beyond the risk slack; 0 if the solve was complete."""
+    if strategy.counting_gap:
+        return 0.0
     # With a length weight, the weighted sum is minimal and sets the scale.
     weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
     slack = options.risk_slack if options.solver == 'max_entropy' else 0.0

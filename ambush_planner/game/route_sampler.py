@@ -7,7 +7,7 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
 from ..network.shortest_paths import shortest_path
 from .acyclic import is_acyclic
@@ -110,3 +110,15 @@ def route_strategy(network: Network, route: IndexArray) -> FloatArray:
 def shortest_route_strategy(game: Game) -> FloatArray:
     """The strategy p (M,) of always driving the shortest playable route."""
     return route_strategy(game.network, shortest_route(game.network, np.flatnonzero(game.playable)))
+
+
+def route_entropy(network: Network, p: FloatArray) -> float:
+    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats]."""
+    leaving = sums(network.tails, p, len(network.points))
+    return entropy(p, leaving[network.tails])
+
+
+def entropy(p: FloatArray, whole: FloatArray) -> float:
+    """-sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
+    used = p > 0.0
+    return float(0.0 - (p[used] * np.log(p[used] / whole[used])).sum())  # never -0

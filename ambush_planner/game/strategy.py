@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,11 +15,15 @@ from ..maps.risk_map import LEAST_LOSS, MOST_LOSS
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least
-from .certificate import Budget, certify
+from .budget import Budget
+from .certificate import certify
+from .entries import entry_bound, entry_value
 from .game import Game, GameOptions, make_game
+from .hit_once import count_routes_once
+from .hits import hits_can_differ
 from .linear_program import linear_program_strategy
-from .route_sampler import RouteSampler
-from .strategy_solver import Multipliers, Solution, max_entropy_strategy
+from .route_sampler import RouteSampler, entropy, route_entropy
+from .strategy_solver import EntropyStage, Multipliers, Solution, max_entropy_strategy
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.
@@ -143,6 +147,7 @@ class Strategy:
     exposure_price: float
     iterations: int
     multipliers: Multipliers | None = field(repr=False)
+    counting_gap: bool = False
 
     @property
     def network(self) -> Network:
@@ -206,13 +211,14 @@ def solve(
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
     if options.solver == 'max_entropy':
-        solution = max_entropy_strategy(prepared, budgets, options.risk_slack, deadline, warm)
+        stage = EntropyStage(prepared, budgets, options.risk_slack, deadline, warm)
+        solution = count_routes_once(stage, max_entropy_strategy(stage))
     else:
         solution, length = linear_program_strategy(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _with_gap_checked(prepared, solution, budgets, options)
+    return _with_gap_checked(prepared, solution, budgets, options, deadline)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -251,17 +257,29 @@ def _check_losses(network: Network) -> None:
 
 
 def _with_gap_checked(
-    game: Game, solution: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions
+    game: Game, solution: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
+    deadline: float,
 ) -> Strategy:
     """The strategy of the solution; raises TimeLimit if its gap is too wide."""
     strategy = strategy_from_solution(game, solution, budgets)
-    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
-    slack += CERTIFICATE_TOLERANCE
+    entropic = options.solver == 'max_entropy'
+    slack = CERTIFICATE_TOLERANCE + (options.risk_slack if entropic else 0.0)
     # With a length weight, the weighted sum is minimal and sets the scale of the gap.
     weighed = options.length_weight > 0.0
     extra = solution.prices[0] * strategy.expected_length if weighed else 0.0
-    if strategy.value + extra <= (strategy.lower_bound + extra) * (1.0 + slack):
+
+    def closed(value: float, bound: float) -> bool:
+        return value + extra <= (bound + extra) * (1.0 + slack)
+
+    if closed(strategy.value, strategy.lower_bound):
         return strategy
+    if hits_can_differ(game):
+        complete = time.monotonic() < deadline if entropic else closed(
+            entry_value(game, solution.p),
+            entry_bound(game, solution.q, budgets, solution.prices),
+        )
+        if complete:
+            return replace(strategy, counting_gap=True)
     raise TimeLimit(
         f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
         f'{strategy.lower_bound:.6g} after {solution.iterations} steps; allow more time',
@@ -275,7 +293,6 @@ def strategy_from_solution(
     """The strategy with its certificate, computed from p, q and prices alone."""
     network, p = game.network, solution.p
     certificate = certify(game, p, solution.q, budgets, solution.prices)
-    leaving = sums(network.tails, p, game.node_count)
     length, exposure = budgets
     return Strategy(
         game=game,
@@ -285,8 +302,8 @@ def strategy_from_solution(
         value=certificate.value,
         lower_bound=certificate.bound,
         gap=certificate.value - certificate.bound,
-        edge_entropy=_entropy(p, np.ones_like(p)),
-        route_entropy=_entropy(p, leaving[network.tails]),
+        edge_entropy=entropy(p, np.ones_like(p)),
+        route_entropy=route_entropy(network, p),
         expected_length=length.mean(p),
         shortest_length=length.least,
         length_budget=length.limit,
@@ -298,9 +315,3 @@ def strategy_from_solution(
         iterations=solution.iterations,
         multipliers=solution.multipliers,
     )
-
-
-def _entropy(p: FloatArray, whole: FloatArray) -> float:
-    """-sum p ln(p / whole), with 0 ln 0 = 0 [nats]."""
-    used = p > 0.0
-    return float(0.0 - (p[used] * np.log(p[used] / whole[used])).sum())  # never -0

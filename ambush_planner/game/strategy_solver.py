@@ -19,8 +19,9 @@ from scipy.sparse import csr_matrix, diags, vstack
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
 from .acyclic import forward_part, order_potential, rank_around
-from .certificate import BUDGET_TOLERANCE, ROUNDING, Budget, lower_bound, upper_bound
+from .budget import BUDGET_TOLERANCE, ROUNDING, Budget
 from .cut import uniform_ambusher
+from .entries import entry_bound, entry_value
 from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
 from .flow_program import capped_at_one
 from .game import Game
@@ -74,66 +75,63 @@ class Solution:
     multipliers: Multipliers | None = None
 
 
-def max_entropy_strategy(
-    game: Game, budgets: tuple[Budget, ...], risk_slack: float, deadline: float,
-    warm: Multipliers | None = None,
-) -> Solution:
+def max_entropy_strategy(stage: EntropyStage) -> Solution:
     """Solve the three stages; at the deadline, return the best strategy so far.
 
     Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
     before the first strategy.
     """
-    slack = max(risk_slack, LEAST_SLACK)
-    search, least = _EntropyStage(game, budgets, slack, deadline, warm), 0.0
+    game, least = stage.game, 0.0
     if loose := least_risk_by_cut(game):
-        if found := search.most_unpredictable(loose):
+        if found := stage.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
     now = time.monotonic()
-    until = now + PROGRAM_SHARE * max(deadline - now, 0.0)
+    until = now + PROGRAM_SHARE * max(stage.deadline - now, 0.0)
     try:
-        part = initial_part(game, budgets, search.potential)
-        risk = least_risk(game, part, budgets, PROGRAM_GAP * slack, until)
+        part = initial_part(game, stage.budgets, stage.potential)
+        risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack, until)
     except (TimeLimit, SolverFailed):
-        return search.without_linear_program(least)
-    found = search.most_unpredictable(risk)
-    return found or Solution(risk.p, risk.q, risk.prices, search.evaluations)
+        return stage.without_linear_program(least)
+    found = stage.most_unpredictable(risk)
+    return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 
 
-class _EntropyStage:
+class EntropyStage:
     """Stages 2 and 3 for one game."""
 
     def __init__(
-        self, game: Game, budgets: tuple[Budget, ...], slack: float, deadline: float,
+        self, game: Game, budgets: tuple[Budget, ...], risk_slack: float, deadline: float,
         warm: Multipliers | None,
     ) -> None:
-        self.game, self.budgets, self.slack = game, budgets, slack
+        self.game, self.budgets = game, budgets
+        self.slack = slack = max(risk_slack, LEAST_SLACK)
         self.deadline, self.warm = deadline, warm
         self.potential = order_potential(game)
+        self.tolerance = min(LIMIT_TOLERANCE * slack, 1.0 - BUDGET_AIM)
         self.evaluations = 0
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
         game = without_excessive_sites(self.game, least.bound, least.p)
-        network = self._acyclic_part(game, least.p)
-        limits = _LimitRows(
+        network = self.acyclic_part(game, least.p)
+        limits = LimitRows(
             self.game, network, least.level * (1.0 + LEVEL_AIM * self.slack), self.budgets
         )
-        tolerance = min(LIMIT_TOLERANCE * self.slack, 1.0 - BUDGET_AIM)
-        p, found = self._gibbs_strategy(network, limits, limits.start(self.warm), tolerance)
+        p, found = self.gibbs_strategy(network, limits, limits.start(self.warm), self.tolerance)
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
         solution = Solution(p, least.q, least.prices, self.evaluations, multipliers)
         return self._mixed_to_fit(solution, least)
 
-    def _acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
+    def acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
         """The edges that go forward in an order of the nodes around the strategy p (M,)."""
         rank = rank_around(game, p, self.potential)
         part = forward_part(game, rank)
         assert part is not None  # it contains p
         return AcyclicNetwork(part, rank)
 
-    def _gibbs_strategy(
-        self, network: AcyclicNetwork, limits: _LimitRows, start: FloatArray, tolerance: float,
+    def gibbs_strategy(
+        self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray, tolerance: float,
         softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
     ) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result."""
@@ -160,9 +158,9 @@ class _EntropyStage:
         def holds(p: FloatArray) -> bool:
             kept = all(b.mean(p) <= m for m, b in zip(most, self.budgets, strict=True))
             over = sum(price * budget.overrun(p) for price, budget in priced)
-            return kept and upper_bound(self.game, p) + over <= limit
+            return kept and entry_value(self.game, p) + over <= limit
 
-        p = _mixture(found.p, least.p, holds)
+        p = mixture(found.p, least.p, holds)
         return None if p is None else replace(found, p=p)
 
     def without_linear_program(self, least: float) -> Solution:
@@ -172,26 +170,26 @@ class _EntropyStage:
         ambusher's strategy, give a bound at every step.
         """
         shortest = shortest_route_strategy(self.game)
-        if not self._within_budgets(shortest):
+        if not self.within_budgets(shortest):
             raise TimeLimit('the time limit passed before a strategy within the budgets was found')
         best = Solution(shortest, uniform_ambusher(self.game), (0.0,) * len(self.budgets), 0)
-        value, bound = upper_bound(self.game, shortest), 0.0
-        network = self._acyclic_part(self.game, shortest)
+        value, bound = entry_value(self.game, shortest), 0.0
+        network = self.acyclic_part(self.game, shortest)
         reference = max(least, REFERENCE_SHARE * value)
         level = np.full(len(self.game.sites), reference)
-        limits = _LimitRows(self.game, network, level, self.budgets)
+        limits = LimitRows(self.game, network, level, self.budgets)
         start, softness = limits.start(self.warm), value / reference / FIRST_ENTROPY
         for _ in range(SOFT_ROUNDS):
-            p, found = self._gibbs_strategy(network, limits, start, 0.0, softness, SOFT_EVALUATIONS)
+            p, found = self.gibbs_strategy(network, limits, start, 0.0, softness, SOFT_EVALUATIONS)
             start, softness = found.multipliers, softness * SOFTNESS_FACTOR
-            short = _mixture(p, shortest, self._within_budgets)
-            if short is not None and upper_bound(self.game, short) < value:
-                value = upper_bound(self.game, short)
+            short = mixture(p, shortest, self.within_budgets)
+            if short is not None and entry_value(self.game, short) < value:
+                value = entry_value(self.game, short)
                 best = replace(
                     best, p=short, multipliers=limits.unscaled(start), iterations=self.evaluations
                 )
             q, prices = limits.ambusher(start)
-            reached = lower_bound(self.game, q, self.budgets, prices)
+            reached = entry_bound(self.game, q, self.budgets, prices)
             if reached > bound:
                 bound = reached
                 best = replace(best, q=q, prices=prices)
@@ -199,12 +197,12 @@ class _EntropyStage:
                 break
         return best
 
-    def _within_budgets(self, p: FloatArray) -> bool:
+    def within_budgets(self, p: FloatArray) -> bool:
         """Whether p (M,) is within all budgets."""
         return all(budget.keeps(p) for budget in self.budgets)
 
 
-def _mixture(
+def mixture(
     p: FloatArray, partner: FloatArray, holds: Callable[[FloatArray], bool]
 ) -> FloatArray | None:
     """p (M,) mixed with as little of its partner as ``holds`` requires; None if neither does."""
@@ -223,7 +221,7 @@ def _mixture(
     return mixture
 
 
-class _LimitRows:
+class LimitRows:
     """The limits of stage 3 as rows C p <= 1: sites that can exceed theirs, then the budgets."""
 
     def __init__(

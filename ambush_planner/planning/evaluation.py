@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from ..game.certificate import upper_bound
 from ..game.game import Game
+from ..game.hits import worst_loss
 from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
 
@@ -71,7 +71,7 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
-    worst = upper_bound(game, p)
+    worst = worst_loss(game, p)
     return Measures(
         planner,
         float(p @ game.network.lengths),

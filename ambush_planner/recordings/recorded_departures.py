@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import IndexArray, frozen_array
 from ..game.acyclic import is_acyclic
-from ..game.certificate import upper_bound
+from ..game.hits import worst_loss
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..planning.conditioning import ConditionedStrategy
@@ -135,7 +135,7 @@ def _law(case: Case, strategy: Strategy) -> Strategy:
     return replace(
         strategy, edge_probability=frozen_array(p, np.float64),
         visit_probability=frozen_array(strategy.game.visits(p), np.float64),
-        value=upper_bound(strategy.game, p),
+        value=worst_loss(strategy.game, p),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import frozen_array
 from ..errors import AmbushPlannerError
-from ..game.certificate import Budget
+from ..game.budget import Budget
 from ..game.game import Game, GameOptions, make_game
 from ..game.strategy import Strategy, strategy_from_solution
 from ..game.strategy_solver import Multipliers, Solution

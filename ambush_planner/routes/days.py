@@ -22,7 +22,7 @@ from scipy.sparse.csgraph import maximum_flow
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NotDistinct
 from ..game.acyclic import is_acyclic, rank_around
-from ..game.certificate import upper_bound
+from ..game.hits import worst_loss
 from ..game.strategy import Strategy
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least, check_whole
@@ -166,7 +166,7 @@ def day_effect(
         share * float(chance.sum()) / days,
         frozen_array(visits, np.float64),
         float(np.abs(visits - strategy.visit_probability).max()),
-        upper_bound(game, p),
+        worst_loss(game, p),
         error,
     )
 

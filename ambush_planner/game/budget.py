@@ -1,0 +1,101 @@
+"""Budgets: limits on the mean length or exposure of the routes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import BudgetInfeasible
+from .game import Game
+
+# Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
+LEAST_MARGIN = 1e-12
+# Relative overrun of a budget that a solver's strategy may have.
+BUDGET_TOLERANCE = 5e-7
+# Relative rounding of sums and comparisons.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Budget:
+    """A limit on the mean cost of the route: its length, or its exposure.
+
+    Parameters
+    ----------
+    game
+        Where the convoy may drive.
+    cost : (M,)
+        Cost of each edge, >= 0.
+    limit
+        Largest mean cost; ``inf``: no limit.
+    least
+        Cost of the best route of the whole network.
+    name, unit
+        For messages, as in BudgetInfeasible if the best playable route exceeds the limit.
+    """
+
+    game: Game
+    cost: FloatArray
+    limit: float
+    least: float
+    name: str
+    unit: str
+
+    def __post_init__(self) -> None:
+        if not self.binds:
+            return
+        best = self._behind[self.game.network.source]
+        if best > self.limit * (1.0 + ROUNDING):
+            raise BudgetInfeasible(
+                f'the best playable route has {self.name} {best:.6g} {self.unit}, more than the '
+                f'budget of {self.limit:.6g} {self.unit}; raise {self.option}, or '
+                'alpha_threshold'
+            )
+
+    @cached_property
+    def _behind(self) -> FloatArray:
+        return self.game.distances_behind(self.cost)
+
+    @property
+    def option(self) -> str:
+        """The option that sets the limit."""
+        return 'max_detour' if self.name == 'length' else 'max_exposure'
+
+    @property
+    def binds(self) -> bool:
+        """Whether there is a limit at all."""
+        return bool(np.isfinite(self.limit))
+
+    @cached_property
+    def margin(self) -> float:
+        """The limit minus the best playable route's cost, > 0."""
+        best = float(self._behind[self.game.network.source])
+        scale = best or float(self.cost.max(initial=0.0))
+        return max(self.limit - best, LEAST_MARGIN * scale, np.finfo(float).tiny)
+
+    @cached_property
+    def excess(self) -> FloatArray:
+        """Cost (M,) that each edge adds to the best way on from its tail; inf if not playable.
+
+        The sum along a route is its cost minus the best route's, without cancellation.
+        """
+        network, behind = self.game.network, self._behind
+        with np.errstate(invalid='ignore'):
+            added = self.cost + behind[network.heads] - behind[network.tails]
+        return np.where(self.game.playable, np.maximum(added, 0.0), np.inf)
+
+    def mean(self, p: FloatArray) -> float:
+        """Mean cost of strategy p (M,)."""
+        return float(p @ self.cost)
+
+    def keeps(self, p: FloatArray) -> bool:
+        """Whether p (M,) is within the limit, up to a solver's rounding."""
+        return self.mean(p) <= self.limit * (1.0 + BUDGET_TOLERANCE)
+
+    def overrun(self, p: FloatArray) -> float:
+        """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
+        used = p > 0.0
+        return max(float(p[used] @ self.excess[used]) - self.margin, 0.0)

@@ -1,0 +1,116 @@
+"""Stage 4, for games in which a route can come back into a site's reach: count each route once.
+
+The linear program and the Gibbs law limit expected entries. Where routes come back, entries exceed
+hits, so the law keeps to limits that are too tight for some sites, and its ambusher proves nothing.
+A program over sampled routes (``route_program``) gives an ambusher that does, and a mixture of
+routes to build an acyclic part around. On it the law is searched for again, each site's limit on
+entries raised by its ratio of entries to hits, until its true value is within the slack.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from .acyclic import conserved_strategy
+from .certificate import hit_bound
+from .hits import hit_probabilities, hits_can_differ, worst_loss
+from .route_program import solve_on_routes
+from .route_sampler import RouteSampler, route_edges, route_entropy, shortest_route
+from .strategy_solver import EntropyStage, LimitRows, Solution, mixture
+
+# Routes drawn from the law that the program over routes begins with.
+SAMPLED_ROUTES = 60
+# The program over routes closes its gap to this share of the slack.
+PROGRAM_GAP = 0.2
+# Most repetitions of the law, and the share of the slack that raised limits aim at.
+MAX_ROUNDS, AIM = 8, 0.9
+# Flows below this are rounding of the program over routes.
+NEGLIGIBLE = 1e-9
+# Hit probabilities below this have no reliable ratio to entries.
+LEAST_HIT = 1e-6
+
+
+def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
+    """Improve a solution until its value, hits counted once, is within the slack of its bound.
+
+    If the slack cannot be reached, returns the solution of most entropy among those whose value is
+    within the slack of the least one found.
+    """
+    game, budgets = stage.game, stage.budgets
+    if not hits_can_differ(game):
+        return solution
+    value = worst_loss(game, solution.p)
+    bound = hit_bound(game, solution.q, budgets, solution.prices)
+    if value <= bound * (1.0 + stage.slack):
+        return solution
+    network = game.network
+    drawn = RouteSampler(network, solution.p).draw_many(
+        SAMPLED_ROUTES, np.random.default_rng(0)
+    )
+    drawn += [shortest_route(network, np.flatnonzero(game.playable))]
+    program = solve_on_routes(
+        game, [route_edges(network, route) for route in drawn], budgets, solution.q,
+        solution.prices, PROGRAM_GAP * stage.slack, stage.deadline,
+    )
+    solution = replace(solution, q=program.q, prices=program.prices)
+    limit = program.bound * (1.0 + stage.slack)
+    base = conserved_strategy(game, program.p, NEGLIGIBLE)
+    if value <= limit or base is None:
+        return solution
+    mixed = replace(solution, p=base)
+    laws = _laws_around(stage, mixed, program.bound)
+    if laws:
+        law = min(laws, key=lambda each: each.value).solution
+        fitting = mixture(law.p, base, lambda p: worst_loss(game, p) <= limit)
+        if fitting is not None:
+            return replace(law, p=fitting)
+    candidates = [_Valued(value, solution), _Valued(worst_loss(game, base), mixed), *laws]
+    least = min(each.value for each in candidates)
+    good = [each for each in candidates if each.value <= least * (1.0 + stage.slack)]
+    best = max(good, key=lambda each: route_entropy(network, each.solution.p))
+    return replace(best.solution, iterations=stage.evaluations)
+
+
+class _Valued(NamedTuple):
+    value: float
+    solution: Solution
+
+
+def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Valued]:
+    """Repeat the law with limits on entries that follow from the hits of the law before.
+
+    Ends at a law whose value is within the slack of ``bound``.
+    """
+    game = stage.game
+    network = stage.acyclic_part(game, base.p)
+    loss, aim = game.loss[game.sites], bound * (1.0 + AIM * stage.slack)
+    eased, latest, start = np.ones(len(loss)), base, None
+    found: list[_Valued] = []
+    for _ in range(MAX_ROUNDS):
+        hit = hit_probabilities(game, latest.p)
+        ratio = np.where(hit > LEAST_HIT, (game.hits @ latest.p) / np.maximum(hit, LEAST_HIT), 1.0)
+        if found:
+            eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
+        limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)
+        p, law = stage.gibbs_strategy(network, limits, limits.start(start), stage.tolerance)
+        if law.infeasible:
+            # Ease the sites that were tightened, half way in logarithms.
+            eased = np.sqrt(eased)
+            start = None
+            if not found or eased.min() > 0.999:
+                break
+            continue
+        start = limits.unscaled(law.multipliers)
+        p = mixture(p, base.p, stage.within_budgets)
+        if p is None:
+            break
+        latest = replace(base, p=p, multipliers=start, iterations=stage.evaluations)
+        found.append(_Valued(worst_loss(game, p), latest))
+        if found[-1].value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
+            break
+    return found
+
