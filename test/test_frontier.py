@@ -55,7 +55,7 @@ def test_looser_budgets_buy_entropy():
 
 @examples(7)
 @given(terrain_networks)
-def test_a_row_is_what_a_cold_solve_finds(network):
+def test_a_row_equals_a_cold_solve(network):
     detours, game = (1.5, 1.05), GameOptions(ambush_radius=1.5)
     for row in frontier(network, game, detours, (0.1,)):
         alone = solve(
@@ -72,7 +72,7 @@ def network():
     return build_network(random_map(3), (4.5, -0.5), (13.5, 8.5), NetworkOptions(spacing=1.0))
 
 
-def test_a_budget_that_nothing_fits_has_a_row_that_says_so(network):
+def test_an_infeasible_budget_has_a_row_with_its_error(network):
     threshold = np.quantile(network.alpha, 0.75)
     game = GameOptions(alpha_threshold=float(threshold))
     rows = frontier(network, game, (1.0, 3.0), ())
@@ -81,7 +81,7 @@ def test_a_budget_that_nothing_fits_has_a_row_that_says_so(network):
     assert not loose.error and loose.value > 0.0
 
 
-def test_rows_are_told_as_they_come(network):
+def test_on_row_gets_each_finished_row(network):
     told = []
     rows = frontier(network, detours=(1.1, 1.3), slacks=(0.01,), on_row=told.append)
     assert [row.max_detour for row in told] == [1.3, 1.2, 1.1]
