@@ -105,7 +105,7 @@ def test_what_was_reached_in_time_departs_with_a_warning_or_not_at_all(monkeypat
         else:
             assert not path.poses
             report = client.diagnostics(departures='0', code='TIMEOUT', level=b'\2')
-            assert 'more than max_gap, 0.01' in report['message']
+            assert 'more than max_gap 0.01' in report['message']
 
 
 START_NEAR, GOAL_NEAR = pose(1.5, 5.5), pose(8.5, 5.5)

@@ -145,7 +145,7 @@ def test_bad_values_are_refused_with_the_reason(node, values, words):
     ({'map__alpha_min': 20.0, 'map__alpha_max': 10.0},
      '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
     ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
-     'strategy.length_weight 0.01 needs the solver'),
+     'strategy.length_weight 0.01 needs the strategy.solver'),
     ({'strategy__length_weight': 0.01, 'strategy__max_exposure': 2.0}, 'strategy.length_weight'),
 ])
 def test_one_request_that_contradicts_itself_is_refused(node, values, words):
@@ -234,7 +234,7 @@ def test_a_contradiction_is_told_and_nobody_departs_until_it_is_over():
         client = running.give()
         assert change(running.planner, strategy__length_weight=0.5).successful
         found = client.diagnostics(code='NONE', level=b'\1')
-        assert 'strategy.length_weight 0.5 needs the solver' in found['message']
+        assert 'strategy.length_weight 0.5 needs the strategy.solver' in found['message']
         for service in ('new_route', 'replan'):
             answer = client.call(service)
             assert not answer.success
