@@ -16,7 +16,7 @@ from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import (
-    MOST,
+    MAX_MARGIN,
     different_paths,
     driven_path,
     driven_paths,
@@ -150,7 +150,7 @@ def test_no_path_is_much_longer_than_its_route(drive):
     poses = driven_path(corridors, route, 0.2)
     portals = portals_along(corridors, [route])
     # Where a portal is all on one side of the node, the path keeps a margin from the node.
-    detour = MOST * portals.width
+    detour = MAX_MARGIN * portals.width
     drawn = np.hypot(*np.diff(corridors.network.points[route], axis=0).T).sum()
     assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
 
@@ -228,7 +228,7 @@ def test_many_paths_at_once_are_those_one_by_one(drive, radius):
 @pytest.mark.parametrize('spacing', [1e-5, 1e-30, 5e-324])
 def test_too_many_poses_are_refused(spacing):
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* 20000 are the most'):
+    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* at most 20000 are allowed'):
         driven_path(corridors, some_route(corridors.network, 1), spacing)
 
 

@@ -159,7 +159,7 @@ def test_maps_of_nav2():
         ({'resolution': 'x'}, 'resolution'),
         ({'origin': [0, 0]}, 'origin'),
         ({'image': 'short.pgm'}, 'too short'),
-        ({'image': 'text.pgm'}, 'picture'),
+        ({'image': 'text.pgm'}, 'not a readable image'),
     ],
 )
 def test_maps_that_cannot_be_read_are_refused(tmp_path, change, reason):

@@ -27,7 +27,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.network.construction import Roads
+from ambush_planner.network.construction import TripGraph
 from ambush_planner.planning.plan import DriveOptions, depart, departure_path, strategy_on
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
@@ -49,7 +49,7 @@ def roads_of(seed, stops, count=14):
     triangles = Delaunay(points).simplices
     pairs = np.unique(np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
-    return Roads(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+    return TripGraph(points, alpha, pairs, tuple(range(count, count + stops + 2)))
 
 
 def least_value(roads, radius=0.0, detour=math.inf):
@@ -143,7 +143,7 @@ def there_and_back(first, second):
     """A stop that is reached by two sites only, from the start and to the goal."""
     points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
-    return Roads(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+    return TripGraph(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
 
 
 def test_a_site_that_two_legs_pass_counts_twice():
@@ -160,7 +160,7 @@ def test_a_site_that_two_legs_pass_counts_twice():
 def test_legs_past_different_sites_cost_as_much_as_the_worst():
     points = np.array([(0, 0), (1, 0), (2, 0), (3, 0), (4, 0)], float)
     pairs = np.array([(0, 1), (1, 2), (2, 3), (3, 4)])
-    roads = Roads(points, np.array([0, 2, 0, 5, 0], float), pairs, (0, 2, 4))
+    roads = TripGraph(points, np.array([0, 2, 0, 5, 0], float), pairs, (0, 2, 4))
     strategy = solve(roads.network(roads.visits), options=FREE)
     assert strategy.value == pytest.approx(5.0, rel=NEAR)
     assert strategy.ambush_probability[3] == pytest.approx(1.0)

@@ -23,7 +23,7 @@ from ..game.flow_program import at_most_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, Roads, lay_roads
+from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .plan import (
@@ -83,7 +83,7 @@ def plan_trip(
     options, begin = options or PlanningOptions(), time.monotonic()
     asked = list(stops)
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    roads = lay_roads(
+    roads = build_trip_graph(
         risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place]
     )
     chosen = tuple(range(len(asked)))
@@ -121,7 +121,7 @@ def trip_network(
 ) -> Network:
     """The network of a plan for stops that were ``visited`` one after the other."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
-    roads = lay_roads(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
+    roads = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
     nodes = roads.visits
     return roads.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
 
@@ -152,7 +152,7 @@ class _OrderSearch:
     been solved are added.
     """
 
-    def __init__(self, risk_map: RiskMap, roads: Roads, options: PlanningOptions) -> None:
+    def __init__(self, risk_map: RiskMap, roads: TripGraph, options: PlanningOptions) -> None:
         self._map, self._roads, self._options = risk_map, roads, options
         self._game = replace(options.game, ambush_radius=reach(risk_map, options))
         self._deadline = time.monotonic() + options.strategy.time_limit

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from ambush_planner.maps import Elevation, InvalidTerrain, ViewOptions, viewshed, visibility
-from ambush_planner.maps.visibility import rays_of
+from ambush_planner.maps.visibility import make_rays
 
 
 def hills(shape, seed, height, width):
@@ -25,7 +25,7 @@ def height_at(heights, row, column):
 
 def along_the_rays(heights, resolution, options):
     """Exposure and approach cell by cell, sample by sample."""
-    rays = rays_of(options.weapon_range / resolution, options.rays)
+    rays = make_rays(options.weapon_range / resolution, options.rays)
     exposure, approach = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
     for row, column in zip(*np.nonzero(~np.isnan(heights)), strict=True):
         top = heights[row, column] + options.vehicle_height
@@ -118,7 +118,7 @@ def test_behind_a_high_wall_nobody_is_seen():
     heights[:, 20] = 500.0
     views = viewshed(Elevation(heights, 10.0), ViewOptions(100.0))
     assert views.exposure[15, 9] == 1.0  # the wall is 11 cells away
-    samples = [sample for ray in rays_of(10.0, 64) for sample in ray]
+    samples = [sample for ray in make_rays(10.0, 64) for sample in ray]
     whole = sum(sample.weight for sample in samples)
     behind, there = (
         sum(s.weight for s in samples if min(s.first[1], s.second[1]) > column) / whole
@@ -153,7 +153,7 @@ def test_tiles_and_their_number_change_nothing(monkeypatch):
 @given(st.floats(1.0, 400.0), st.sampled_from([4, 64, 128]))
 @settings(max_examples=40, deadline=None)
 def test_rays_stay_within_reach_and_go_outwards(reach, count):
-    for ray in rays_of(reach, count):
+    for ray in make_rays(reach, count):
         distances = [sample.distance for sample in ray]
         assert all(a < b for a, b in zip(distances, distances[1:], strict=False))
         assert distances[-1:] <= [reach + 1e-9]

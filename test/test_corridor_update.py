@@ -13,7 +13,7 @@ from ambush_planner import NetworkOptions, RiskMap, build_network
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.risk_map import to_world
 from ambush_planner.network.shortest_paths import distances_from, shortest_path
-from ambush_planner.routes.corridor_update import among_new_obstacles, with_end_at
+from ambush_planner.routes.corridor_update import with_moved_end, with_new_obstacles
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_path
 
@@ -45,7 +45,7 @@ def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
     field, ends = ObstacleField(newest, clear_of_edge), corridors.uv[corridors.network.edges]
     lost = ~field.clear_segments(ends[:, 0], ends[:, 1], clearance)
     route = a_route_left(corridors.network, lost, data.draw(st.integers(0, 99)))
-    refitted = among_new_obstacles(corridors, centres, clearance, risk_map.resolution)
+    refitted = with_new_obstacles(corridors, centres, clearance, risk_map.resolution)
     poses = driven_path(refitted, route, 0.2)
     uv = risk_map.to_map_axes(poses[:, :2])
     assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
@@ -77,7 +77,7 @@ def test_paths_from_and_to_a_place_beside_the_end(drive, far, angle, at_start):
     assume(np.hypot(*(others - place).T).min() > 1e-3)
     assume(field.clear_segments(np.broadcast_to(place, others.shape), others, clearance).all())
     where = tuple(to_world(corridors.origin, place).tolist())
-    moved = with_end_at(
+    moved = with_moved_end(
         corridors, node, where, risk_map, np.zeros(2), clearance, tube, clear_of_edge
     )
     ends = [tuple(network.points[k].tolist()) for k in (network.source, network.target)]
@@ -118,7 +118,7 @@ def test_on_open_ground_the_way_from_beside_the_start_has_no_kink(tube):
     for seed in range(60):
         step = rng.uniform(-0.35, 0.35, 2)
         place = tuple((network.points[network.source] + step).tolist())
-        moved = with_end_at(
+        moved = with_moved_end(
             corridors, network.source, place, risk_map, np.zeros(2), tube=tube)
         route = some_route(network, seed)
         poses = driven_path(moved, route, 0.1, ends=(place, (17.5, 10.0)))

@@ -22,7 +22,7 @@ from ambush_planner import (
     sample_departures,
     solve,
 )
-from ambush_planner.routes.days import Middle, _Beside, draw_days
+from ambush_planner.routes.days import MiddleSection, _ConditionalFlow, draw_days
 
 SHARES = st.sampled_from((0.0, 0.3, 0.5, 0.9, 1.0))
 
@@ -42,7 +42,7 @@ def corridors(*alphas):
 
 def exact_law(strategy, n, distinct):
     """The chance of each day of n routes, by multiplying out."""
-    law, nodes = routes_with_probabilities(strategy), Middle(strategy, distinct).nodes
+    law, nodes = routes_with_probabilities(strategy), MiddleSection(strategy, distinct).nodes
     found = {}
     for day in product(law, repeat=n):
         driven = [j for route in day for j in route if nodes[j]]
@@ -59,7 +59,7 @@ def test_the_effect_is_that_of_all_days(network, distinct, n):
     assume(len(routes_with_probabilities(strategy)) <= 12)
     law = exact_law(strategy, n, distinct)
     others = exact_law(strategy, n - 1, distinct)
-    beside, middle = _Beside(strategy), Middle(strategy, distinct)
+    beside, middle = _ConditionalFlow(strategy), MiddleSection(strategy, distinct)
     chance, flow = 0.0, np.zeros(len(network.edges))
     for day, probability in others.items():
         z, p = beside.flow(middle, [[np.array(route) for route in day]])
@@ -77,13 +77,13 @@ def test_the_effect_is_that_of_all_days(network, distinct, n):
 @given(networks(), SHARES, st.integers(1, 3), st.integers(0, 9))
 def test_days_are_distinct_or_there_is_no_room(network, distinct, n, seed):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
-    middle = Middle(strategy, distinct)
+    middle = MiddleSection(strategy, distinct)
     try:
         routes = sample_departures(strategy, n, np.random.default_rng(seed), distinct)
     except NotDistinct:
-        assert middle.most(n) < n
+        assert middle.max_disjoint(n) < n
         return
-    assert len(routes) == n and middle.most(n) == n
+    assert len(routes) == n and middle.max_disjoint(n) == n
     driven = [j for route in routes for j in route.tolist() if middle.nodes[j]]
     assert len(driven) == len(set(driven))
 
@@ -92,7 +92,7 @@ def test_days_are_distinct_or_there_is_no_room(network, distinct, n, seed):
 @given(networks(), SHARES)
 def test_how_many_can_be_apart_is_a_flow(network, distinct):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
-    middle = Middle(strategy, distinct)
+    middle = MiddleSection(strategy, distinct)
     graph = networkx.DiGraph()
     for j in range(len(network.points)):
         graph.add_edge(('in', j), ('out', j), capacity=1 if middle.nodes[j] else 4)
@@ -100,7 +100,7 @@ def test_how_many_can_be_apart_is_a_flow(network, distinct):
         if p > 0.0:
             graph.add_edge(('out', tail), ('in', head), capacity=4)
     ends = ('in', network.source), ('out', network.target)
-    assert middle.most(4) == networkx.maximum_flow_value(graph, *ends)
+    assert middle.max_disjoint(4) == networkx.maximum_flow_value(graph, *ends)
 
 
 def test_three_ways_by_hand():
@@ -159,7 +159,7 @@ def test_edges_across_count_as_middle(distinct):
     edges = np.array([(0, 1), (1, 2), (2, 3), (0, 4), (4, 3)])
     network = Network(points, np.array([0.0, 1.0, 1.0, 0.0, 1.0]), edges, 0, 3)
     strategy = solve(network, options=StrategyOptions(max_detour=5.0))
-    nodes = Middle(strategy, distinct).nodes
+    nodes = MiddleSection(strategy, distinct).nodes
     assert nodes.tolist() == [False, distinct > 0.0, distinct == 1.0, False, distinct > 0.0]
 
 
@@ -167,16 +167,16 @@ def test_a_bottleneck_is_told():
     points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (4.0, 0.0)])
     edges = np.array([(0, 1), (0, 2), (1, 3), (2, 3), (3, 4)])
     strategy = solve(Network(points, np.array([0.0, 1.0, 1.0, 1.0, 0.0]), edges, 0, 4))
-    told = r'2 routes .* middle 60 % .* no more than 1 can be; plan fewer convoys'
+    told = r'2 routes .* middle 60 % .* at most 1 can be; plan fewer convoys'
     with pytest.raises(NotDistinct, match=told):
         sample_departures(strategy, 2, np.random.default_rng(1), 0.6)
-    with pytest.raises(NotDistinct, match='no more than 1'):
+    with pytest.raises(NotDistinct, match='at most 1'):
         day_effect(strategy, 2, np.random.default_rng(1), 0.6)
 
 
 def test_too_rare_is_told():
     strategy = solve(corridors(*[1.0] * 6), options=StrategyOptions(max_detour=3.0))
-    told = 'in 0 of 5 tries: routes that are, are too rare'
+    told = 'in 0 of 5 tries: distinct routes are too rare'
     with pytest.raises(NotDistinct, match=told):
         sample_departures(strategy, 6, np.random.default_rng(1), 0.5, tries=5)
     routes = sample_departures(strategy, 6, np.random.default_rng(1), 0.5)
@@ -207,5 +207,5 @@ def test_trips_with_stops_are_refused():
     network = Network(
         np.concatenate((points, points)), np.zeros(6), np.array([(0, 4), (4, 5)]), 0, 5, legs=2
     )
-    with pytest.raises(InvalidOption, match='by way of stops'):
+    with pytest.raises(InvalidOption, match='cannot have stops'):
         sample_departures(solve(network), 2, np.random.default_rng(0))
