@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drive_samples import drives, some_route
+from drive_samples import distance_to, drives, some_route
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,15 +24,6 @@ from ambush_planner.routes.driven_path import (
     turn_radii,
 )
 from ambush_planner.routes.taut_string import portals_along
-
-
-def distance_to(points, line):
-    """Distance (K,) of points from a polyline, by all its segments."""
-    line = line[np.append(np.hypot(*np.diff(line, axis=0).T) > 0.0, True)]
-    a, along = line[:-1], np.diff(line, axis=0)
-    t = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
-    foot = a + np.clip(t, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)
 
 
 def dense(poses, parts=20):
@@ -182,26 +173,6 @@ def test_a_route_of_one_edge_is_a_straight_line():
     ends = network.points[[network.source, network.target]]
     assert distance_to(poses[:, :2], ends).max() < 1e-12 and len(poses) == 5
     assert poses[:, 2] == pytest.approx(np.pi / 4)
-
-
-def test_a_turned_map_gives_the_turned_path():
-    plain = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    turned_map = open_map(yaw=0.7)
-    turned = corridors_on(turned_map, (1.2, 1.3), (18.7, 18.4))
-    route = some_route(plain.network, 1)
-    a, b = driven_path(plain, route, 0.3), driven_path(turned, route, 0.3)
-    uv = open_map().to_map_axes(a[:, :2])
-    np.testing.assert_allclose(b[:, :2], turned_map.to_world(uv), atol=1e-6)
-    np.testing.assert_allclose(between(b[:, 2], a[:, 2]), 0.7, atol=1e-6)
-
-
-def test_many_paths_are_as_one_by_one_and_counted():
-    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    routes = [some_route(corridors.network, seed) for seed in (1, 2, 1, 3, 2)]
-    paths = driven_paths(corridors, routes, 0.3)
-    for path, route in zip(paths, routes, strict=True):
-        assert np.array_equal(path, driven_path(corridors, route, 0.3))
-    assert different_paths(corridors, routes) == 3
 
 
 def test_routes_that_are_shortened_alike_are_one_path():

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 import pytest
 from games import examples, networks
@@ -47,12 +45,6 @@ def test_edges_into_the_source_and_out_of_the_target_are_dropped_and_told():
         network = Network(**{**GOOD, 'edges': edges})
     assert network.edges.tolist() == [[0, 1], [1, 2]]
     assert network.dropped_edges.tolist() == [[1, 0], [2, 1], [2, 0]]
-
-
-def test_nothing_is_told_when_nothing_is_dropped():
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        assert len(Network(**GOOD).dropped_edges) == 0
 
 
 @pytest.mark.parametrize('integer', [np.int32, np.uint8, np.int64])

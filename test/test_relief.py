@@ -32,12 +32,6 @@ def test_a_plane_stays_where_it_is_when_it_is_resampled():
     )
 
 
-def test_resampling_invents_no_heights():
-    heights = np.random.default_rng(0).uniform(200.0, 900.0, (20, 25))
-    result = elevation_from_raster(Raster(heights, 92.7, 74.4), 90.0).heights
-    assert heights.min() <= result.min() and result.max() <= heights.max()
-
-
 def test_square_cells_are_taken_as_they_are():
     heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
     result = elevation_from_raster(Raster(heights.astype(float), 0.1, 0.1))
@@ -104,16 +98,6 @@ def test_slope_is_exact_inside_a_paraboloid():
     elevation = Elevation(0.01 * x**2 + 0.02 * y**2 + 0.005 * x * y, 2.0)
     exact = np.hypot(0.02 * x + 0.005 * y, 0.04 * y + 0.005 * x)
     np.testing.assert_allclose(slope(elevation)[1:-1, 1:-1], exact[1:-1, 1:-1], atol=2e-5)
-
-
-def test_slope_nears_that_of_a_sine_with_the_square_of_the_cells():
-    errors = []
-    for cells in (50, 100, 200):
-        x = (np.arange(cells) + 0.5) * (1000.0 / cells)
-        elevation = Elevation(np.tile(30.0 * np.sin(x / 80.0), (4, 1)), 1000.0 / cells)
-        exact = np.abs(30.0 / 80.0 * np.cos(x / 80.0))
-        errors.append(np.abs(slope(elevation)[1] - exact)[2:-2].max())
-    assert errors[0] > 3.5 * errors[1] > 12.0 * errors[2]
 
 
 def test_unknown_ground_makes_no_cliff_and_has_no_slope():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drive_samples import drives
+from drive_samples import distance_to, drives
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -78,17 +78,9 @@ def test_straight_lines_between_portals_keep_clear_and_in_the_tube(drive, seed):
     assert ObstacleField(risk_map, clear_of_edge).clear_segments(a, b, clearance).all()
     dense = np.concatenate([a + share * (b - a) for share in np.linspace(0, 1, 21)])
     if tube is not None:
-        assert off_route(dense, portals.nodes).max() <= tube + 1e-9
+        assert distance_to(dense, portals.nodes).max() <= tube + 1e-9
     else:
         others = np.delete(corridors.uv, route, axis=0)
         if len(others):
             gaps = np.linalg.norm(dense[:, None] - others, axis=2)
             assert gaps.min() > 1e-4
-
-
-def off_route(points, line):
-    """Distance (K,) of points from a polyline."""
-    along = np.diff(line, axis=0)
-    share = ((points[:, None] - line[:-1]) * along).sum(axis=2) / (along**2).sum(axis=1)
-    foot = line[:-1] + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)

@@ -1,6 +1,5 @@
 """Elevation models read, maps written and read back, and ``ambush_terrain`` as a user starts it."""
 
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from ambush_planner.maps import InvalidTerrain
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import read_map, write_map
 from ambush_planner.maps.occupancy import OccupancyMap
-
-DEPOT = Path(__file__).parent.parent.parent / 'shared' / 'data' / 'nav2_depot'
 
 
 def save(path, **arrays):
@@ -141,13 +138,6 @@ def test_modes_of_map_server(tmp_path):
     ):
         (tmp_path / 'm.yaml').write_text(yaml.safe_dump(common | extra))
         assert read_map(tmp_path / 'm.yaml').values[0].tolist() == expected
-
-
-@pytest.mark.skipif(not DEPOT.exists(), reason="Nav2's depot map is not beside the checkout")
-def test_maps_of_nav2():
-    depot, speed = read_map(DEPOT / 'depot.yaml'), read_map(DEPOT / 'depot_speed.yaml')
-    assert set(np.unique(depot.values)) <= {-1, 0, 100}
-    assert len(np.unique(speed.values)) > 3 and speed.resolution == 0.05
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,8 @@ from ambush_planner.maps import (
     Elevation,
     InvalidTerrain,
     TerrainOptions,
-    ViewOptions,
     terrain_map,
 )
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
-from ambush_planner.network.construction import NetworkOptions, build_network
 
 
 def hills(seed=0, shape=(40, 50)):
@@ -99,45 +96,3 @@ def test_roads_of_another_shape_are_refused():
 def test_options_out_of_range_are_refused(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         TerrainOptions(**values)
-
-
-def test_the_map_does_not_change_under_its_reader():
-    ground = terrain_map(Elevation(hills(), 10.0), TerrainOptions(ViewOptions(50.0)))
-    with pytest.raises(ValueError, match='read-only'):
-        ground.values[0, 0] = 3
-
-
-@pytest.fixture(scope='module')
-def demo_ground():
-    pytest.importorskip('matplotlib', reason="the demo's elevation model comes with matplotlib")
-    from ambush_planner.commands import demo_ground
-
-    return demo_ground
-
-
-@pytest.fixture(scope='module')
-def real(demo_ground):
-    return demo_ground.load_ground()
-
-
-def test_the_real_ground(real):
-    assert real.values.shape == (354, 333)
-    assert 0.05 < (real.values == 100).mean() < 0.12 and real.values.min() >= 0
-    free = real.values[real.values < 100]
-    assert np.percentile(free, 10) < 30 and np.percentile(free, 90) > 55
-
-
-def test_north_is_up(demo_ground):
-    elevation = demo_ground.load_elevation().heights
-    # The highest ground of the sheet lies in its south-west, the plain in the south-east.
-    north, south = elevation[-100:], elevation[:100]
-    assert south[:, :220].max() == elevation.max() > north.max()
-    assert south[:, -80:].mean() < north[:, -80:].mean()
-
-
-def test_start_and_goal_lie_on_opposite_sides_and_are_joined(demo_ground, real):
-    risk_map = risk_map_from_occupancy(real.values, demo_ground.RESOLUTION)
-    width, _ = risk_map.size
-    start, goal = demo_ground.START, demo_ground.GOAL
-    assert start[0] < 0.2 * width and goal[0] > 0.8 * width
-    assert len(build_network(risk_map, start, goal, NetworkOptions(spacing=720.0)).points) > 500

@@ -35,10 +35,7 @@ class Elevation:
     place : str
         World position of the lower left corner, for display only.
 
-    Raises
-    ------
-    InvalidTerrain
-        The shape or the resolution is invalid, or no height is known.
+    Raises InvalidTerrain if the shape or the resolution is invalid, or no height is known.
     """
 
     heights: HeightArray
@@ -81,10 +78,8 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     Interpolates bilinearly between cell centres. Both grids share the lower left corner, and only
     whole cells are kept. A cell is unknown if any height it is interpolated from is unknown.
 
-    Raises
-    ------
-    InvalidTerrain
-        The resolution leaves fewer than 2 x 2 cells or more than ``MAX_CELLS``.
+    Raises InvalidTerrain if the resolution leaves fewer than 2 x 2 cells or more than
+    ``MAX_CELLS``.
     """
     resolution = resolution or min(raster.row_step, raster.column_step)
     row, column = _positions(raster, resolution)
@@ -101,10 +96,7 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
     A cell is set if the mask is set at its centre, or if it contains the centre of a set mask cell,
     so that thin roads survive on coarser cells.
 
-    Raises
-    ------
-    InvalidTerrain
-        The mask does not cover the same area.
+    Raises InvalidTerrain if the mask does not cover the same area.
     """
     shape, resolution = elevation.heights.shape, elevation.resolution
     row, column = _positions(raster, resolution)

@@ -30,10 +30,7 @@ class OccupancyOptions:
     least ``obstacle_threshold`` are obstacles. Unknown cells (-1) are obstacles unless
     ``unknown_alpha`` >= 0 gives them a loss.
 
-    Raises
-    ------
-    InvalidOption
-        A number is not finite or out of range.
+    Raises InvalidOption if a number is not finite or out of range.
     """
 
     alpha_min: float = 1.0
@@ -71,10 +68,7 @@ def risk_map_from_occupancy(
 ) -> RiskMap:
     """Convert an occupancy grid (H, W) of values -1..100 to a risk map.
 
-    Raises
-    ------
-    InvalidRiskMap
-        A value is outside -1..100, or the map is malformed.
+    Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
     """
     options = options or OccupancyOptions()
     grid = np.asarray(values)
@@ -95,10 +89,7 @@ def check_occupancy(
 ) -> None:
     """Check an occupancy grid without the far slower conversion to a risk map.
 
-    Raises
-    ------
-    InvalidRiskMap
-        A value is outside -1..100, or the map is malformed.
+    Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
     """
     check_place(resolution, origin)
     bad = ~((values >= -1) & (values <= 100))  # NaN too

@@ -37,10 +37,7 @@ class RiskMap:
     origin : (x, y, yaw)
         World pose of the lower left corner of cell (0, 0) [m, m, rad].
 
-    Raises
-    ------
-    InvalidRiskMap
-        A shape, the resolution, the origin or a loss is invalid.
+    Raises InvalidRiskMap if a shape, the resolution, the origin or a loss is invalid.
     """
 
     alpha: FloatArray

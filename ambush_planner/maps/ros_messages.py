@@ -22,11 +22,9 @@ def occupancy_from_ros(
 ) -> tuple[npt.NDArray[np.int8], float, tuple[float, float, float]]:
     """Return the checked cell values (H, W), resolution [m] and origin (x, y, yaw).
 
-    Raises
-    ------
-    InvalidRiskMap
-        The map has no frame or no cells, its data does not match width * height, its resolution is
-        not positive, its origin is not a planar pose, or a value is outside -1..100.
+    Raises InvalidRiskMap if the map has no frame or no cells, its data does not match width *
+    height, its resolution is not positive, its origin is not a planar pose, or a value is outside
+    -1..100.
     """
     info = message.info
     if not message.header.frame_id:
@@ -62,10 +60,7 @@ def pose_from_ros(pose: Any) -> tuple[float, float, float]:
 def position_from_ros(pose: Any, name: str) -> tuple[float, float]:
     """Return (x, y) [m] of the pose called ``name``.
 
-    Raises
-    ------
-    InvalidPose
-        A number is not finite, or the orientation is not a unit quaternion.
+    Raises InvalidPose if a number is not finite, or the orientation is not a unit quaternion.
     """
     if fault := _pose_fault(pose.pose):
         raise InvalidPose(f'{name}: {fault}')

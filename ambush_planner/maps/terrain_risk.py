@@ -51,10 +51,7 @@ class TerrainOptions:
     road_factor
         Factor 0..1 on the risk of cells with a road.
 
-    Raises
-    ------
-    InvalidTerrain
-        A number is out of range.
+    Raises InvalidTerrain if a number is out of range.
     """
 
     view: ViewOptions = field(default_factory=ViewOptions)
@@ -109,10 +106,8 @@ def terrain_map(
 
     ``progress`` is called with the completed share of the work.
 
-    Raises
-    ------
-    InvalidTerrain
-        The weapon range is shorter than a cell, or ``roads`` has another shape.
+    Raises InvalidTerrain if the weapon range is shorter than a cell, or ``roads`` has another
+    shape.
     """
     options = options or TerrainOptions()
     shape = elevation.heights.shape

@@ -54,10 +54,7 @@ class ViewOptions:
     rays
         Number of directions, a multiple of 4; fewer are used if the range has few cells.
 
-    Raises
-    ------
-    InvalidTerrain
-        A number is out of range.
+    Raises InvalidTerrain if a number is out of range.
     """
 
     weapon_range: float = 300.0
@@ -115,10 +112,7 @@ def viewshed(
 
     ``progress`` is called with the completed share of the work.
 
-    Raises
-    ------
-    InvalidTerrain
-        The weapon range is shorter than a cell.
+    Raises InvalidTerrain if the weapon range is shorter than a cell.
     """
     options = options or ViewOptions()
     rays = make_rays(options.weapon_range / elevation.resolution, options.rays)
@@ -153,10 +147,7 @@ def make_rays(reach: float, count: int) -> list[list[Sample]]:
     The weight of a sample is proportional to the area it represents: its distance times the length
     of its part of the ray.
 
-    Raises
-    ------
-    InvalidTerrain
-        ``reach`` is under one cell.
+    Raises InvalidTerrain if ``reach`` is under one cell.
     """
     if reach < 1.0:
         raise InvalidTerrain(

@@ -61,10 +61,7 @@ class NetworkOptions:
     seed
         Seed of random sampling. It affects node positions, never which route is drawn.
 
-    Raises
-    ------
-    InvalidOption
-        A value is out of range or of another type.
+    Raises InvalidOption if a value is out of range or of another type.
     """
 
     method: str = 'uniform_delaunay'

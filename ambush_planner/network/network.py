@@ -37,10 +37,8 @@ class Network:
     legs : int
         Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
 
-    Raises
-    ------
-    InvalidNetwork
-        An input is invalid; the message names the field, the index and the value.
+    Raises InvalidNetwork if an input is invalid; the message names the field, the index and the
+    value.
     """
 
     points: FloatArray

@@ -115,10 +115,7 @@ def make_corridors(
     tube
         Largest distance from the drawn route [m]; None: up to the nearest other nodes.
 
-    Raises
-    ------
-    InvalidOption
-        The tube is negative or not finite.
+    Raises InvalidOption if the tube is negative or not finite.
     """
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')

@@ -80,10 +80,7 @@ def driven_path(
         Exact start and goal [m] if they moved from the network's source and target
         (``with_moved_end``).
 
-    Raises
-    ------
-    InvalidOption
-        The path would have more than ``MOST_POSES``.
+    Raises InvalidOption if the path would have more than ``MOST_POSES``.
     """
     return driven_paths(corridors, [route], spacing, turning_radius, ends)[0]
 
