@@ -1,4 +1,4 @@
-"""Networks over maps: where nodes lie, who is joined, what is refused, and repeatability."""
+"""Networks on maps: positions of nodes, joined pairs, and repeatability."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def lattice_pairs(network) -> set:
 
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize('clearance', [0.0, 0.6])
-def test_the_expected_number_of_nodes_is_about_the_real_one(method, clearance):
+def test_expected_nodes_approximates_the_number_of_nodes(method, clearance):
     risk_map = random_map(3, 40, 0.05, 0.0)
     options = NetworkOptions(method, 0.4, clearance)
     places = np.stack(np.meshgrid(*[np.arange(40) + 0.5] * 2), axis=-1).reshape(-1, 2)
@@ -100,7 +100,7 @@ def test_laws(built):
 
 @examples(30)
 @given(random_networks())
-def test_equal_inputs_give_the_same_network_bit_for_bit(built):
+def test_same_inputs_give_the_same_network_bit_for_bit(built):
     risk_map, options, network, ends = built
     again = build_network(risk_map, *ends, options)
     assert network.points.tobytes() == again.points.tobytes()
@@ -117,7 +117,7 @@ def test_lattice_nodes_lie_at_half_spacings_and_ends_replace_the_nearest(method)
     assert network.points[-2:].tolist() == [[0.6, 0.7], [7.2, 5.9]]
 
 
-def test_a_rotated_map_gives_the_same_network_turned():
+def test_a_rotated_map_gives_a_rotated_network():
     plain = build(open_map(), (0.6, 0.7), (7.2, 5.9), spacing=1.0)
     turned_map = open_map(origin=(10.0, -4.0, 2.1))
     turned = build(turned_map, (0.6, 0.7), (7.2, 5.9), spacing=1.0)
@@ -183,7 +183,7 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
 
 @pytest.mark.parametrize('method', METHODS[3:])
 @pytest.mark.parametrize('obstacles', [0.0, 0.03, 0.1])
-def test_triangulating_part_by_part_gives_the_same_network(monkeypatch, method, obstacles):
+def test_triangulation_by_parts_gives_the_same_network(monkeypatch, method, obstacles):
     for seed in range(5):
         risk_map = random_map(seed, 26, obstacles)
         free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
@@ -224,7 +224,7 @@ def empty_chords(points, i, ends) -> np.ndarray:
 
 
 @pytest.mark.parametrize('method, worst', [('uniform_delaunay', 1.11), ('uniform_grid8', 1.09)])
-def test_no_direction_is_much_longer_than_the_straight_line(method, worst):
+def test_routes_are_nearly_straight_in_all_directions(method, worst):
     side = 61
     risk_map = RiskMap(np.ones((side, side)), np.zeros((side, side), bool), 1.0)
     for start in 26.0 + 9.0 * np.random.default_rng(5).random((8, 2)):
@@ -254,7 +254,7 @@ def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
 
 @pytest.mark.parametrize('spacing', [1.3, 0.7])
 @pytest.mark.parametrize('ends', [((0.5, 0.1), (13.5, 0.1)), ((0.2, 0.2), (0.2, 13.9))])
-def test_no_edge_runs_along_the_border_past_every_site(ends, spacing):
+def test_no_long_edge_runs_along_the_border(ends, spacing):
     network = build(open_map(14, 14), *ends, spacing=spacing)
     assert network.lengths.max() < 3 * spacing
 

@@ -1,4 +1,4 @@
-"""Strips and quarters: clear by geometry, and as wide as the ground allows."""
+"""Strips and quarters: clear of obstacles, and as wide as these allow."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_the_outer_side_of_a_turn_round_a_corner_is_free(clearance):
     assert room.beyond[1, 0] == pytest.approx((edge, 0.01 - OBSTACLE_MARGIN))
 
 
-def test_what_a_quarter_ends_at_is_its_own_side_only():
+def test_a_cell_limits_only_the_quarter_on_its_own_side():
     """A cell ahead on the left limits that quarter, not those on the right or behind."""
     obstacles = np.zeros((21, 21), bool)
     obstacles[13, 13] = True

@@ -1,4 +1,4 @@
-"""Corridors refitted: clear by geometry of new obstacles, and from ends that have moved."""
+"""Updated corridors: clear of new obstacles, and from and to moved ends."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def a_route_left(network, lost, seed):
 
 @examples(60)
 @given(drives(), st.data())
-def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
+def test_paths_keep_clear_of_new_obstacles(drive, data):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
     rows, columns = risk_map.obstacles.shape
     cell = st.tuples(st.integers(0, rows - 1), st.integers(0, columns - 1))
@@ -65,7 +65,7 @@ def test_paths_are_clear_of_obstacles_that_are_new(drive, data):
 
 @examples(60)
 @given(drives(), st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
-def test_paths_from_and_to_a_place_beside_the_end(drive, far, angle, at_start):
+def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
     node = network.source if at_start else network.target

@@ -1,4 +1,4 @@
-"""Convoys of one day: their joint law by enumeration, its effect, and when there is none."""
+"""Convoys of one day: their joint distribution by enumeration, its effect, and impossible days."""
 
 import math
 from collections import Counter
@@ -53,7 +53,7 @@ def exact_law(strategy, n, distinct):
 
 @examples(40)
 @given(networks(), SHARES, st.integers(1, 3))
-def test_the_effect_is_that_of_all_days(network, distinct, n):
+def test_conditional_flows_average_to_the_exact_distribution(network, distinct, n):
     """Beside each day of n - 1, the flow of one more; over all of them, the exact marginal."""
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
     assume(len(routes_with_probabilities(strategy)) <= 12)
@@ -75,7 +75,7 @@ def test_the_effect_is_that_of_all_days(network, distinct, n):
 
 @examples(40)
 @given(networks(), SHARES, st.integers(1, 3), st.integers(0, 9))
-def test_days_are_distinct_or_there_is_no_room(network, distinct, n, seed):
+def test_days_are_distinct_or_impossible(network, distinct, n, seed):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
     middle = MiddleSection(strategy, distinct)
     try:
@@ -90,7 +90,7 @@ def test_days_are_distinct_or_there_is_no_room(network, distinct, n, seed):
 
 @examples(30)
 @given(networks(), SHARES)
-def test_how_many_can_be_apart_is_a_flow(network, distinct):
+def test_the_number_of_disjoint_routes_is_a_maximum_flow(network, distinct):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
     middle = MiddleSection(strategy, distinct)
     graph = networkx.DiGraph()
@@ -103,7 +103,7 @@ def test_how_many_can_be_apart_is_a_flow(network, distinct):
     assert middle.max_disjoint(4) == networkx.maximum_flow_value(graph, *ends)
 
 
-def test_three_ways_by_hand():
+def test_three_parallel_ways_by_hand():
     """Ways with chances 1/2, 1/4, 1/4: two distinct convoys drive the first with 0.4 each."""
     strategy = solve(corridors(1.0, 2.0, 2.0), options=StrategyOptions(max_detour=3.0,
                                                                        risk_slack=0.0))
@@ -118,7 +118,7 @@ def test_three_ways_by_hand():
     assert 0.0 < effect.standard_error < 0.01
 
 
-def test_one_convoy_has_the_published_law():
+def test_one_convoy_follows_the_strategy():
     strategy = solve(corridors(1.0, 2.0, 3.0), options=StrategyOptions(max_detour=3.0))
     effect = day_effect(strategy, 1, np.random.default_rng(1), 1.0, days=50)
     np.testing.assert_allclose(effect.visit_probability, strategy.visit_probability, atol=1e-9)
@@ -126,7 +126,7 @@ def test_one_convoy_has_the_published_law():
     assert effect.value == pytest.approx(strategy.value)
 
 
-def test_days_are_drawn_by_their_law():
+def test_days_are_drawn_with_their_exact_probabilities():
     strategy = solve(corridors(1.0, 2.0, 2.0, 5.0), options=StrategyOptions(max_detour=3.0))
     law = exact_law(strategy, 2, 0.5)
     total = sum(law.values())
@@ -139,7 +139,7 @@ def test_days_are_drawn_by_their_law():
     assert share == pytest.approx(total, abs=0.02)
 
 
-def test_the_standard_error_is_one():
+def test_the_standard_error_matches_the_spread_of_estimates():
     """Over many estimates the error at the worst site is as large as they say."""
     strategy = solve(corridors(1.0, 1.5, 2.0, 5.0), options=StrategyOptions(max_detour=3.0))
     law = exact_law(strategy, 2, 0.5)
@@ -153,7 +153,7 @@ def test_the_standard_error_is_one():
 
 
 @pytest.mark.parametrize('distinct', [0.0, 0.2, 1.0])
-def test_edges_across_count_as_middle(distinct):
+def test_edges_across_the_middle_section_count(distinct):
     """Two convoys cannot both take the one edge that leads from before the middle behind it."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (10.0, 0.0), (5.0, 9.0)])
     edges = np.array([(0, 1), (1, 2), (2, 3), (0, 4), (4, 3)])
@@ -163,7 +163,7 @@ def test_edges_across_count_as_middle(distinct):
     assert nodes.tolist() == [False, distinct > 0.0, distinct == 1.0, False, distinct > 0.0]
 
 
-def test_a_bottleneck_is_told():
+def test_reports_a_bottleneck():
     points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (4.0, 0.0)])
     edges = np.array([(0, 1), (0, 2), (1, 3), (2, 3), (3, 4)])
     strategy = solve(Network(points, np.array([0.0, 1.0, 1.0, 1.0, 0.0]), edges, 0, 4))
@@ -174,7 +174,7 @@ def test_a_bottleneck_is_told():
         day_effect(strategy, 2, np.random.default_rng(1), 0.6)
 
 
-def test_too_rare_is_told():
+def test_reports_that_distinct_days_are_too_rare():
     strategy = solve(corridors(*[1.0] * 6), options=StrategyOptions(max_detour=3.0))
     told = 'in 0 of 5 tries: distinct routes are too rare'
     with pytest.raises(NotDistinct, match=told):
@@ -183,7 +183,7 @@ def test_too_rare_is_told():
     assert sorted(route[2] for route in routes) == [2, 5, 8, 11, 14, 17]
 
 
-def test_bad_options_are_refused():
+def test_rejects_bad_options():
     strategy = solve(corridors(1.0, 2.0))
     rng = np.random.default_rng(1)
     for n, options in ((0, {}), (2, {'distinct': 1.5}), (2, {'distinct': -0.1}),
@@ -194,7 +194,7 @@ def test_bad_options_are_refused():
         day_effect(strategy, 2, rng, days=3)
 
 
-def test_trips_with_stops_are_refused():
+def test_rejects_trips_with_stops():
     """Two convoys there can share a place in different legs."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     network = Network(

@@ -1,4 +1,4 @@
-"""What is driven: in the corridors, clear of obstacles, as short as can be, and smooth."""
+"""Driven paths: within the corridors, clear of obstacles, short and smooth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def dense(poses, parts=20):
 
 @examples(60)
 @given(drives())
-def test_the_path_keeps_clear_and_in_its_tube(drive):
+def test_the_path_stays_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
     poses = driven_path(corridors, route, 0.2)
@@ -96,7 +96,7 @@ def test_a_staircase_becomes_a_straight_line():
     assert drawn > 1.02 * straight and driven < 1.01 * straight
 
 
-def test_a_tube_of_nothing_is_the_drawn_route():
+def test_a_tube_of_zero_gives_the_drawn_route():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.0)
     route = some_route(corridors.network, 3)
     poses = driven_path(corridors, route, 0.5)
@@ -107,7 +107,7 @@ def test_a_tube_of_nothing_is_the_drawn_route():
 
 
 @pytest.mark.parametrize('radius', [0.2, 0.5, 1.0])
-def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
+def test_turns_have_the_requested_radius_if_the_tube_allows_it(radius):
     """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
     corridors = corridors_on(open_map(), (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
     network = corridors.network
@@ -124,7 +124,7 @@ def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     assert tight_turns(poses, radius) == 0 and tight_turns(poses, 20.0) > 0
 
 
-def test_radii_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
+def test_turn_radii_of_a_circle_a_line_and_a_turn_on_the_spot():
     angle = np.linspace(0.0, 2.0, 12)
     circle = np.stack((3 * np.sin(angle), 3 - 3 * np.cos(angle), angle), axis=1)
     assert turn_radii(circle) == pytest.approx(3.0)
@@ -175,7 +175,7 @@ def test_a_route_of_one_edge_is_a_straight_line():
     assert poses[:, 2] == pytest.approx(np.pi / 4)
 
 
-def test_routes_that_are_shortened_alike_are_one_path():
+def test_routes_with_the_same_shortened_nodes_share_a_path():
     corridors = corridors_on(open_map(), (1.2, 1.3), (8.7, 8.4))
     routes = [some_route(corridors.network, seed) for seed in range(300)]
     once = list({route.tobytes(): route for route in routes}.values())
@@ -188,7 +188,7 @@ def test_routes_that_are_shortened_alike_are_one_path():
 
 @examples(30)
 @given(drives(), st.sampled_from((0.0, 0.6)))
-def test_many_paths_at_once_are_those_one_by_one(drive, radius):
+def test_paths_made_together_match_single_ones(drive, radius):
     corridors, route = drive[:2]
     routes = [route, *(some_route(corridors.network, seed) for seed in range(100, 104))]
     paths = driven_paths(corridors, routes, 0.3, radius)
@@ -197,19 +197,19 @@ def test_many_paths_at_once_are_those_one_by_one(drive, radius):
 
 
 @pytest.mark.parametrize('spacing', [1e-5, 1e-30, 5e-324])
-def test_too_many_poses_are_refused(spacing):
+def test_rejects_too_many_poses(spacing):
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     with pytest.raises(InvalidOption, match=r'route\.path_spacing.* at most 20000 are allowed'):
         driven_path(corridors, some_route(corridors.network, 1), spacing)
 
 
 @pytest.mark.parametrize('tube', [-0.1, np.nan, np.inf])
-def test_a_tube_that_cannot_be_is_refused(tube):
+def test_rejects_an_invalid_tube(tube):
     with pytest.raises(InvalidOption, match='tube'):
         corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=tube)
 
 
-def test_nodes_that_need_not_be_visited_are_left_out_only_without_a_tube():
+def test_unneeded_nodes_are_skipped_only_without_a_tube():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     network = corridors.network
     links = {tuple(link) for link in corridors.links.tolist()}

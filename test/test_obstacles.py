@@ -86,7 +86,7 @@ def test_clearance_against_exact_distances(a, b, blocked, reach):
     assert clear(field_of(blocked), a, b, float(reach)) == (nearest > reach**2)
 
 
-def test_all_segments_at_once_are_as_one_by_one(monkeypatch):
+def test_chunks_do_not_change_results(monkeypatch):
     rng = np.random.default_rng(1)
     field = field_of({(1, 1), (3, 2), (4, 4)})
     a, b = rng.random((2, 300, 2)) * SIDE
@@ -97,7 +97,7 @@ def test_all_segments_at_once_are_as_one_by_one(monkeypatch):
 
 
 @pytest.mark.parametrize('resolution', [0.05, 0.1, 1 / 3, 92.3])
-def test_a_diagonal_between_cell_centres_meets_both_flanks_at_any_resolution(resolution):
+def test_a_diagonal_touches_both_flanking_cells_at_any_resolution(resolution):
     field = field_of({(7, 8)}, (20, 20), resolution)
     centre = (np.arange(20) + 0.5) * resolution
     def free(a, b):
@@ -112,7 +112,7 @@ def test_a_diagonal_between_cell_centres_meets_both_flanks_at_any_resolution(res
 
 @pytest.mark.parametrize('off, expected', [(0.0, False), (9e-7, False), (3e-6, True)])
 @pytest.mark.parametrize('turn', range(8))
-def test_what_comes_within_a_millionth_of_a_cell_touches_it(off, expected, turn):
+def test_contact_within_a_millionth_of_a_cell_blocks(off, expected, turn):
     """A face and a corner, from all sides."""
     field = field_of({(2, 2)})
     flip = np.array([[1, 0], [0, 1]])[:: 1 if turn < 4 else -1]
@@ -127,7 +127,7 @@ def test_what_comes_within_a_millionth_of_a_cell_touches_it(off, expected, turn)
     )
 
 
-def test_long_segments_are_as_their_parts():
+def test_long_segments_are_blocked_like_their_parts():
     rng = np.random.default_rng(3)
     field = ObstacleField(RiskMap(np.ones((90, 120)), rng.random((90, 120)) < 0.01, 0.5))
     a, b = rng.random((2, 400, 2)) * (60, 45)
@@ -141,7 +141,7 @@ def test_long_segments_are_as_their_parts():
         assert field.clear_segments(a, b, reach).tolist() == parts
 
 
-def test_the_outer_edge_of_the_map_is_as_closed_as_a_cell():
+def test_the_outer_edge_of_the_map_blocks():
     risk_map = RiskMap(np.ones((4, 5)), np.zeros((4, 5), bool), 2.0)
     inside, outside = 3e-6, 1.9e-6
     for clear_of_edge, clearance in ((True, 0.0), (False, 0.0), (False, 1.5), (True, 1.5)):

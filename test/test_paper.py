@@ -73,7 +73,7 @@ def test_the_example_is_the_papers():
     assert distinct_routes(solve(ours), 500) == 7
 
 
-def test_the_tables_go_between_the_marks():
+def test_tables_replace_the_text_between_the_marks():
     text = f'a\n{paper.BEGIN}\nold\n{paper.END}\nb'
     renewed = paper.with_tables(text, 'new')
     assert renewed == f'a\n{paper.BEGIN}\n\nnew\n{paper.END}\nb'
@@ -81,7 +81,7 @@ def test_the_tables_go_between_the_marks():
 
 
 @pytest.mark.parametrize('text', ['', paper.BEGIN, paper.END, f'{paper.END} {paper.BEGIN}'])
-def test_a_document_without_both_marks_is_refused(text):
+def test_rejects_a_document_without_both_marks(text):
     with pytest.raises(InvalidOption, match='paper: begin'):
         paper.with_tables(text, 'new')
 
@@ -167,7 +167,7 @@ def test_every_comparison_holds(results):
 
 
 @pytest.mark.slow
-def test_every_figure_is_there_and_not_blank(done):
+def test_every_figure_exists_and_is_not_blank(done):
     from matplotlib.image import imread
 
     assert {path.stem for path in done.glob('*.png')} == FIGURES

@@ -51,7 +51,7 @@ def assert_taut(portals, share):
     assert size <= found.fun * (1 + 1e-9)
 
 
-def test_portals_that_are_seen_from_behind():
+def test_portals_approached_from_behind():
     """Two sharp turns, one after the other: from the start, the second portal looks reversed."""
     nodes = [(4.2683, 2.8259), (4.55, 3.85), (3.85, 4.55), (3.85, 3.85), (3.15, 4.55),
              (2.45, 5.25), (1.75, 5.25), (1.0186, 5.3343)]
@@ -65,7 +65,7 @@ def test_portals_that_are_seen_from_behind():
 
 @examples(50)
 @given(drives(), st.integers(0, 10**6))
-def test_straight_lines_between_portals_keep_clear_and_in_the_tube(drive, seed):
+def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     portals = portals_along(corridors, [route])
     rng = np.random.default_rng(seed)

@@ -59,7 +59,7 @@ def test_cliffs_are_obstacles_and_the_largest_risk_is_none():
     assert (limited[[19, 20, 39, 40]] == 100).all() and (limited[25:35] < 100).all()
 
 
-def test_roads_lead_through_steep_ground_and_cost_less():
+def test_roads_cross_steep_terrain_and_cost_less():
     heights = np.zeros((40, 40))
     heights[20:] = 100.0
     elevation = Elevation(heights, 10.0)
@@ -74,7 +74,7 @@ def test_roads_lead_through_steep_ground_and_cost_less():
     np.testing.assert_allclose(with_roads.values[free], without.values[free] / 4.0, atol=0.7)
 
 
-def test_unknown_ground_is_unknown_also_under_a_road():
+def test_unknown_terrain_stays_unknown_under_a_road():
     heights = hills()
     heights[5:9, 5:9] = np.nan
     ground = terrain_map(Elevation(heights, 10.0), None, np.ones(heights.shape, bool))
@@ -83,7 +83,7 @@ def test_unknown_ground_is_unknown_also_under_a_road():
         np.testing.assert_array_equal(np.isnan(layer), np.isnan(heights))
 
 
-def test_roads_of_another_shape_are_refused():
+def test_rejects_roads_of_another_shape():
     with pytest.raises(InvalidTerrain, match='roads'):
         terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
 
@@ -93,6 +93,6 @@ def test_roads_of_another_shape_are_refused():
     [{'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
      {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}],
 )
-def test_options_out_of_range_are_refused(values):
+def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         TerrainOptions(**values)

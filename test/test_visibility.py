@@ -1,4 +1,4 @@
-"""Lines of sight, held against two slow ways of finding them."""
+"""Visibility compared with two slow computations."""
 
 import math
 
@@ -56,7 +56,7 @@ def along_the_rays(heights, resolution, options):
 
 @settings(max_examples=15, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(1.0, 9.0), st.sampled_from([8, 24, 64]))
-def test_all_cells_at_once_are_each_cell_alone(seed, reach, rays):
+def test_views_match_a_cell_by_cell_computation(seed, reach, rays):
     heights = hills((11, 14), seed, 6.0, 1.0).astype(np.float32)
     heights[np.random.default_rng(seed).random(heights.shape) < 0.05] = np.nan
     heights[0, 0] = 0.0
@@ -93,7 +93,7 @@ def by_brute_force(heights, resolution, here, options):
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_exposure_is_near_that_of_all_lines_of_sight(seed):
+def test_exposure_approximates_all_lines_of_sight(seed):
     heights = hills((61, 61), seed, 12.0, 5.0).astype(np.float32).astype(float)
     options = ViewOptions(200.0)
     views = viewshed(Elevation(heights, 10.0), options)
@@ -106,14 +106,14 @@ def test_exposure_is_near_that_of_all_lines_of_sight(seed):
     assert np.corrcoef(found, exact)[0, 1] > 0.97
 
 
-def test_on_a_plane_everybody_sees_everybody():
+def test_a_plane_is_fully_visible():
     row, column = np.mgrid[:40, :40]
     views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(100.0))
     assert (views.exposure == 1.0).all()
     np.testing.assert_allclose(views.approach, 100.0)
 
 
-def test_tiles_and_their_number_change_nothing(monkeypatch):
+def test_tiles_do_not_change_results(monkeypatch):
     heights = hills((30, 40), 1, 10.0, 3.0)
     heights[10:20, 20:25] = np.nan
     elevation = Elevation(heights, 10.0)
@@ -137,7 +137,7 @@ def test_rays_stay_within_reach_and_go_outwards(reach, count):
         assert all(0 < sample.weight for sample in ray)
 
 
-def test_a_range_under_one_cell_is_refused():
+def test_rejects_a_range_below_one_cell():
     with pytest.raises(InvalidTerrain, match='at least'):
         viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(20.0))
 
@@ -146,6 +146,6 @@ def test_a_range_under_one_cell_is_refused():
     'values', [{'weapon_range': 0.0}, {'vehicle_height': -1.0}, {'person_height': math.nan},
                {'rays': 7}, {'rays': 0}],
 )
-def test_options_out_of_range_are_refused(values):
+def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         ViewOptions(**values)
