@@ -182,7 +182,7 @@ def new_goal_during_a_solve(_):
 
 
 def many_calls(_):
-    """As many as tell whether calls get lost; benchmarks/node_load.py makes the thousand."""
+    """As many as tell whether calls get lost."""
     count = 200
     with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
         busy.give()

@@ -1,4 +1,4 @@
-"""Shortest paths and reachability of the core against networkx."""
+"""Shortest paths and reachability compared with networkx."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.network.construction import Roads
+from ambush_planner.network.construction import TripGraph
 from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
@@ -49,7 +49,7 @@ def roads_of(seed, stops, count=14):
     triangles = Delaunay(points).simplices
     pairs = np.unique(np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
-    return Roads(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+    return TripGraph(points, alpha, pairs, tuple(range(count, count + stops + 2)))
 
 
 def least_value(roads, radius=0.0, detour=math.inf):
@@ -143,7 +143,7 @@ def there_and_back(first, second):
     """A stop with two sites on all ways from the start and to the goal."""
     points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
-    return Roads(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+    return TripGraph(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
 
 
 def test_a_site_that_two_legs_pass_counts_twice():

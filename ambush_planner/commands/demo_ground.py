@@ -17,7 +17,7 @@ from ..maps import (
     TerrainMap,
     TerrainOptions,
     ViewOptions,
-    elevation_from,
+    elevation_from_raster,
     terrain_map,
 )
 from ..maps.elevation_file import raster_in_degrees
@@ -43,7 +43,8 @@ def load_elevation() -> Elevation:
     # The file calls its first row's latitude ymin although it is the northern one.
     latitude = float(sample['ymin'] + sample['ymax']) / 2
     steps = (float(sample['dy']), float(sample['dx']))
-    return elevation_from(raster_in_degrees(sample['elevation'], *steps, latitude), RESOLUTION)
+    raster = raster_in_degrees(sample['elevation'], *steps, latitude)
+    return elevation_from_raster(raster, RESOLUTION)
 
 
 def load_ground() -> TerrainMap:

@@ -12,8 +12,8 @@ from ..maps import (
     TerrainMap,
     TerrainOptions,
     ViewOptions,
-    elevation_from,
-    mask_from,
+    elevation_from_raster,
+    mask_from_raster,
     terrain_map,
 )
 from ..maps.elevation_file import read_raster
@@ -78,8 +78,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
         tuple(arguments.weights),
         arguments.road_factor,
     )
-    elevation = elevation_from(read_raster(arguments.elevation), arguments.resolution)
-    roads = arguments.roads and mask_from(read_raster(arguments.roads, 'roads'), elevation)
+    elevation = elevation_from_raster(read_raster(arguments.elevation), arguments.resolution)
+    roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
     ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))
     occupancy = OccupancyMap(ground.values, ground.resolution)
     pictures = [write_map(arguments.output, occupancy, _remark(elevation))]

@@ -15,7 +15,7 @@ from ..game.revaluation import revalue
 from ..maps.obstacles import ObstacleField
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
-from ..routes.corridor_update import among_new_obstacles, with_end_at
+from ..routes.corridor_update import with_moved_end, with_new_obstacles
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
 from .conditioning import ConditionedStrategy
@@ -128,7 +128,7 @@ class ChangedGround:
             if tuple(network.points[node].tolist()) != place:
                 node %= network.place_count
                 corner, part = self._around(newest, node, place)
-                corridors = with_end_at(
+                corridors = with_moved_end(
                     corridors, node, place, part, corner, self._clearance, plan.tube,
                     options.clear_of_edge,
                 )
@@ -152,7 +152,7 @@ class ChangedGround:
         """The plan's corridors where there are new obstacles."""
         look = self._look(newest)
         if look.corridors is None:
-            look.corridors = among_new_obstacles(
+            look.corridors = with_new_obstacles(
                 self._plan.corridors, look.new_obstacles, self._clearance, newest.resolution
             ) if len(look.new_obstacles) else self._plan.corridors
         return look.corridors

@@ -7,7 +7,7 @@ B times, one route is drawn for each departure from its strategy. The p-values a
 number of departures and strategies, (1 + #{T* >= T}) / (B + 1); seed and B are fixed. Holm's
 method holds the chance of any false finding, over all four tests, to the stated rate. A start
 that moves a little makes new strategies, not new ground: edges and squares count by place.
-Departures that were drawn as a day's distinct ones (``core.day``) are compared with such draws.
+Departures that were drawn as a day's distinct ones (``routes.days``) are compared with such draws.
 
 ``frequency``
     ``T = sum_e (N_e - E_e)^2 / (V_e + 1)`` over the places of edges, with N_e passages where the

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..game.strategy import Strategy
-from ..routes.days import MOST_TRIES, Middle
+from ..routes.days import MOST_TRIES, MiddleSection
 from .audit_draws import ROUTES_AT_ONCE, ManyRoutes, NotAuditable, Steps
 from .audit_places import Ground
 
@@ -60,11 +60,11 @@ class Group:
         """On how many days routes share some of the middle; ``routes`` of all departures."""
         found = 0
         shares = {day.distinct for day in self.days}
-        middles = {share: Middle(self.strategy, share) for share in shares}
+        middles = {share: MiddleSection(self.strategy, share) for share in shares}
         for day, who in self.days.items():
             nodes = np.concatenate([routes[k] for k in who])
             none = np.zeros(len(nodes), np.int64)
-            found += not middles[day.distinct].apart(nodes, none, 1)[0]
+            found += not middles[day.distinct].are_disjoint(nodes, none, 1)[0]
         return found
 
     def draw_sets(self, sets: int, rng: np.random.Generator) -> Iterator[tuple[slice, Steps]]:
@@ -88,15 +88,15 @@ class Group:
     def _draw_days(
         self, distinct: float, n: int, count: int, rng: np.random.Generator
     ) -> Steps:
-        """Routes of ``count`` days of ``n`` convoys, day by day: as ``core.day.draw_days``."""
-        middle = Middle(self.strategy, distinct)
+        """Routes of ``count`` days of ``n`` convoys, day by day: as ``routes.days.draw_days``."""
+        middle = MiddleSection(self.strategy, distinct)
         edges, routes, found, tried = [], [], 0, 0
         while found < count:
-            middle.go_on(n, found, tried, MOST_TRIES)
+            middle.check_progress(n, found, tried, MOST_TRIES)
             batch = max(ROUTES_AT_ONCE // n, 1)
             steps = self.many.draw(batch * n, rng)
             day = steps.route // n
-            apart = middle.apart(self.many.network.heads[steps.edge], day, batch)
+            apart = middle.are_disjoint(self.many.network.heads[steps.edge], day, batch)
             place = np.cumsum(apart) - 1 + found
             kept = apart[day] & (place[day] < count)
             edges.append(steps.edge[kept])

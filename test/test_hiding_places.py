@@ -1,4 +1,4 @@
-"""Hiding places in obstacles: which cells, their losses, and what they do to a plan."""
+"""Hiding places in obstacles: their cells and losses, and their effect on a plan."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hidden(network, covered) -> tuple[np.ndarray, np.ndarray]:
     return covered.points[count:], covered.alpha[count:]
 
 
-def test_cells_have_the_loss_of_the_nearest_free_cell():
+def test_hiding_places_have_the_loss_of_the_nearest_free_cell():
     risk_map = walled_map(np.nan)
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
     covered = with_hiding_places(network, risk_map, 3.0, 2.0)
@@ -45,7 +45,7 @@ def test_cells_have_the_loss_of_the_nearest_free_cell():
     assert np.array_equal(covered.edges, network.edges)
 
 
-def test_cells_out_of_reach_and_more_than_a_few_a_spacing_are_left_out():
+def test_omits_cells_out_of_reach_and_thins_the_others():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=4.0))
     assert len(hidden(network, with_hiding_places(network, risk_map, 3.0, 4.0))[0]) == 12
@@ -55,7 +55,7 @@ def test_cells_out_of_reach_and_more_than_a_few_a_spacing_are_left_out():
     assert 21 < places[:, 1].max() < 27
 
 
-def test_on_a_trip_they_are_in_each_layer():
+def test_each_layer_of_a_trip_has_hiding_places():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0), [(20.0, 15.0)])
     covered = with_hiding_places(network, risk_map, 3.0, 2.0)
@@ -66,7 +66,7 @@ def test_on_a_trip_they_are_in_each_layer():
     assert np.isin(np.arange(network.place_count, covered.place_count), lone).all()
 
 
-def test_without_a_reach_nobody_hides_beside_the_road():
+def test_no_hiding_places_without_an_ambush_radius():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
     game = GameOptions(ambush_in_obstacles=True)
@@ -76,7 +76,7 @@ def test_without_a_reach_nobody_hides_beside_the_road():
 
 
 @pytest.mark.parametrize('hides', [False, True])
-def test_a_plan_knows_of_them_when_asked(hides):
+def test_a_plan_uses_hiding_places_if_enabled(hides):
     options = PlanningOptions(
         NetworkOptions(spacing=2.0),
         GameOptions(ambush_radius=3.0, secured_radius=6.0, ambush_in_obstacles=hides),

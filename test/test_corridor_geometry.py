@@ -1,4 +1,4 @@
-"""Strips and quarters: clear by geometry, and as wide as the ground allows."""
+"""Strips and quarters: clear of obstacles, and as wide as these allow."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 
 from ambush_planner import RiskMap
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.routes.corridor_geometry import KEPT, among_nodes, on_the_map
+from ambush_planner.routes.corridor_geometry import (
+    OBSTACLE_MARGIN,
+    limit_to_map,
+    widths_between_nodes,
+)
 
 WIDE = 1e6
 
@@ -63,25 +67,25 @@ def test_the_outer_side_of_a_turn_round_a_corner_is_free(clearance):
     near = 0.01 + clearance
     uv = np.array([(10 - near, 4.0), (10 - near, 10 + near), (15.0, 10 + near)])
     pairs = np.array([(0, 1), (1, 2)])
-    wide = type(among_nodes(uv, pairs))(np.full((2, 2), WIDE), np.full((2, 2, 2), WIDE))
+    wide = type(widths_between_nodes(uv, pairs))(np.full((2, 2), WIDE), np.full((2, 2, 2), WIDE))
     risk_map = RiskMap(np.ones((20, 20)), obstacles, 1.0)
-    room = on_the_map(wide, uv, pairs, risk_map, clearance, True)
-    edge = 10 - near - clearance - KEPT
-    assert room.widths[0] == pytest.approx((edge, 0.01 - KEPT))
-    assert room.beyond[0, 1] == pytest.approx((edge, 0.01 - KEPT))
-    assert room.widths[1] == pytest.approx((edge, 0.01 - KEPT))
-    assert room.beyond[1, 0] == pytest.approx((edge, 0.01 - KEPT))
+    room = limit_to_map(wide, uv, pairs, risk_map, clearance, True)
+    edge = 10 - near - clearance - OBSTACLE_MARGIN
+    assert room.widths[0] == pytest.approx((edge, 0.01 - OBSTACLE_MARGIN))
+    assert room.beyond[0, 1] == pytest.approx((edge, 0.01 - OBSTACLE_MARGIN))
+    assert room.widths[1] == pytest.approx((edge, 0.01 - OBSTACLE_MARGIN))
+    assert room.beyond[1, 0] == pytest.approx((edge, 0.01 - OBSTACLE_MARGIN))
 
 
-def test_what_a_quarter_ends_at_is_its_own_side_only():
+def test_a_cell_limits_only_the_quarter_on_its_own_side():
     """A cell ahead on the left limits that quarter, not those on the right or behind."""
     obstacles = np.zeros((21, 21), bool)
     obstacles[13, 13] = True
     uv = np.array([(6.5, 10.5), (10.5, 10.5)])
     pairs = np.array([(0, 1)])
-    wide = type(among_nodes(uv, pairs))(np.full((1, 2), 5.0), np.full((1, 2, 2), 5.0))
+    wide = type(widths_between_nodes(uv, pairs))(np.full((1, 2), 5.0), np.full((1, 2, 2), 5.0))
     risk_map = RiskMap(np.ones((21, 21)), obstacles, 1.0)
-    room = on_the_map(wide, uv, pairs, risk_map, 0.0, True)
-    assert room.beyond[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - KEPT, 5.0))
+    room = limit_to_map(wide, uv, pairs, risk_map, 0.0, True)
+    assert room.beyond[0, 1] == pytest.approx((np.hypot(2.5, 2.5) - OBSTACLE_MARGIN, 5.0))
     assert room.beyond[0, 0] == pytest.approx((5.0, 5.0))
     assert room.widths[0] == pytest.approx((5.0, 5.0))

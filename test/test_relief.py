@@ -9,8 +9,8 @@ from ambush_planner.maps import (
     Elevation,
     InvalidTerrain,
     Raster,
-    elevation_from,
-    mask_from,
+    elevation_from_raster,
+    mask_from_raster,
     relative_depth,
     slope,
 )
@@ -22,9 +22,9 @@ def plane(rows, columns, north, east):
     return north * row + east * column
 
 
-def test_a_plane_stays_where_it_is_when_it_is_resampled():
+def test_resampling_preserves_a_plane():
     raster = Raster(10.0 * plane(30, 40, 1.0, 0.0) + 20.0 * plane(30, 40, 0.0, 1.0), 10.0, 20.0)
-    result = elevation_from(raster, 8.0)
+    result = elevation_from_raster(raster, 8.0)
     assert result.heights.shape == (37, 100)
     inner = (slice(1, -1), slice(2, -2))
     np.testing.assert_allclose(
@@ -32,28 +32,22 @@ def test_a_plane_stays_where_it_is_when_it_is_resampled():
     )
 
 
-def test_resampling_invents_no_heights():
-    heights = np.random.default_rng(0).uniform(200.0, 900.0, (20, 25))
-    result = elevation_from(Raster(heights, 92.7, 74.4), 90.0).heights
-    assert heights.min() <= result.min() and result.max() <= heights.max()
-
-
-def test_square_cells_are_taken_as_they_are():
+def test_square_cells_are_not_resampled():
     heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
-    result = elevation_from(Raster(heights.astype(float), 0.1, 0.1))
+    result = elevation_from_raster(Raster(heights.astype(float), 0.1, 0.1))
     np.testing.assert_array_equal(result.heights, heights)
 
 
 @pytest.mark.parametrize('resolution', [-1.0, np.inf, 1e6, 1e-6])
-def test_a_resolution_that_cannot_be_is_refused(resolution):
+def test_rejects_an_invalid_resolution(resolution):
     with pytest.raises(InvalidTerrain, match='resolution'):
-        elevation_from(Raster(np.zeros((30, 30)), 10.0, 10.0), resolution)
+        elevation_from_raster(Raster(np.zeros((30, 30)), 10.0, 10.0), resolution)
 
 
-def test_unknown_heights_spread_no_farther_than_to_cells_that_follow_from_them():
+def test_unknown_heights_spread_only_to_interpolated_cells():
     heights = np.zeros((20, 20))
     heights[10, 10] = np.nan
-    unknown = np.isnan(elevation_from(Raster(heights, 10.0, 10.0), 5.0).heights)
+    unknown = np.isnan(elevation_from_raster(Raster(heights, 10.0, 10.0), 5.0).heights)
     assert unknown[20:22, 20:22].all() and not unknown[:18].any() and not unknown[:, 24:].any()
 
 
@@ -62,12 +56,12 @@ def test_unknown_heights_spread_no_farther_than_to_cells_that_follow_from_them()
     [
         (np.zeros(4), 1.0, '2 x 2'),
         (np.zeros((1, 4)), 1.0, '2 x 2'),
-        (np.full((3, 3), np.nan), 1.0, 'known nowhere'),
+        (np.full((3, 3), np.nan), 1.0, 'no elevation is known'),
         (np.full((3, 3), np.inf), 1.0, 'finite'),
         (np.zeros((3, 3)), 0.0, 'resolution'),
     ],
 )
-def test_bad_elevations_are_refused(heights, resolution, reason):
+def test_rejects_malformed_elevations(heights, resolution, reason):
     with pytest.raises(InvalidTerrain, match=reason):
         Elevation(heights, resolution)
 
@@ -75,20 +69,21 @@ def test_bad_elevations_are_refused(heights, resolution, reason):
 def test_thin_roads_survive_on_coarser_cells():
     roads = np.zeros((100, 100))
     roads[50] = 1
-    mask = mask_from(Raster(roads, 10.0, 10.0), Elevation(np.zeros((14, 14)), 70.0))
+    mask = mask_from_raster(Raster(roads, 10.0, 10.0), Elevation(np.zeros((14, 14)), 70.0))
     assert mask[7].all() and mask.sum() == 14
 
 
 def test_wide_roads_have_no_holes_on_finer_cells():
     roads = np.zeros((10, 10))
     roads[4] = 1
-    mask = mask_from(Raster(roads, 70.0, 70.0), Elevation(np.zeros((70, 70)), 10.0))
+    mask = mask_from_raster(Raster(roads, 70.0, 70.0), Elevation(np.zeros((70, 70)), 10.0))
     assert mask[28:35].all() and mask.sum() == 7 * 70
 
 
-def test_roads_that_cover_other_ground_are_refused():
-    with pytest.raises(InvalidTerrain, match='same ground'):
-        mask_from(Raster(np.zeros((50, 50)), 10.0, 10.0), Elevation(np.zeros((60, 50)), 10.0))
+def test_rejects_roads_that_cover_another_area():
+    elevation = Elevation(np.zeros((60, 50)), 10.0)
+    with pytest.raises(InvalidTerrain, match='same area'):
+        mask_from_raster(Raster(np.zeros((50, 50)), 10.0, 10.0), elevation)
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.5, 90.0))
@@ -105,17 +100,7 @@ def test_slope_is_exact_inside_a_paraboloid():
     np.testing.assert_allclose(slope(elevation)[1:-1, 1:-1], exact[1:-1, 1:-1], atol=2e-5)
 
 
-def test_slope_nears_that_of_a_sine_with_the_square_of_the_cells():
-    errors = []
-    for cells in (50, 100, 200):
-        x = (np.arange(cells) + 0.5) * (1000.0 / cells)
-        elevation = Elevation(np.tile(30.0 * np.sin(x / 80.0), (4, 1)), 1000.0 / cells)
-        exact = np.abs(30.0 / 80.0 * np.cos(x / 80.0))
-        errors.append(np.abs(slope(elevation)[1] - exact)[2:-2].max())
-    assert errors[0] > 3.5 * errors[1] > 12.0 * errors[2]
-
-
-def test_unknown_ground_makes_no_cliff_and_has_no_slope():
+def test_unknown_terrain_makes_no_cliff_and_has_no_slope():
     heights = 500.0 + plane(20, 20, 0.1, 0.0)
     heights[5:9, 5:9] = np.nan
     result = slope(Elevation(heights, 1.0))
@@ -134,7 +119,7 @@ def naive_depth(heights, resolution, radius):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 15.9))
-def test_depth_is_that_of_the_disc(seed, radius):
+def test_depth_matches_a_brute_force_search_of_the_disc(seed, radius):
     rng = np.random.default_rng(seed)
     heights = rng.normal(size=(13, 17)).astype(np.float32)
     heights[rng.random(heights.shape) < 0.1] = np.nan

@@ -1,8 +1,8 @@
-"""Convoys of one day: their joint law by enumeration, its effect, and when there is none."""
+"""Convoys of one day: their joint distribution by enumeration, its effect, and impossible days."""
 
 import math
 from collections import Counter
-from itertools import permutations, product
+from itertools import product
 
 import networkx
 import numpy as np
@@ -22,7 +22,7 @@ from ambush_planner import (
     sample_departures,
     solve,
 )
-from ambush_planner.routes.days import Middle, _Beside, draw_days
+from ambush_planner.routes.days import MiddleSection, _ConditionalFlow, draw_days
 
 SHARES = st.sampled_from((0.0, 0.3, 0.5, 0.9, 1.0))
 
@@ -42,7 +42,7 @@ def corridors(*alphas):
 
 def exact_law(strategy, n, distinct):
     """The chance of each day of n routes, by multiplying out."""
-    law, nodes = routes_with_probabilities(strategy), Middle(strategy, distinct).nodes
+    law, nodes = routes_with_probabilities(strategy), MiddleSection(strategy, distinct).nodes
     found = {}
     for day in product(law, repeat=n):
         driven = [j for route in day for j in route if nodes[j]]
@@ -53,13 +53,13 @@ def exact_law(strategy, n, distinct):
 
 @examples(40)
 @given(networks(), SHARES, st.integers(1, 3))
-def test_the_effect_is_that_of_all_days(network, distinct, n):
+def test_conditional_flows_average_to_the_exact_distribution(network, distinct, n):
     """Beside each day of n - 1, the flow of one more; over all of them, the exact marginal."""
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
     assume(len(routes_with_probabilities(strategy)) <= 12)
     law = exact_law(strategy, n, distinct)
     others = exact_law(strategy, n - 1, distinct)
-    beside, middle = _Beside(strategy), Middle(strategy, distinct)
+    beside, middle = _ConditionalFlow(strategy), MiddleSection(strategy, distinct)
     chance, flow = 0.0, np.zeros(len(network.edges))
     for day, probability in others.items():
         z, p = beside.flow(middle, [[np.array(route) for route in day]])
@@ -75,24 +75,24 @@ def test_the_effect_is_that_of_all_days(network, distinct, n):
 
 @examples(40)
 @given(networks(), SHARES, st.integers(1, 3), st.integers(0, 9))
-def test_days_are_distinct_or_there_is_no_room(network, distinct, n, seed):
+def test_days_are_distinct_or_impossible(network, distinct, n, seed):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
-    middle = Middle(strategy, distinct)
+    middle = MiddleSection(strategy, distinct)
     try:
         routes = sample_departures(strategy, n, np.random.default_rng(seed), distinct)
     except NotDistinct:
-        assert middle.most(n) < n
+        assert middle.max_disjoint(n) < n
         return
-    assert len(routes) == n and middle.most(n) == n
+    assert len(routes) == n and middle.max_disjoint(n) == n
     driven = [j for route in routes for j in route.tolist() if middle.nodes[j]]
     assert len(driven) == len(set(driven))
 
 
 @examples(30)
 @given(networks(), SHARES)
-def test_how_many_can_be_apart_is_a_flow(network, distinct):
+def test_the_number_of_disjoint_routes_is_a_maximum_flow(network, distinct):
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
-    middle = Middle(strategy, distinct)
+    middle = MiddleSection(strategy, distinct)
     graph = networkx.DiGraph()
     for j in range(len(network.points)):
         graph.add_edge(('in', j), ('out', j), capacity=1 if middle.nodes[j] else 4)
@@ -100,10 +100,10 @@ def test_how_many_can_be_apart_is_a_flow(network, distinct):
         if p > 0.0:
             graph.add_edge(('out', tail), ('in', head), capacity=4)
     ends = ('in', network.source), ('out', network.target)
-    assert middle.most(4) == networkx.maximum_flow_value(graph, *ends)
+    assert middle.max_disjoint(4) == networkx.maximum_flow_value(graph, *ends)
 
 
-def test_three_ways_by_hand():
+def test_three_parallel_ways_by_hand():
     """Ways with chances 1/2, 1/4, 1/4: two distinct convoys drive the first with 0.4 each."""
     strategy = solve(corridors(1.0, 2.0, 2.0), options=StrategyOptions(max_detour=3.0,
                                                                        risk_slack=0.0))
@@ -118,7 +118,7 @@ def test_three_ways_by_hand():
     assert 0.0 < effect.standard_error < 0.01
 
 
-def test_one_convoy_has_the_published_law():
+def test_one_convoy_follows_the_strategy():
     strategy = solve(corridors(1.0, 2.0, 3.0), options=StrategyOptions(max_detour=3.0))
     effect = day_effect(strategy, 1, np.random.default_rng(1), 1.0, days=50)
     np.testing.assert_allclose(effect.visit_probability, strategy.visit_probability, atol=1e-9)
@@ -126,7 +126,7 @@ def test_one_convoy_has_the_published_law():
     assert effect.value == pytest.approx(strategy.value)
 
 
-def test_days_are_drawn_by_their_law():
+def test_days_are_drawn_with_their_exact_probabilities():
     strategy = solve(corridors(1.0, 2.0, 2.0, 5.0), options=StrategyOptions(max_detour=3.0))
     law = exact_law(strategy, 2, 0.5)
     total = sum(law.values())
@@ -139,7 +139,7 @@ def test_days_are_drawn_by_their_law():
     assert share == pytest.approx(total, abs=0.02)
 
 
-def test_the_standard_error_is_one():
+def test_the_standard_error_matches_the_spread_of_estimates():
     """Over many estimates the error at the worst site is as large as they say."""
     strategy = solve(corridors(1.0, 1.5, 2.0, 5.0), options=StrategyOptions(max_detour=3.0))
     law = exact_law(strategy, 2, 0.5)
@@ -153,44 +153,37 @@ def test_the_standard_error_is_one():
 
 
 @pytest.mark.parametrize('distinct', [0.0, 0.2, 1.0])
-def test_edges_across_count_as_middle(distinct):
+def test_edges_across_the_middle_section_count(distinct):
     """Two convoys cannot both take the one edge that leads from before the middle behind it."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (9.0, 0.0), (10.0, 0.0), (5.0, 9.0)])
     edges = np.array([(0, 1), (1, 2), (2, 3), (0, 4), (4, 3)])
     network = Network(points, np.array([0.0, 1.0, 1.0, 0.0, 1.0]), edges, 0, 3)
     strategy = solve(network, options=StrategyOptions(max_detour=5.0))
-    nodes = Middle(strategy, distinct).nodes
+    nodes = MiddleSection(strategy, distinct).nodes
     assert nodes.tolist() == [False, distinct > 0.0, distinct == 1.0, False, distinct > 0.0]
 
 
-def test_a_bottleneck_is_told():
+def test_reports_a_bottleneck():
     points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (4.0, 0.0)])
     edges = np.array([(0, 1), (0, 2), (1, 3), (2, 3), (3, 4)])
     strategy = solve(Network(points, np.array([0.0, 1.0, 1.0, 1.0, 0.0]), edges, 0, 4))
-    told = r'2 routes .* middle 60 % .* no more than 1 can be; plan fewer convoys'
+    told = r'2 routes .* middle 60 % .* at most 1 can be; plan fewer convoys'
     with pytest.raises(NotDistinct, match=told):
         sample_departures(strategy, 2, np.random.default_rng(1), 0.6)
-    with pytest.raises(NotDistinct, match='no more than 1'):
+    with pytest.raises(NotDistinct, match='at most 1'):
         day_effect(strategy, 2, np.random.default_rng(1), 0.6)
 
 
-def test_too_rare_is_told():
+def test_reports_that_distinct_days_are_too_rare():
     strategy = solve(corridors(*[1.0] * 6), options=StrategyOptions(max_detour=3.0))
-    told = 'in 0 of 5 tries: routes that are, are too rare'
+    told = 'in 0 of 5 tries: distinct routes are too rare'
     with pytest.raises(NotDistinct, match=told):
         sample_departures(strategy, 6, np.random.default_rng(1), 0.5, tries=5)
     routes = sample_departures(strategy, 6, np.random.default_rng(1), 0.5)
     assert sorted(route[2] for route in routes) == [2, 5, 8, 11, 14, 17]
 
 
-def test_the_order_of_a_day_says_nothing():
-    strategy = solve(corridors(1.0, 2.0, 5.0), options=StrategyOptions(max_detour=3.0))
-    law = exact_law(strategy, 3, 0.5)
-    for day, chance in law.items():
-        assert all(law[each] == pytest.approx(chance) for each in permutations(day))
-
-
-def test_bad_options_are_refused():
+def test_rejects_bad_options():
     strategy = solve(corridors(1.0, 2.0))
     rng = np.random.default_rng(1)
     for n, options in ((0, {}), (2, {'distinct': 1.5}), (2, {'distinct': -0.1}),
@@ -201,11 +194,11 @@ def test_bad_options_are_refused():
         day_effect(strategy, 2, rng, days=3)
 
 
-def test_trips_with_stops_are_refused():
+def test_rejects_trips_with_stops():
     """Two convoys there can share a place in different legs."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     network = Network(
         np.concatenate((points, points)), np.zeros(6), np.array([(0, 4), (4, 5)]), 0, 5, legs=2
     )
-    with pytest.raises(InvalidOption, match='by way of stops'):
+    with pytest.raises(InvalidOption, match='cannot have stops'):
         sample_departures(solve(network), 2, np.random.default_rng(0))
