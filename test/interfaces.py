@@ -83,7 +83,7 @@ def _generate(folder, package, source):
     for generator in (C, FAST_DDS, INTROSPECTION):
         template = SHARE / generator / 'resource' / f'{generator}__visibility_control.h.in'
         header = folder / generator / package / 'msg' / template.stem
-        header.parent.mkdir(parents=True)
+        header.parent.mkdir(parents=True, exist_ok=True)
         header.write_text(template.read_text().replace('@PROJECT_NAME@', package).replace(
             '@PROJECT_NAME_UPPER@', package.upper()))
 
