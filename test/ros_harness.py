@@ -41,7 +41,7 @@ SMALL = {'network.spacing': 1.0}
 @contextmanager
 def free_domain():
     """A domain id that no other test on this machine uses at the same time."""
-    # Those over 50 are the demo's and the benchmarks' (tools/node_process.py).
+    # Those over 50 are the demo's and the benchmarks' (commands/node_process.py).
     for domain in range(1, 51):
         if (lock := lock_domain(domain)) is not None:
             with lock:
@@ -218,7 +218,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
-        stack.enter_context(mock.patch.object(dispatcher, '_LAST_RECORDINGS', TIMEOUT))
+        stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )
