@@ -1,10 +1,11 @@
-"""Each row of the documented table of bad input, tried on one node that lives through all."""
+"""Each row of the documented table of bad input, tried on one node, which survives them all."""
 
 import math
 import re
 from contextlib import ExitStack
 from pathlib import Path
 
+import interfaces
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
@@ -28,22 +29,22 @@ from ros_harness import (
     stage_in,
     wait_until,
 )
-from standin_types import grid_update, message_type
 from std_srvs.srv import Trigger
 from test_conversions import turned
 from test_long_solves import NORTH, QUICK, solving, use
 
-from ambush_planner.ros import subscriptions
 from ambush_planner.ros.qos import REQUESTS
 
-UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
+interfaces.install('map_msgs')
+from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
+
 REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
 NAN = math.nan
 
 
 def table_of(heading):
-    """First cell of each row below a heading of the reference -> the other cells."""
+    """Return {first cell: other cells} of the table below a heading of the reference."""
     section = REFERENCE.read_text().split(f'\n## {heading}\n')[1].split('\n#')[0]
     lines = [line.strip('|').split('|') for line in section.splitlines() if line.startswith('|')]
     return {first.strip(): [cell.strip() for cell in cells] for first, *cells in lines[2:]}
@@ -60,7 +61,7 @@ def running():
 
 
 def refused_maps(*names):
-    """Publish each map; the last good one stays in force."""
+    """Publish each map; the last good one stays."""
     def attempt(running: Stage):
         for name in names:
             message, words = BAD_MAPS[name]
@@ -75,7 +76,7 @@ def refused_maps(*names):
 
 
 def plans(*trips):
-    """Ask for plans that cannot be made, and return the code that all of them have."""
+    """Request impossible plans, and return their code."""
     def attempt(running: Stage):
         codes = set()
         for start, goal in trips:
@@ -147,15 +148,13 @@ def two_maps(running):
 
 def bad_updates(_):
     codes = set()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(subscriptions, 'OccupancyGridUpdate', UPDATE)
-        with stage() as fresh:
-            for x, code in ((0, 'NO_MAP'), (19, 'INVALID_MAP')):
-                fresh.client.publish(
-                    'alpha_map_updates', grid_update('map', x, 0, [[1, 2]]), UPDATE)
-                codes.add(fresh.client.diagnostics(code=code, level=b'\2')['code'])
-                fresh.give()
-                fresh.client.diagnostics(code='NONE')
+    with stage() as fresh:
+        for x, code in ((0, 'NO_MAP'), (19, 'INVALID_MAP')):
+            fresh.client.publish('alpha_map_updates', OccupancyGridUpdate(
+                header=header(), x=x, width=2, height=1, data=[1, 2]))
+            codes.add(fresh.client.diagnostics(code=code, level=b'\2')['code'])
+            fresh.give()
+            fresh.client.diagnostics(code='NONE')
     return ' or '.join(sorted(codes))
 
 
@@ -182,7 +181,7 @@ def new_goal_during_a_solve(_):
 
 
 def many_calls(_):
-    """As many as tell whether calls get lost; benchmarks/node_load.py makes the thousand."""
+    """Some of the thousand calls of benchmarks/node_load.py."""
     count = 200
     with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
         busy.give()
@@ -205,7 +204,7 @@ def many_calls(_):
 
 
 def refused_parameters(*changes):
-    """Parameters that are refused with a reason, and change nothing."""
+    """Set parameters that are refused with a reason."""
     def attempt(running: Stage):
         for values, reason in changes:
             result = running.planner.set_parameters_atomically(
@@ -247,8 +246,8 @@ ROWS = {
     'start or goal in an obstacle': plans(
         (pose(*BLOCK), pose(*GOAL)), (pose(*START), pose(*BLOCK))),
     'start and goal at the same position': plans((pose(*START), pose(*START))),
-    'a stop outside the map, in an obstacle, or where the one before is': bad_stops,
-    'pose in another frame that TF does not know, or in none': plans(
+    'a stop outside the map, in an obstacle, or at the previous stop': bad_stops,
+    'pose without a frame, or in one that TF does not know': plans(
         (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
     'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
@@ -258,8 +257,8 @@ ROWS = {
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
     'an unknown parameter': unknown_parameter,
     'two maps in quick succession': two_maps,
-    'a map update that does not fit the map, or comes before one': bad_updates,
-    'more solves asked for than may wait': full_queue,
+    'a map update that does not fit the map, or arrives before it': bad_updates,
+    'more solves than may wait': full_queue,
     'another goal while a solve runs': new_goal_during_a_solve,
     '1000 calls at once from 4 clients': many_calls,
 }
@@ -273,4 +272,4 @@ def test_the_table_has_the_rows_that_are_tried():
 def test_row(running, name):
     code = TABLE[name][-1].strip('`')
     assert ROWS[name](running) == code
-    assert running.client.call('new_route').success, 'and the node goes on'
+    assert running.client.call('new_route').success

@@ -223,7 +223,7 @@ def test_a_route_that_is_waited_for_when_publishing_ends_is_not_published(monkey
         call = GetPlan.Request(start=pose(*START), goal=pose(*GOAL))
         waiting = client.send('new_route'), client.send('get_plan', call)
         assert begun.wait(TIMEOUT)
-        queue = running.planner._dispatcher._plans._solves
+        queue = running.planner._dispatcher._plans._queue
         wait_until(lambda: queue._running.waiters == 2, 'both requests')
         running.planner.set_parameters([Parameter('path.publish', value=False)])
         go_on.set()
