@@ -10,6 +10,7 @@ from typing import Any
 
 import node_rig
 import numpy as np
+from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
@@ -27,13 +28,14 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 sys.path.append(str(node_rig.TESTS))
-from standin_types import grid_update, message_type  # noqa: E402
+import interfaces  # noqa: E402
 
 from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 
 Random = np.random.Generator
-GRID_UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
+interfaces.install('map_msgs')
+from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
 
 SIDE = 10.0  # of the map in force [m]
 _ODD = (float('nan'), float('inf'), -float('inf'), -0.0, 5e-324, 1e-30, 1e30, 1.8e308, -1.0)
@@ -79,7 +81,7 @@ def good_pose(x: float, y: float) -> PoseStamped:
 
 def _bytes_on_a_topic(rng: Random) -> Attack:
     kind, topic, make = _pick(rng, (
-        (OccupancyGrid, '/alpha_map', _map), (GRID_UPDATE, '/alpha_map_updates', _update),
+        (OccupancyGrid, '/alpha_map', _map), (OccupancyGridUpdate, '/alpha_map_updates', _update),
         (PoseStamped, '/start_pose', _pose_stamped),
         (PoseStamped, '/goal_pose', _pose_stamped),
         (PoseWithCovarianceStamped, '/initialpose', _estimate),
@@ -167,12 +169,17 @@ def _map(rng: Random) -> OccupancyGrid:
     return made
 
 
-def _update(rng: Random) -> bytes:
+def _update(rng: Random) -> OccupancyGridUpdate:
     """Most of them lie within a map of ``SIDE``, some beside it, and few on the good one."""
     values = rng.integers(*_pick(rng, ((0, 60), (0, 101), (-128, 128))), rng.integers(0, 6, 2))
     x, y = rng.integers(-2, 20, 2).tolist() if rng.random() < 0.9 else (-(2**31), 2**31 - 1)
     frame = 'map' if rng.random() < 0.8 else _pick(rng, _NAMES)
-    return grid_update(frame, x, y, values, (int(rng.integers(2**31)), int(rng.integers(2**32))))
+    stamp = Time(sec=int(rng.integers(2**31)), nanosec=int(rng.integers(2**32)))
+    height, width = map(int, values.shape)
+    return OccupancyGridUpdate(
+        header=Header(frame_id=frame, stamp=stamp), x=x, y=y, width=width, height=height,
+        data=values.ravel().tolist(),
+    )
 
 
 def _pose_stamped(rng: Random) -> PoseStamped:

@@ -160,7 +160,7 @@ def main() -> int:
     try:
         with ExitStack() as stack:
             folder = stack.enter_context(scratch())
-            give_nodes_map_updates(folder)
+            give_nodes_map_updates()
             rig = stack.enter_context(running_node(folder, NODE))
             try:
                 with Caller(rig.domain, rig.process.check) as caller:

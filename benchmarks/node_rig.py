@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import statistics
 import subprocess
@@ -97,18 +96,12 @@ def scratch() -> Iterator[Path]:
         yield Path(name)
 
 
-def give_nodes_map_updates(folder: Path) -> None:
-    """Let nodes started from now on have ``map_msgs``, or a stand-in where there is none."""
-    if importlib.util.find_spec('map_msgs') is not None:
-        return
-    package = folder / 'standins' / 'map_msgs'
-    package.mkdir(parents=True)
-    (package / '__init__.py').touch()
-    (package / 'msg.py').write_text(
-        "from standin_types import standin\n"
-        "OccupancyGridUpdate = standin('map_msgs', 'OccupancyGridUpdate')\n"
-    )
-    added = (str(package.parent), str(TESTS), os.environ.get('PYTHONPATH', ''))
+def give_nodes_map_updates() -> None:
+    """Let nodes started from now on have ``map_msgs``."""
+    sys.path.append(str(TESTS))
+    import interfaces
+    interfaces.install('map_msgs')
+    added = (str(interfaces.BUILT / 'map_msgs'), os.environ.get('PYTHONPATH', ''))
     os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, added))
 
 

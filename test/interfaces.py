@@ -74,15 +74,23 @@ def install(package):
         return
     if why := _missing():
         pytest.skip(why, allow_module_level=True)
-    BUILT.mkdir(exist_ok=True)
-    with (BUILT / 'lock').open('w') as lock:
+    folder = BUILT / package
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / 'lock').open('w') as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (BUILT / package).exists():
-            with tempfile.TemporaryDirectory() as folder:
-                built = build_interface(Path(folder), package, *DEFINITIONS[package])
-                shutil.copytree(built / package, BUILT / package)
-    sys.path.append(str(BUILT))
+        if not (folder / package).exists():
+            with tempfile.TemporaryDirectory() as scratch:
+                built = _build(Path(scratch), package, *DEFINITIONS[package])
+                shutil.copytree(built / package, folder / package)
+    sys.path.append(str(folder))
     invalidate_caches()
+
+
+def uninstall(package):
+    """Undo ``install`` for the tests that follow in this process."""
+    sys.path[:] = [path for path in sys.path if path != str(BUILT / package)]
+    for name in [name for name in sys.modules if name.split('.')[0] == package]:
+        del sys.modules[name]
 
 
 def _missing():
@@ -94,8 +102,8 @@ def _missing():
     return '' if Path(sysconfig.get_path('include'), 'Python.h').is_file() else 'no Python.h'
 
 
-def build_interface(folder, package, name, definition):
-    """Build an interface, like 'action/Name.action', and return what ``sys.path`` needs."""
+def _build(folder, package, name, definition):
+    """Build an interface and return the folder of its package."""
     source = folder / package / name
     source.parent.mkdir(parents=True)
     source.write_text(definition)

@@ -44,7 +44,8 @@ CODES = {
 def action():
     """The action's type."""
     interfaces.install('nav2_msgs')
-    return import_module('nav2_msgs.action').ComputePathToPose
+    yield import_module('nav2_msgs.action').ComputePathToPose
+    interfaces.uninstall('nav2_msgs')
 
 
 class Goals:
