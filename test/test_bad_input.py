@@ -10,7 +10,7 @@ from ros_harness import pose, risk_grid, stage
 from ambush_planner.ros.inputs import Trip
 
 NAN = math.nan
-START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
+START, GOAL = (1.5, 5.5), (8.5, 5.5)
 
 
 @pytest.fixture(scope='module')
@@ -48,38 +48,6 @@ def test_without_a_map_the_answer_names_the_fault_of_the_refused_one():
         answer = running.client.call_until('new_route', lambda answer: 'refused' in answer.message)
         assert not answer.success
         assert '101 at (row, column) (0, 1)' in answer.message
-
-
-BAD_TRIPS = {
-    'start in an obstacle': (pose(*BLOCK), pose(*GOAL), 'START_OCCUPIED',
-                             'start (5.000, 5.500) lies in an obstacle'),
-    'start outside': (pose(-1, 5), pose(*GOAL), 'START_OUTSIDE_MAP',
-                      'start (-1.000, 5.000) is outside the map, which is 10 m x 10 m'),
-    'goal in an obstacle': (pose(*START), pose(*BLOCK), 'GOAL_OCCUPIED',
-                            'goal (5.000, 5.500) lies in an obstacle'),
-    'goal outside': (pose(*START), pose(5, 11), 'GOAL_OUTSIDE_MAP',
-                     'goal (5.000, 11.000) is outside the map, which is 10 m x 10 m'),
-    'equal': (pose(*START), pose(*START), 'INVALID_NETWORK', 'the same position, (1.5, 5.5)'),
-    'start NaN': (pose(NAN, 1), pose(*GOAL), 'INVALID_POSE', 'start: position (nan, 1.0, 0.0)'),
-    'goal NaN': (pose(*START), pose(1, NAN), 'INVALID_POSE', 'goal: position (1.0, nan, 0.0)'),
-    'goal infinite': (pose(*START), pose(math.inf, 1), 'INVALID_POSE', '(inf, 1.0, 0.0)'),
-    'yaw NaN': (pose(*START), pose(*GOAL, NAN), 'INVALID_POSE', 'goal: orientation'),
-    'start in another frame': (pose(*START, frame='odom'), pose(*GOAL), 'TF_ERROR',
-                               "start is given in the frame 'odom', the map in 'map'"),
-    'goal in another frame': (pose(*START), pose(*GOAL, frame='odom'), 'TF_ERROR',
-                              "goal is given in the frame 'odom', the map in 'map'"),
-    'goal without a frame': (pose(*START), pose(*GOAL, frame=''), 'TF_ERROR',
-                             "goal is given in the frame '', the map in 'map'"),
-}
-
-
-@pytest.mark.parametrize('name', BAD_TRIPS)
-def test_bad_request_has_an_empty_path_and_a_reason(client, name):
-    start, goal, code, words = BAD_TRIPS[name]
-    assert not client.get_plan(start, goal).poses
-    assert words in client.diagnostics(code=code, level=b'\2')['message']
-    assert client.get_plan(pose(*START), pose(*GOAL)).poses
-    client.diagnostics(code='NONE')
 
 
 def test_a_bad_pose_on_a_topic_replaces_the_last_one(client):

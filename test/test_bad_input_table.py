@@ -76,14 +76,15 @@ def refused_maps(*names):
 
 
 def plans(*trips):
-    """Request impossible plans, and return their code."""
+    """Request impossible plans (start, goal, words of the reason), and return their codes."""
     def attempt(running: Stage):
         codes = set()
-        for start, goal in trips:
+        for start, goal, words in trips:
             running.client.get_plan(pose(*START), pose(*GOAL))
             running.client.diagnostics(code='NONE')
             assert not running.client.get_plan(start, goal).poses
             codes.add(_error_code(running.client))
+            assert words in running.client.diagnostics()['message']
         return ' or '.join(sorted(codes, reverse=True))
     return attempt
 
@@ -237,18 +238,23 @@ ROWS = {
     'map without a frame': refused_maps('no frame'),
     'all cells unknown': all_unknown,
     'pose not finite': plans(
-        (pose(NAN, 1), pose(*GOAL)), (pose(*START), pose(1, math.inf))),
+        (pose(NAN, 1), pose(*GOAL), 'start: position (nan, 1.0, 0.0)'),
+        (pose(*START), pose(1, math.inf), 'goal: position (1.0, inf, 0.0)')),
     'orientation not a unit quaternion': plans(
-        (turned(w=0.0), pose(*GOAL)), (pose(*START), turned(w=1.0, z=1.0)),
-        (pose(*START), pose(*GOAL, NAN))),
+        (turned(w=0.0), pose(*GOAL), 'start: orientation'),
+        (pose(*START), pose(*GOAL, NAN), 'goal: orientation')),
     'start or goal outside the map': plans(
-        (pose(-1, 5), pose(*GOAL)), (pose(*START), pose(5, 11))),
+        (pose(-1, 5), pose(*GOAL), 'start (-1.000, 5.000) is outside the map, which is 10 m x'),
+        (pose(*START), pose(5, 11), 'goal (5.000, 11.000) is outside the map, which is 10 m x')),
     'start or goal in an obstacle': plans(
-        (pose(*BLOCK), pose(*GOAL)), (pose(*START), pose(*BLOCK))),
-    'start and goal at the same position': plans((pose(*START), pose(*START))),
+        (pose(*BLOCK), pose(*GOAL), 'start (5.000, 5.500) lies in an obstacle'),
+        (pose(*START), pose(*BLOCK), 'goal (5.000, 5.500) lies in an obstacle')),
+    'start and goal at the same position': plans(
+        (pose(*START), pose(*START), 'the same position, (1.5, 5.5)')),
     'a stop outside the map, in an obstacle, or at the previous stop': bad_stops,
     'pose without a frame, or in one that TF does not know': plans(
-        (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
+        (pose(*START, frame='odom'), pose(*GOAL), "in the frame 'odom', the map in 'map'"),
+        (pose(*START), pose(*GOAL, frame=''), "goal is given in the frame '', the map in 'map'")),
     'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
         ({'map.alpha_min': 20.0, 'map.alpha_max': 10.0}, 'map.alpha_min'),

@@ -14,7 +14,6 @@ from ambush_planner.commands import verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.recordings.recorded_case import Case
-from ambush_planner.recordings.strategy_file import strategy_file, strategy_from_file
 from ambush_planner.ros.inputs import MOST_STOPS
 
 STOPS = ((2.5, 2.25), (7.0, 8.5), (7.25, 2.5))
@@ -104,15 +103,6 @@ def test_recordings_of_trips_hold(runs, capsys):
 def by_stops(files, count=3):
     return next(path for path, trip in zip(files, trips(files), strict=True)
                 if len(trip.stops) == count)
-
-
-def test_a_strategy_file_keeps_the_legs(runs):
-    case = Case(read_departure(by_stops(runs[0])))
-    strategy = case.strategy()
-    again = strategy_from_file(strategy_file(strategy), case.parameters.planning.game)
-    assert again.network.legs == strategy.network.legs
-    assert np.array_equal(again.network.stops, strategy.network.stops)
-    assert again.value == strategy.value
 
 
 def test_a_replayed_trip_is_planned_again(runs):
