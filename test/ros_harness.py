@@ -1,4 +1,4 @@
-"""A running planner node and a client beside it, apart from every other test and process."""
+"""A running planner node with a client, isolated from all other tests and processes."""
 
 import threading
 from contextlib import ExitStack, contextmanager
@@ -174,7 +174,7 @@ class Client:
 
 
 def whole_graph(node):
-    """Whether the graph has all that the planner's node has: it fills step by step."""
+    """Whether the graph has all topics and services of a node: discovery takes a while."""
     who = node.get_name(), node.get_namespace()
     topics = [{each.topic_name for each in made} for made in (node.publishers, node.subscriptions)]
     return all(

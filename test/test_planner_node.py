@@ -246,7 +246,7 @@ def test_diagnostics_have_stable_keys_once_a_second():
 
 def test_neither_seed_nor_route_is_logged_or_reported(capfd):
     with stage(parameters={'seed': 987654321}) as running:
-        # An origin that gives nodes coordinates like no other number that is told.
+        # An origin that gives the nodes distinctive coordinates.
         client = running.give(risk_grid(origin=(0.1234, 0.5678, 0.0)))
         path = departures(client, 1)[0]
         client.diagnostics(departures='1')
