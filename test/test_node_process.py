@@ -128,7 +128,7 @@ def test_a_solve_does_not_hold_up_the_exit_and_nothing_is_left(tmp_path, number)
             (worker,) = wait_until(lambda: _children(process.pid), 'a worker')
             ours = _shared_memory(process.pid) - _shared_memory('self') - shared
             assert exit_code(process, number) == 0
-            # A client that stands still for longer than the node stays may miss its answer.
+            # A client that is suspended for longer than the node stays may miss its answer.
             answers = {each.result().message for each in futures if each.done()}
             assert answers <= {'the planner is shutting down'}
     assert not Path('/proc', worker).exists(), 'no orphan'

@@ -9,6 +9,7 @@ from __future__ import annotations
 import array
 import math
 from collections import Counter
+from collections.abc import Mapping
 from contextlib import suppress
 from copy import deepcopy
 from itertools import pairwise
@@ -28,7 +29,6 @@ from visualization_msgs.msg import MarkerArray
 from ..game.strategy import Strategy
 from ..planning.plan import DRAWN, Plan, Route, departure_path
 from ..ros import markers
-from ..ros.conversions import message_of
 from ..ros.departure_path import path_between
 from ..ros.departure_record import INPUTS_LEAD_NS
 from ..ros.diagnostics import Status, status_to_ros
@@ -291,3 +291,27 @@ def _same_text(told: str | None, expected: str, tolerance: float) -> bool:
     except ValueError:
         return False
     return math.isclose(one, other, rel_tol=PROBABILITY_TOLERANCE, abs_tol=tolerance)
+
+
+def message_of(kind: Any, fields: Mapping[str, Any], but: tuple[str, ...] = ()) -> Any:
+    """Return the message with these fields: the inverse of ``fields_of``.
+
+    Raises
+    ------
+    ValueError
+        They are not those of the message, or have other types.
+    """
+    message = kind()
+    if set(fields) != set(message.get_fields_and_field_types()) - set(but):
+        raise ValueError(f'they are not the fields of a {kind.__name__}')
+    for name, value in fields.items():
+        default = getattr(message, name)
+        if hasattr(default, 'get_fields_and_field_types') and isinstance(value, dict):
+            value = message_of(type(default), value)
+        if type(value) is not type(default):
+            raise ValueError(f'{name} is not a {type(default).__name__}')
+        try:
+            setattr(message, name, value)
+        except AssertionError as error:
+            raise ValueError(f'{name} is out of its range') from error
+    return message

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import scipy
 from builtin_interfaces.msg import Time
-from nav_msgs.srv import GetPlan
 from rclpy.serialization import serialize_message
 from service_msgs.msg import ServiceEventInfo
 
@@ -23,9 +22,8 @@ from ..recordings import Attachment, RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.metadata import VIA, metadata_texts
 from ..recordings.strategy_file import STRATEGY_FILE
-from .cdr import plan_event_bytes
 from .conversions import fields_of
-from .current_map import Received
+from .current_map import ReceivedMessage
 from .departure_path import DeparturePath
 from .inputs import Trip
 from .plan_cache import CachedPlan
@@ -106,7 +104,7 @@ def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> 
     """Return what is needed to plan and draw the departure again, and hashes of all of it."""
     trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
     planned_on = planned.map.received
-    roles: dict[str, Received | RecordedMessage] = {
+    roles: dict[str, ReceivedMessage | RecordedMessage] = {
         'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
         **({VIA: trip.via} if trip.via else {}),
     }
@@ -150,7 +148,7 @@ def attachments(strategy: bytes, changes: bytes) -> list[Attachment]:
     return [Attachment(name, 'application/zip', data) for name, data in files.items()]
 
 
-def _received(received: Received, stamp_ns: int) -> RecordedMessage:
+def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:
     return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
 
 
@@ -183,11 +181,7 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> R
     )
     kind = departure.call.kind.Event
     topic = f'{departure.call.name}/_service_event'
-    event = kind(info=info, **content)
-    if kind is GetPlan.Event and 'response' in content:
-        data = plan_event_bytes(event, departure.published.data)
-    else:
-        data = serialize_message(event)
+    data = serialize_message(kind(info=info, **content))
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
 
 
