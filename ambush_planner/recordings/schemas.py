@@ -16,8 +16,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ament_index_python.packages import get_package_share_directory
-
 from .recording_errors import RecordingFailed
 
 _SEPARATOR = '=' * 80
@@ -122,6 +120,9 @@ def _read_interface(name: str, extension: str) -> str:
 
 
 def _share_folder(package: str) -> Path:
+    # Reading recordings needs neither ROS nor this module's definitions.
+    from ament_index_python.packages import get_package_share_directory
+
     try:
         return Path(get_package_share_directory(package))
     except (LookupError, OSError):
