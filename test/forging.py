@@ -9,7 +9,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import pose, stage
 
 from ambush_planner.commands.replay import _message_class
-from ambush_planner.recordings import Attachment, read_recording, recordings_in
+from ambush_planner.recordings import read_recording, recordings_in
 from ambush_planner.recordings.recording_file import encode
 
 NEW_ROUTE, AGAIN, MOVED_GOAL, GET_PLAN, SEEDED, SEEDED_AGAIN = range(6)
@@ -77,7 +77,5 @@ class Forger:
         self.attachments['strategy.npz'] = stream.getvalue()
 
     def save(self, path):
-        kind = 'application/zip'
-        files = [Attachment(name, kind, data) for name, data in self.attachments.items()]
-        path.write_bytes(encode(self.messages, self.entries, files, 'zstd'))
+        path.write_bytes(encode(self.messages, self.entries, self.attachments, 'zstd'))
         return path

@@ -20,7 +20,7 @@ from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recordings import Attachment, RecordedMessage, type_name
+from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.recording_file import encode
 from ambush_planner.recordings.schemas import load_definition
 
@@ -120,7 +120,7 @@ def small_departure(start_ns=START_NS):
             enumerate(rows)]
 
 
-STRATEGY = Attachment('strategy.npz', 'application/zip', b'not a strategy, but bytes')
+ATTACHMENTS = {'strategy.npz': b'not a strategy, but bytes'}
 
 
 def new_route_call(stamp_ns):
@@ -147,12 +147,12 @@ def metadata_entries():
 
 def file_of(messages, compression='zstd'):
     """The bytes of a whole recording of these messages."""
-    return encode(messages, metadata_entries(), [STRATEGY], compression)
+    return encode(messages, metadata_entries(), ATTACHMENTS, compression)
 
 
 def record(recorder, messages):
     """Record messages with the metadata of a departure."""
-    return recorder.record_departure(messages, metadata_entries(), [STRATEGY])
+    return recorder.record_departure(messages, metadata_entries(), ATTACHMENTS)
 
 
 def message_of(recorded):

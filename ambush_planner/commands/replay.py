@@ -20,9 +20,9 @@ NODE_NAME = 'ambush_replay'
 EPILOG = """\
 The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
 recorded distances in time; departures are --every seconds apart. Publishers are made first and
-wait for listeners on each topic for up to 3.5 s, with --inputs-only for up to 10 s. Recorded service calls go out on <service>/_service_event; no service is called. Latched
-messages are kept for late joiners until all listeners have them (for 30 s at most), or until
-Ctrl-C with --keep.
+wait for listeners on each topic for up to 3.5 s, with --inputs-only for up to 10 s. Recorded
+service calls go out on <service>/_service_event; no service is called. Latched messages are kept
+for late joiners until all listeners have them (for 30 s at most), or until Ctrl-C with --keep.
 Topics to publish, by their recorded names, follow --; remapping and node options follow
 --ros-args, as for any ROS executable:
   ambush_replay FOLDER --keep -- /alpha_map /path

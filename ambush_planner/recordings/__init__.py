@@ -6,7 +6,7 @@ that the recorded route and path follow from it. Nothing here needs a ROS node; 
 verifying need no ROS installation.
 """
 
-from .messages import Attachment, RecordedMessage, type_name
+from .messages import RecordedMessage, type_name
 from .recorded_departure import RecordedDeparture, read_departure
 from .recorded_departures import read_departures, recordings_in, source_findings
 from .recorder import Recorder
@@ -14,7 +14,6 @@ from .recording_errors import RecordingFailed, UnreadableRecording
 from .recording_file import RecordingFile, read_recording
 
 __all__ = [
-    'Attachment',
     'RecordedDeparture',
     'RecordedMessage',
     'Recorder',

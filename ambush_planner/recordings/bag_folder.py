@@ -8,8 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from .messages import RecordedMessage
@@ -19,39 +18,24 @@ from .schemas import load_definition
 FILE_NAME = 'metadata.yaml'
 
 
-class RecordedTopic(NamedTuple):
-    """A topic of one file."""
-
-    name: str
-    type: str
-    qos: str
-
-
-@dataclass(frozen=True)
-class BagFile:
-    """One MCAP file: its name in the folder, first and last time [ns], and messages by topic."""
+class BagFile(NamedTuple):
+    """One MCAP file: its name, first and last time [ns], and messages by (topic, type, QoS)."""
 
     name: str
     start_ns: int
     end_ns: int
-    counts: tuple[tuple[RecordedTopic, int], ...]
-
-    @property
-    def message_count(self) -> int:
-        """The number of messages."""
-        return sum(number for _, number in self.counts)
+    counts: tuple[tuple[tuple[str, str, str], int], ...]
 
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = Counter(RecordedTopic(each.topic, each.type, each.qos_text) for each in messages)
+    counts = Counter((each.topic, each.type, each.qos_text) for each in messages)
     return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, tuple(counts.items()))
 
 
-def bag_text(files: Iterable[BagFile]) -> bytes:
+def bag_text(files: Sequence[BagFile]) -> bytes:
     """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
-    files = list(files)
-    counts: Counter[RecordedTopic] = Counter()
+    counts: Counter[tuple[str, str, str]] = Counter()
     # Nearly all files have equal counts; adding them up one by one takes longer than recording.
     for equal, times in Counter(each.counts for each in files).items():
         for topic, number in equal:
@@ -68,14 +52,14 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
         'custom_data': {},
         'ros_distro': os.environ.get('ROS_DISTRO', ''),
         'topics_with_message_count': [
-            {'topic_metadata': _described(topic), 'message_count': count}
+            {'topic_metadata': _described(*topic), 'message_count': count}
             for topic, count in counts.items()
         ],
         'relative_file_paths': [each.name for each in files],
         'files': [
             {
                 'path': each.name, **_time_span(each.start_ns, each.end_ns),
-                'message_count': each.message_count,
+                'message_count': sum(number for _, number in each.counts),
             }
             for each in files
         ],
@@ -83,13 +67,13 @@ def bag_text(files: Iterable[BagFile]) -> bytes:
     return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
 
 
-def _described(topic: RecordedTopic) -> dict[str, Any]:
+def _described(topic: str, kind: str, qos: str) -> dict[str, Any]:
     return {
-        'name': topic.name,
-        'type': topic.type,
+        'name': topic,
+        'type': kind,
         'serialization_format': 'cdr',
-        'offered_qos_profiles': [fields_from_yaml(topic.qos)],
-        'type_description_hash': load_definition(topic.type).type_hash,
+        'offered_qos_profiles': [fields_from_yaml(qos)],
+        'type_description_hash': load_definition(kind).type_hash,
     }
 
 

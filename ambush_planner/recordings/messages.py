@@ -1,4 +1,4 @@
-"""The contents of a recording: messages as they travelled, and attached files."""
+"""Messages as they travelled."""
 
 from __future__ import annotations
 
@@ -39,15 +39,6 @@ class RecordedMessage:
     def qos_text(self) -> str:
         """The profile in the format of ``offered_qos_profiles``."""
         return self.qos if isinstance(self.qos, str) else qos_to_yaml(self.qos)
-
-
-@dataclass(frozen=True)
-class Attachment:
-    """A file inside the recording, like ``strategy.npz``."""
-
-    name: str
-    media_type: str
-    data: bytes
 
 
 def type_name(message: Any) -> str:

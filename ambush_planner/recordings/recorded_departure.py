@@ -43,43 +43,30 @@ class RecordedTrip:
 
 @dataclass(frozen=True, eq=False)
 class RecordedDeparture:
-    """A departure as it was recorded.
+    """A departure as it was recorded; equal strategies and equal maps are one object.
 
     Attributes
     ----------
-    path
-        The file.
     id, number
         Unique to the departure; its number in the node's run, from 1.
     stamp_ns
         When the path was published.
-    frame
-        The map's frame.
     call
-        The service call: ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and
-        the fields of ``request`` and ``response``.
+        ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and the fields of
+        ``request`` and ``response``.
     topics
-        The topics of map, start, goal and path, and of the stops (``via``) of a trip with stops.
-    versions
-        Versions of ambush_planner and of the software that it computed with.
-    parameters
-        All parameters of the node.
+        The topics of map, start, goal and path, and of the stops (``via``) if there are any.
     trip, ends
-        The planned trip, and the ends of the driven path, which may be near the trip's [m].
+        The planned trip, and the ends of the driven path, which may lie near the trip's [m].
     route : (K,)
-        Node indices.
-    route_entropy_source
-        The route was drawn by ``numpy.random.default_rng`` of this.
+        Node indices, drawn by ``numpy.random.default_rng(route_entropy_source)``.
     strategy, stated
         The recorded strategy, its certificate computed from its probabilities, and the numbers
-        that the file states. Equal strategies are one object, and so are equal maps.
+        that the file states.
     drawn_from
-        The strategy the route was drawn from: ``strategy``, or, if the map had changed, that
-        strategy given that its routes are clear on the newest map.
-    planned_on, newest
-        The map of the plan, and the map at the time of departure.
-    risk_map
-        The losses on ``planned_on``.
+        ``strategy``, or, if the map had changed, that strategy given that its routes are clear.
+    planned_on, newest, risk_map
+        The maps of the plan and at the time of departure; the losses of the former.
     """
 
     path: Path
@@ -123,8 +110,7 @@ class SharedParts:
     def __init__(self, most: int | None = None) -> None:
         self.strategy = lru_cache(most)(strategy_from_file)
         self.risk_map = lru_cache(most)(_risk_map)
-        self.drawn_from = lru_cache(most)(_drawn_from)
-        self.ground = lru_cache(most)(_ground)
+        self.conditioned = lru_cache(most)(_conditioned)
         self._message = lru_cache(most)(decode)
         self._map = lru_cache(most)(_map)
 
@@ -160,13 +146,11 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     strategy, stated = _part(
         file, STRATEGY_FILE, lambda: shared.strategy(file.attachments[STRATEGY_FILE], game)
     )
-    planned_on, risk_map = _part(file, 'map', lambda: _maps(file, occupancy, shared))
+    planned_on = _part(file, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
+    risk_map = _part(file, 'map', lambda: shared.risk_map(planned_on, occupancy))
     newest, drawn_from = planned_on, strategy
     if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
-        newest = _part(file, MAP_CHANGES_FILE, lambda: replace(
-            planned_on, values=changed_map(planned_on.values, changes)
-        ))
-        drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.drawn_from(
+        newest, drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
             strategy, planned_on, changes, occupancy, parameters.planning
         ))
 
@@ -185,7 +169,7 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
             (_position(entries['ends'][0]), _position(entries['ends'][1])),
             route, entries['route_entropy_source'], strategy, stated, drawn_from, planned_on,
             newest, risk_map,
-            (file.schemas[message.type].data.decode(), message.type, message.data),
+            file.defined(message),
         )
 
     return _part(file, 'metadata', read)
@@ -203,59 +187,52 @@ def _part(file: RecordingFile, name: str, read: Callable[[], _T]) -> _T:
         ) from error
 
 
-def _maps(
-    file: RecordingFile, options: OccupancyOptions, shared: SharedParts
-) -> tuple[OccupancyMap, RiskMap]:
-    message = file.in_role('map')
-    found = shared.map_in(file.schemas[message.type].data.decode(), message.type, message.data)
-    return found, shared.risk_map(found, options)
-
-
 def _map(
     cells: bytes, shape: tuple[int, int], resolution: float, origin: tuple[float, float, float]
 ) -> OccupancyMap:
     return OccupancyMap(np.frombuffer(cells, np.int8).reshape(shape), resolution, origin)
 
 
-def _risk_map(found: OccupancyMap, options: OccupancyOptions) -> RiskMap:
-    return risk_map_from_occupancy(found.values, found.resolution, found.origin, options)
+def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
+    return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
-def _ground(
+def ground_of(
     strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
     planning: PlanningOptions,
 ) -> tuple[Plan, ChangedGround]:
-    """The recorded strategy as a plan with corridors, and its ground."""
+    """Return a recorded strategy as a plan with corridors, and its ground."""
     risk_map, network = _risk_map(planned_on, options), planning.network
-    spacing = node_spacing(risk_map, network)
-    # The bottleneck and the count of paths decide neither routes nor paths.
-    plan: Any = Plan(strategy.network, strategy, None, None, planning, spacing, None, 0.0)
-    corridors = make_corridors(
-        strategy.network, risk_map, network.clearance, plan.tube, network.clear_of_edge
+    unused: Any = None  # neither routes nor paths depend on the bottleneck
+    plan = Plan(
+        strategy.network, strategy, unused, unused, planning, node_spacing(risk_map, network),
+        None, 0.0,
     )
-    plan = replace(plan, corridors=corridors)
+    plan = replace(plan, corridors=make_corridors(
+        strategy.network, risk_map, network.clearance, plan.tube, network.clear_of_edge
+    ))
     return plan, ChangedGround(plan, planned_on, options)
 
 
-def _drawn_from(
+def _conditioned(
     strategy: Strategy, planned_on: OccupancyMap, changes: bytes, options: OccupancyOptions,
     planning: PlanningOptions,
-) -> Strategy:
-    """The strategy given that its routes are clear on the changed map.
+) -> tuple[OccupancyMap, Strategy]:
+    """Return the changed map, and the strategy given that its routes are clear there.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
     """
-    plan: Any = Plan(strategy.network, strategy, None, None, planning, 0.0, None, 0.0)
     newest = replace(planned_on, values=changed_map(planned_on.values, changes))
-    lost = ChangedGround(plan, planned_on, options).lost(newest)
+    _, ground = ground_of(strategy, planned_on, options, planning)
+    lost = ground.lost(newest)
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
     ):
-        return strategy
+        return newest, strategy
     share, p = ConditionedStrategy(strategy).avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
-    return replace(
+    return newest, replace(
         strategy, edge_probability=frozen_array(p, np.float64),
         visit_probability=frozen_array(strategy.game.visits(p), np.float64),
         value=upper_bound(strategy.game, p),

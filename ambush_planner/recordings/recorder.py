@@ -18,7 +18,7 @@ from typing import Any
 from ..errors import InvalidOption
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_durably
-from .messages import Attachment, RecordedMessage
+from .messages import RecordedMessage
 from .recording_errors import recording_to
 from .recording_file import COMPRESSIONS, encode
 
@@ -63,7 +63,7 @@ class Recorder:
         self,
         messages: Sequence[RecordedMessage],
         entries: Mapping[str, Any],
-        attachments: Sequence[Attachment] = (),
+        attachments: Mapping[str, bytes],
     ) -> Path:
         """Write one departure to a file of its own and list it in the folder's metadata.yaml.
 
@@ -74,7 +74,7 @@ class Recorder:
         entries
             The entries of the metadata record, which JSON can hold.
         attachments
-            Files to be kept in the recording.
+            The contents of npz files to be kept in the recording, by name.
 
         Returns
         -------

@@ -17,7 +17,7 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from .messages import Attachment, RecordedMessage
+from .messages import RecordedMessage
 from .recording_errors import UnreadableRecording, reading_from
 from .schemas import load_definition
 
@@ -46,15 +46,15 @@ class RecordingFile:
         The metadata record, with each entry's JSON read.
     attachments
         The contents of attached files by name.
-    schemas
-        The message definitions by type name.
+    definitions
+        The texts of message definitions by type name.
     """
 
     path: Path
     messages: tuple[RecordedMessage, ...]
     entries: Mapping[str, Any]
     attachments: Mapping[str, bytes]
-    schemas: Mapping[str, records.Schema]
+    definitions: Mapping[str, str]
 
     def in_role(self, role: str) -> RecordedMessage:
         """Return the message in a role of the entry ``topics``, like ``map`` or ``path``."""
@@ -63,13 +63,17 @@ class RecordingFile:
 
     def decoded(self, message: RecordedMessage) -> Any:
         """Decode a message. Its arrays of int8 are ``bytes``, which numpy reads at once."""
-        return decode(self.schemas[message.type].data.decode(), message.type, message.data)
+        return decode(*self.defined(message))
+
+    def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:
+        """Return a message as ``decode`` takes it."""
+        return self.definitions[message.type], message.type, message.data
 
 
 def encode(
     messages: Sequence[RecordedMessage],
     entries: Mapping[str, Any],
-    attachments: Sequence[Attachment],
+    attachments: Mapping[str, bytes],
     compression: str,
 ) -> bytes:
     """Return the bytes of a whole file; ``messages`` are in the order of time.
@@ -88,8 +92,8 @@ def encode(
     writer.start(profile='ros2')
     texts = {name: json.dumps(value) for name, value in entries.items()}
     writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
-    for each in attachments:
-        writer.add_attachment(0, messages[0].stamp_ns, each.name, each.media_type, each.data)
+    for name, data in attachments.items():
+        writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
     schemas: dict[str, int] = {}
     channels: dict[tuple[str, str, str], int] = {}
     for message in messages:
@@ -179,5 +183,5 @@ def _contents(
     return RecordingFile(
         path, tuple(sorted(messages, key=lambda each: each.stamp_ns)), entries,
         {each.name: each.data for each in found if isinstance(each, records.Attachment)},
-        {each.name: each for each in schemas.values()},
+        {each.name: each.data.decode() for each in schemas.values()},
     )

@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 
@@ -22,22 +23,21 @@ NUMBERS = (
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
     'edge_entropy', 'route_entropy',
 )
+_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'legs')
+_PROBABILITIES = ('edge_probability', 'ambush_probability')
 # Radius of an ambush in the solved game [m]: the game's own plus the tube of the driven path.
 _REACH = 'reach'
 
 
 def strategy_file(strategy: Strategy) -> bytes:
     """Return the strategy and its network as an npz file."""
-    network, stream = strategy.network, BytesIO()
-    np.savez_compressed(
-        stream,
-        **{name: getattr(network, name) for name in ('points', 'alpha', 'edges')},
-        **{name: np.int64(getattr(network, name)) for name in ('source', 'target', 'legs')},
-        edge_probability=strategy.edge_probability,
-        ambush_probability=strategy.ambush_probability,
-        **{name: np.float64(getattr(strategy, name)) for name in NUMBERS},
-        **{_REACH: np.float64(strategy.game.ambush_radius)},
-    )
+    stream = BytesIO()
+    arrays: dict[str, Any] = {
+        **{name: getattr(strategy.network, name) for name in _NETWORK},
+        **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
+        _REACH: strategy.game.ambush_radius,
+    }
+    np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
 
@@ -65,9 +65,7 @@ def strategy_from_file(
         )
     game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
     stated = {name: float(content[name]) for name in NUMBERS}
-    p, q = (
-        frozen_array(content[f'{name}_probability'], np.float64) for name in ('edge', 'ambush')
-    )
+    p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
     if p.shape != (len(network.edges),) or q.shape != (len(network.points),) or not (
         (np.isfinite(p) & (p >= 0.0)).all() and (np.isfinite(q) & (q >= 0.0)).all()
     ):

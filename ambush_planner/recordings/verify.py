@@ -8,7 +8,7 @@ certificate alone proves how close the strategy is to the best one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from operator import attrgetter
@@ -23,7 +23,13 @@ from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
 from ..planning.plan import PlanningOptions, Route, departure_path, reach, with_cover
 from ..planning.trip import trip_network
-from .recorded_departure import RecordedDeparture, RecordedTrip, SharedParts, departure_in
+from .recorded_departure import (
+    RecordedDeparture,
+    RecordedTrip,
+    SharedParts,
+    departure_in,
+    ground_of,
+)
 from .recorded_departures import LEAST_BITS, source_findings
 from .recording_errors import UnreadableRecording
 from .recording_file import read_recording
@@ -82,6 +88,7 @@ class Verifier:
         self._replan = replan
         self._shared = SharedParts(_KEPT)
         self._network_problems = lru_cache(_KEPT)(network_problems)
+        self._ground = lru_cache(_KEPT)(ground_of)
         self._replan_problems = lru_cache(_KEPT)(replan_problems)
 
     def verify(self, path: Path) -> Verdict:
@@ -119,7 +126,7 @@ class Verifier:
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest = departure.parameters, departure.newest
-        plan, ground = self._shared.ground(
+        plan, ground = self._ground(
             departure.strategy, departure.planned_on, parameters.occupancy, parameters.planning
         )
         drawn = ground.draw(np.random.default_rng(departure.route_entropy_source), newest)
@@ -179,7 +186,7 @@ def network_problems(
 
 
 def certificate_problems(
-    strategy: Strategy, stated: dict[str, float], planning: PlanningOptions
+    strategy: Strategy, stated: Mapping[str, float], planning: PlanningOptions
 ) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
     problems = []

@@ -18,7 +18,7 @@ from service_msgs.msg import ServiceEventInfo
 
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
-from ..recordings import Attachment, RecordedMessage, type_name
+from ..recordings import RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.strategy_file import STRATEGY_FILE
 from .conversions import fields_of
@@ -136,7 +136,7 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
     }
 
 
-def attachments(departure: Departure, strategy: bytes) -> list[Attachment]:
+def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
     """Return the attached files: the strategy, and changes of the map since the plan, if any."""
     files = {STRATEGY_FILE: strategy}
     newest, planned_on = departure.trip.map, departure.held.trip.map
@@ -144,7 +144,7 @@ def attachments(departure: Departure, strategy: bytes) -> list[Attachment]:
         changes := map_changes_file(planned_on.values, newest.values)
     ):
         files[MAP_CHANGES_FILE] = changes
-    return [Attachment(name, 'application/zip', data) for name, data in files.items()]
+    return files
 
 
 def _received(received: Received, stamp_ns: int) -> RecordedMessage:
