@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
 from geometry_msgs.msg import PoseStamped
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
@@ -20,7 +21,6 @@ from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.planning.plan import PlanningOptions, plan
 from ambush_planner.recordings import Attachment, RecordedMessage
-from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
 START_NS = 1_700_000_000_000_000_000

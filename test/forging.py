@@ -48,6 +48,7 @@ class Forger:
 
     def __init__(self, path):
         file = read_recording(path)
+        self.path = path
         self.messages = list(file.messages)
         self.entries = dict(file.entries)
         self.attachments = dict(file.attachments)

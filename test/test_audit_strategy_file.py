@@ -5,12 +5,12 @@ import zipfile
 
 import numpy as np
 import pytest
+from ambush_planner.recordings.npz import BadAttachment
 from audit_samples import NUMBERS, npz, sample_plan, strategy_arrays
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from ambush_planner.game.game import GameOptions
-from ambush_planner.recordings.npz import BadAttachment
 from ambush_planner.recordings.strategy_file import strategy_from_file
 
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ambush_planner.recordings.recorded_case import Case
 from nav_msgs.srv import GetPlan
 from ros_harness import pose, risk_grid, stage
 
@@ -10,7 +11,6 @@ from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning import plan as planner
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.worker.process import WorkerProcess
 
 OPEN = np.full((40, 40), 10, dtype=np.int8)

@@ -7,6 +7,7 @@ from threading import Event
 
 import numpy as np
 import pytest
+from ambush_planner.recordings.recorded_case import Case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
@@ -26,7 +27,6 @@ from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import ChangedGround, Standing
 from ambush_planner.planning.plan import PlanningOptions, plan
 from ambush_planner.recordings import read_departure
-from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.ros import subscriptions
 from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.current_map import CurrentMap

@@ -13,7 +13,7 @@ from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
-from test_recording_faults import listed, small_disk
+from test_recorder import small_disk
 from waiting import TIMEOUT, stderr_in, unstamped
 
 from ambush_planner.recordings import Recorder
@@ -88,17 +88,16 @@ def test_recording_is_switched_off_and_on(tmp_path):
     assert len(recordings(tmp_path)) == 1
 
 
-def test_a_node_that_starts_puts_right_what_a_crash_has_left(tmp_path):
+def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
     with stage(tmp_path) as running:
         departs(running.give())
     (path,) = recordings(tmp_path)
-    whole = path.read_bytes()
-    path.with_name(f'{path.parent.name}_1.mcap.tmp').write_bytes(whole)
-    (path.parent / 'metadata.yaml').unlink()
+    left = path.with_name(f'{path.parent.name}_1.mcap.tmp')
+    left.write_bytes(b'half')
+    os.utime(left, (0.0, 0.0))
     with stderr_in(tmp_path / 'log') as said, stage(tmp_path):
-        wait_until(lambda: 'finished' in said(), 'the repair')
-    assert len(listed(path.parent)) == 2
-    assert [each.read_bytes() for each in recordings(tmp_path)] == [whole, whole]
+        wait_until(lambda: f'removed {left}' in said(), 'the warning')
+    assert not left.exists() and recordings(tmp_path) == [path]
 
 
 def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
@@ -116,14 +115,12 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
         try:
             departs(client)
             assert stuck.wait(TIMEOUT)
-            for _ in range(17):  # 16 are kept
+            for _ in range(5):  # the last one waits in vain, and goes without a recording
                 departs(client)
-            time.sleep(recordings_module._PATIENCE)
-            departs(client)
             report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
             assert 'wait for the disk, which does not answer' in report['message']
-            # Who waited now would not be answered in time: nobody has patience any more.
-            monkeypatch.setattr(recordings_module, '_LOOK_UP', 10 * TIMEOUT)
+            # Nobody waits any more: this would not be answered in time.
+            monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
             for _ in range(20):
                 departs(client)
             running.planner.set_parameters([Parameter('recording.enabled', value=False)])
@@ -131,7 +128,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
         finally:
             monkeypatch.undo()
             go_on.set()
-    assert len(recordings(tmp_path)) >= 17, 'what could wait was written in the end'
+    assert len(recordings(tmp_path)) == 5, 'what could wait was written in the end'
 
 
 def test_a_slow_disk_delays_answers_and_loses_nothing(tmp_path, monkeypatch):
@@ -148,8 +145,8 @@ def test_a_slow_disk_delays_answers_and_loses_nothing(tmp_path, monkeypatch):
                    for _ in range(24)]
         wait_until(lambda: all(each.done() for each in answers), 'the answers')
         assert all(each.result().plan.poses for each in answers)
-        # Two are written in the time that may be owed, and one is under way.
-        assert len(recordings(tmp_path)) >= 21
+        # Four wait in the queue, and answers are sent while the next one leaves.
+        assert len(recordings(tmp_path)) >= 18
         client.diagnostics(code='NONE', recording='on', departures='24')
     assert len(recordings(tmp_path)) == 24
 
@@ -161,7 +158,7 @@ def test_an_error_that_nobody_expected_is_told_without_its_words(tmp_path, monke
     with stage(tmp_path) as running:
         client = running.give()
         with monkeypatch.context() as patch:
-            patch.setattr(recordings_module, 'recorded_metadata', broken)
+            patch.setattr(recordings_module, 'metadata_entries', broken)
             departs(client)
             message = client.diagnostics(recording='failed')['message']
         departs(client)

@@ -7,6 +7,8 @@ from io import BytesIO
 
 import numpy as np
 import pytest
+from ambush_planner.recordings.npz import BadAttachment, packed
+from ambush_planner.recordings.recorded_case import Case
 from forging import Forger
 from geometry_msgs.msg import PoseArray
 from rclpy.parameter import Parameter
@@ -15,8 +17,6 @@ from ros_harness import header, pose, stage, wait_until
 from ambush_planner.commands import verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.recordings.npz import BadAttachment, packed
-from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.recordings.strategy_file import strategy_file, strategy_from_file
 from ambush_planner.ros.inputs import MOST_STOPS
 

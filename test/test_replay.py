@@ -10,6 +10,8 @@ from dataclasses import replace
 from itertools import accumulate
 
 import pytest
+from ambush_planner.commands.replay_player import qos_from_yaml
+from ambush_planner.recordings.recorded_case import TYPES, Case
 from commands import run_here
 from forging import GET_PLAN, NEW_ROUTE, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
@@ -21,9 +23,7 @@ from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.commands import replay
-from ambush_planner.commands.replay_player import qos_from_yaml
 from ambush_planner.recordings import read_departure
-from ambush_planner.recordings.recorded_case import TYPES, Case
 
 # The command, which finds who listens on a slow machine, too.
 COMMAND = f"""

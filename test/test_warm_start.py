@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ambush_planner.recordings.recorded_case import Case
 from forging import Forger
 from games import examples
 from hypothesis import given
@@ -14,7 +15,6 @@ from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.planning import plan as planner
 from ambush_planner.planning.plan import PlanningOptions, WarmStart, plan
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.recordings.verify import Verifier
 
 ENDS = (1.5, 5.0), (10.5, 7.0)

@@ -129,6 +129,8 @@ def read_recording(path: Path | str) -> RecordingFile:
         data = path.read_bytes()
     try:
         found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
+        # The summary behind it repeats schemas and channels, and its checksum is not read.
+        found = found[:[isinstance(each, records.DataEnd) for each in found].index(True)]
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,

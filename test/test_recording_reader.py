@@ -1,0 +1,238 @@
+"""Recordings are read back without ROS, and what is damaged, foreign or old is named."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
+from nav_msgs.msg import OccupancyGrid
+from rclpy.serialization import deserialize_message, serialize_message
+from recording_samples import departure, fields, file_of, recorded, small_departure
+from std_msgs.msg import Header
+
+from ambush_planner.maps.ros_messages import path_from_ros
+from ambush_planner.recordings import (
+    RecordedMessage,
+    UnreadableRecording,
+    read_departure,
+    read_departures,
+    read_recording,
+    recordings_in,
+    source_findings,
+)
+from ambush_planner.recordings.recording_file import FORMAT
+
+NO_ROS = """
+import sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        top = name.partition('.')[0]
+        if top in ('rclpy', 'builtin_interfaces', 'ament_index_python') or top.endswith(
+            ('_msgs', '_srvs', '_interfaces')
+        ):
+            raise ImportError(name + ' is blocked')
+
+sys.meta_path.insert(0, NoRos())
+from ambush_planner.commands import cli
+sys.argv[0] = 'ambush_verify'
+sys.exit(cli.main())
+"""
+
+
+@pytest.fixture(scope='module')
+def files(tmp_path_factory):
+    return record_runs(tmp_path_factory)
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4', 'none'])
+def test_messages_come_back_as_they_were(tmp_path, compression):
+    sent = departure()
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(file_of(sent, compression))
+    assert [*map(fields, read_recording(path).messages)] == [*map(fields, sent)]
+
+
+@pytest.mark.parametrize('stamps', [(5, 4, 3, 2), (0, 0, 0, 0), (0, 2**63 - 1, 1, 1)])
+def test_messages_are_read_in_the_order_of_time(tmp_path, stamps):
+    sent = [recorded(f'/{k}', Header(), stamp_ns=stamp) for k, stamp in enumerate(stamps)]
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(file_of(sent))
+    found = [(each.topic, each.stamp_ns) for each in read_recording(path).messages]
+    assert found == sorted(found, key=lambda row: row[1]) and len(found) == 4
+
+
+def test_a_departure_of_a_node(files):
+    first, moved, asked = (read_departure(files[k]) for k in (NEW_ROUTE, MOVED_GOAL, GET_PLAN))
+    assert (first.number, first.service, first.frame) == (1, 'new_route', 'map')
+    assert (asked.number, asked.service) == (4, 'get_plan')
+    assert first.trip.start_xy == (1.5, 5.5) and first.trip.goal_xy == (8.5, 5.5)
+    assert moved.trip.goal_xy == moved.ends[1] != (5.0, 5.2)
+    assert asked.call['request']['tolerance'] == 0.0
+    assert first.drawn_from is first.strategy
+    for each in (first, moved, asked):
+        ends = each.strategy.network.points[each.route[[0, -1]]]
+        assert ends.tolist() == [[*each.trip.start_xy], [*each.trip.goal_xy]]
+        assert [tuple(row) for row in each.path_poses[[0, -1], :2]] == [*each.ends]
+        assert {'ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'} == set(each.versions)
+
+
+def test_map_and_path_are_those_that_rclpy_reads(files):
+    file = read_recording(files[GET_PLAN])
+    theirs = deserialize_message(file.in_role('map').data, OccupancyGrid)
+    ours = read_departure(files[GET_PLAN])
+    assert np.array_equal(ours.planned_on.values.ravel(), np.array(theirs.data, np.int8))
+    path = file.decoded(file.in_role('path'))
+    assert np.array_equal(ours.path_poses, path_from_ros(path))
+
+
+def test_departures_of_one_strategy_and_map_share_them(files):
+    copied = [*files, files[0]]
+    departures = read_departures(copied, pytest.fail)
+    assert [each.path for each in departures] == files
+    assert len({id(each.strategy) for each in departures}) == 3
+    assert len({id(each.risk_map) for each in departures}) == 1
+
+
+def test_commands_read_recordings_without_ros(files):
+    done = subprocess.run(
+        [sys.executable, '-c', NO_ROS, str(files[0].parent), '--quiet'],
+        capture_output=True, text=True, timeout=60, check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, '')
+
+
+def test_a_large_map_is_read_whole(tmp_path):
+    message = OccupancyGrid(header=Header(frame_id='map'))
+    message.info.width, message.info.height, message.info.resolution = 2000, 1500, 0.5
+    message.info.origin.orientation.w = 1.0
+    message.data = np.resize(np.arange(-1, 101, dtype=np.int8), 3_000_000).tolist()
+    data = serialize_message(message) + b'\0\0\0'  # padding as from the network
+    sent = RecordedMessage('/map', 'nav_msgs/msg/OccupancyGrid', data,
+                           small_departure()[0].qos, 5)
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(file_of([sent]))
+    file = read_recording(path)
+    cells = np.frombuffer(file.decoded(file.messages[0]).data, np.int8)
+    assert np.array_equal(cells, message.data)
+
+
+def damaged(data):
+    """Copies cut off, and copies with one bit changed, each with what is expected of it."""
+    for place in np.linspace(0, len(data) - 1, 60).astype(int):
+        yield data[:place]
+    rng = np.random.default_rng(0)
+    footer = data.rindex(b'ambush_planner')  # the index behind it repeats what the records say
+    for place in rng.integers(0, footer, 150):
+        changed = bytearray(data)
+        changed[place] ^= 1 << int(rng.integers(8))
+        yield bytes(changed)
+
+
+def test_damaged_files_are_refused_or_read_the_same(tmp_path):
+    sent = small_departure()
+    data = file_of(sent)
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(data)
+    whole = read_recording(path)
+    refused = 0
+    for changed in damaged(data):
+        path.write_bytes(changed)
+        try:
+            found = read_recording(path)
+        except UnreadableRecording as error:
+            assert error.path == path and str(path) in str(error)
+            refused += 1
+            continue
+        # Only the index can differ, of which nothing is read.
+        assert found.entries == whole.entries and found.attachments == whole.attachments
+        assert found.messages == whole.messages
+    assert refused > 180
+
+
+@pytest.mark.parametrize(('change', 'words'), [
+    (lambda data: data.replace(b'ambush_planner', b'another_tool!!'), 'damaged'),
+    (lambda data: b'', 'damaged or not an MCAP file'),
+    (lambda data: b'# a text\n' * 50, 'damaged or not an MCAP file .*`mcap recover`'),
+])
+def test_files_of_others(tmp_path, change, words):
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(change(file_of(small_departure())))
+    with pytest.raises(UnreadableRecording, match=words):
+        read_recording(path)
+
+
+def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setattr('ambush_planner.recordings.recording_file.FORMAT', '5')
+    data = file_of(small_departure())
+    monkeypatch.undo()
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(data)
+    with pytest.raises(UnreadableRecording) as caught:
+        read_recording(path)
+    assert str(caught.value) == (
+        f"{path} is not readable as a recording: its format is '5', this version reads "
+        f"'{FORMAT}': use the version of ambush_planner that recorded it"
+    )
+
+
+@pytest.mark.parametrize(('spoil', 'words'), [
+    (lambda f: f.attachments.pop('strategy.npz'), 'strategy.npz: missing'),
+    (lambda f: f.attachments.update({'strategy.npz': b'PK'}), 'strategy.npz: .*malformed'),
+    (lambda f: f.attachments.update({'map_changes.npz': b'PK'}), 'map_changes.npz: .*malformed'),
+    (lambda f: f.set_arrays(edges=np.array([None])), 'strategy.npz'),
+    (lambda f: f.set_arrays(edge_probability=f.arrays()['edge_probability'][1:]), 'strategy.npz'),
+    (lambda f: f.set_arrays(source=np.array(10**6)), 'strategy.npz'),
+    (lambda f: f.entries.pop('route'), 'metadata: missing'),
+    (lambda f: f.entries.update(route=[0, 10**6]), 'metadata: .*malformed'),
+    (lambda f: f.entries['parameters'].pop('seed'), 'parameters: missing'),
+    (lambda f: f.edit('map', lambda m: m.data.pop()), 'map: the map holds 399 cells'),
+])
+def test_a_part_that_cannot_be_read_is_named(files, tmp_path, spoil, words):
+    forger = Forger(files[NEW_ROUTE])
+    spoil(forger)
+    path = forger.save(tmp_path / 'x.mcap')
+    read_recording(path)
+    with pytest.raises(UnreadableRecording, match=words) as caught:
+        read_departure(path)
+    errors = []
+    assert [each.path for each in read_departures([path, files[0]], errors.append)] == [files[0]]
+    assert [str(each) for each in errors] == [str(caught.value)]
+
+
+def test_what_is_no_file(tmp_path):
+    for path, words in ((tmp_path / 'none', 'No such file'), (tmp_path, 'it is not a file')):
+        with pytest.raises(UnreadableRecording, match=words):
+            read_recording(path)
+    with pytest.raises(UnreadableRecording, match='no .mcap file in this folder'):
+        recordings_in(tmp_path)
+
+
+def test_recordings_are_listed_in_the_order_of_their_numbers(tmp_path):
+    names = ['a_2/a_2_0', 'a_10/a_10_0', 'a_10/a_10_2', 'a_10/a_10_11']
+    paths = [tmp_path / f'{name}.mcap' for name in names]
+    for path in paths[::-1]:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    assert recordings_in(tmp_path) == paths
+    assert recordings_in(tmp_path / 'a_10') == paths[1:]
+    assert recordings_in(paths[0]) == paths[:1]
+
+
+def test_random_sources_that_repeat_or_are_short(files, tmp_path):
+    honest = [read_departure(path) for path in files]
+    assert source_findings(honest) == []
+    assert source_findings([*honest, honest[0]]) == []  # a copy
+    (source,) = honest[0].route_entropy_source
+    for number, (forged, words) in enumerate({
+        source: 'the same', source ^ 5: 'nearly the same', 2**190: 'fewer than 192 bits',
+    }.items()):
+        forger = Forger(files[1])
+        forger.entries['route_entropy_source'] = [forged]
+        path = forger.save(tmp_path / f'{number}.mcap')
+        (finding,) = source_findings([*honest, read_departure(path)])
+        assert words in finding and str(forged) not in finding
+    forger = Forger(files[SEEDED])
+    forger.entries.update(departure_id='another')
+    assert len(source_findings([*honest, read_departure(forger.save(path))])) == 1
