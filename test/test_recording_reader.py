@@ -119,12 +119,11 @@ def test_a_large_map_is_read_whole(tmp_path):
 
 
 def damaged(data):
-    """Copies cut off, and copies with one bit changed, each with what is expected of it."""
+    """Copies cut off, and copies with one bit changed."""
     for place in np.linspace(0, len(data) - 1, 60).astype(int):
         yield data[:place]
     rng = np.random.default_rng(0)
-    footer = data.rindex(b'ambush_planner')  # the index behind it repeats what the records say
-    for place in rng.integers(0, footer, 150):
+    for place in rng.integers(0, len(data), 150):
         changed = bytearray(data)
         changed[place] ^= 1 << int(rng.integers(8))
         yield bytes(changed)
@@ -145,10 +144,10 @@ def test_damaged_files_are_refused_or_read_the_same(tmp_path):
             assert error.path == path and str(path) in str(error)
             refused += 1
             continue
-        # Only the index can differ, of which nothing is read.
-        assert found.entries == whole.entries and found.attachments == whole.attachments
-        assert found.messages == whole.messages
-    assert refused > 180
+        # A record of a kind that no reader knows.
+        assert (found.entries, found.messages) == (whole.entries, whole.messages)
+        assert found.attachments == whole.attachments
+    assert refused > 200
 
 
 @pytest.mark.parametrize(('change', 'words'), [

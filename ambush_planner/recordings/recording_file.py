@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mcap import records
-from mcap.stream_reader import StreamReader
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
 from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
@@ -129,8 +130,7 @@ def read_recording(path: Path | str) -> RecordingFile:
         data = path.read_bytes()
     try:
         found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
-        # The summary behind it repeats schemas and channels, and its checksum is not read.
-        found = found[:[isinstance(each, records.DataEnd) for each in found].index(True)]
+        _check_summary(data, found[-1])
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
@@ -167,6 +167,14 @@ def _decoder(definition: str, kind: str) -> Any:
 def decode(definition: str, kind: str, data: bytes) -> Any:
     """Decode a message of the type ``kind`` by its definition."""
     return _decoder(definition, kind)(data)
+
+
+def _check_summary(data: bytes, footer: records.McapRecord) -> None:
+    """Check the CRC of the summary, which the library leaves unread."""
+    assert isinstance(footer, records.Footer)
+    summary = data[footer.summary_start:-MAGIC_SIZE - 4]
+    if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
+        raise ValueError('the CRC of the summary does not hold')
 
 
 def _contents(
