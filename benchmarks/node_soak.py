@@ -10,6 +10,7 @@ if the node left anything: a file that metadata.yaml does not list, shared memor
 from __future__ import annotations
 
 import argparse
+import json
 import statistics
 import sys
 import time
@@ -40,7 +41,7 @@ from node_rig import (
 from report import RESULTS, conditions, table, write_block
 
 from ambush_planner.recordings import recordings_in
-from ambush_planner.recordings.bag_folder import FILE_NAME, listed_files
+from ambush_planner.recordings.bag_folder import FILE_NAME
 from ambush_planner.recordings.verify import Verifier
 
 CELLS, RESOLUTION = 120, 0.5
@@ -143,7 +144,8 @@ def leftovers(rig: Rig, memory: Sequence[Path], workers: Sequence[int]) -> Itera
             yield f'process {pid}'
     for folder in rig.recordings.iterdir():
         there = {path.name for path in folder.iterdir()} - {FILE_NAME}
-        listed = set(listed_files(folder) or ())
+        listed = set(json.loads((folder / FILE_NAME).read_text())[
+            'rosbag2_bagfile_information']['relative_file_paths'])
         yield from (f'unlisted {name}' for name in sorted(there - listed))
         yield from (f'listed, but missing {name}' for name in sorted(listed - there))
 
@@ -166,8 +168,8 @@ def verified(folder: Path) -> tuple[int, list[str]]:
     """How many recordings, of all times, were verified, and what does not hold."""
     files = recordings_in(folder)
     some = files[::max(1, len(files) // VERIFIED)]
-    with Verifier() as verifier:
-        verdicts = [verifier.verify(path) for path in some]
+    verifier = Verifier()
+    verdicts = [verifier.verify(path) for path in some]
     return len(some), [
         f'{each.path.name}: {problem}' for each in verdicts for problem in each.problems
     ]

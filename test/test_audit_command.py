@@ -12,7 +12,6 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from ambush_planner.recordings.mcap_file import MAGIC, decode
 from audit_samples import START, departure, drawn, parameters, record, sample_plan, source
 from commands import run_here
 from damage import flips, truncations
@@ -21,6 +20,7 @@ from scipy.stats import binom
 
 from ambush_planner.commands import audit, report
 from ambush_planner.commands.audit_figures import quantile
+from ambush_planner.recordings.mcap_file import MAGIC, decode
 
 RNG = np.random.default_rng(12)
 

@@ -6,8 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from ambush_planner.recordings.metadata import Link, chain_text
-from ambush_planner.recordings.recorded_case import Case
 from audit_samples import (
     GOAL,
     NUMBERS,
@@ -33,6 +31,8 @@ from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.recordings import UnreadableRecording, read_departure, recordings_in
 from ambush_planner.recordings.audit_departures import Driven, audit
 from ambush_planner.recordings.map_changes import map_changes_file
+from ambush_planner.recordings.metadata import Link, chain_text
+from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.recordings.recorded_departures import read_departures
 
 

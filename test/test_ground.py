@@ -7,7 +7,6 @@ from threading import Event
 
 import numpy as np
 import pytest
-from ambush_planner.recordings.recorded_case import Case
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from nav_msgs.msg import OccupancyGrid
@@ -21,12 +20,12 @@ from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import solve
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
-from ambush_planner.maps.ros_messages import occupancy_from_ros, path_from_ros
+from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import ChangedGround, Standing
 from ambush_planner.planning.plan import PlanningOptions, plan
-from ambush_planner.recordings import read_departure
+from ambush_planner.recordings import read_departure, read_recording
 from ambush_planner.ros import subscriptions
 from ambush_planner.ros.cdr import read_grid_update
 from ambush_planner.ros.current_map import CurrentMap
@@ -366,12 +365,10 @@ def test_an_updated_map_is_recorded_whole(tmp_path):
         wait_until(lambda: running.planner._inputs.current_map().values[4, 3] == 20, 'the update')
         assert client.call('new_route').success
     (file,) = tmp_path.rglob('*.mcap')
-    recorded = read_departure(file)
-    message = Case(recorded).message('map')
     wanted = FLAT.copy()
     wanted[4:6, 3:5] = [[20, 30], [40, -1]]
-    assert (occupancy_from_ros(message)[0] == wanted).all()
-    data = recorded.recorded('map').data
+    assert (read_departure(file).planned_on.values == wanted).all()
+    data = read_recording(file).in_role('map').data
     other = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr(data, 'nav_msgs/msg/OccupancyGrid')
     assert (other.data.reshape(20, 20) == wanted).all()
 
@@ -384,15 +381,16 @@ def test_what_a_departure_left_on_is_recorded(tmp_path):
         update(client, 0, 0, [[100, 90]])
         wait_until(lambda: running.planner._inputs.current_map().values[0, 0] == 100, 'the update')
         assert client.get_plan(pose(1.6, 5.4), pose(8.5, 5.6)).poses
-    first, second = map(read_departure, sorted(tmp_path.rglob('*.mcap')))
-    assert first.metadata.ends == ((1.5, 5.5), (8.5, 5.5))
-    assert not first.map_changes
-    assert second.metadata.ends == ((1.6, 5.4), (8.5, 5.6))
-    assert second.metadata.trip == first.metadata.trip
-    assert second.recorded('map').data == first.recorded('map').data
-    path = path_from_ros(Case(second).message('path'))
+    files = sorted(tmp_path.rglob('*.mcap'))
+    first, second = map(read_departure, files)
+    assert first.ends == ((1.5, 5.5), (8.5, 5.5))
+    assert first.newest is first.planned_on
+    assert second.ends == ((1.6, 5.4), (8.5, 5.6))
+    assert second.trip == first.trip
+    assert np.array_equal(second.planned_on.values, first.planned_on.values)
+    path = second.path_poses
     assert (path[0, :2].tolist(), path[-1, :2].tolist()) == ([1.6, 5.4], [8.5, 5.6])
-    changes = np.load(BytesIO(second.map_changes))
+    changes = np.load(BytesIO(read_recording(files[1]).attachments['map_changes.npz']))
     assert changes['cells'].tolist() == [0, 1]
     assert changes['values'].tolist() == [100, 90]
 
