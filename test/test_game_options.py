@@ -24,7 +24,7 @@ def departures(folder, parameters, count=4):
             assert client.get_plan(START, GOAL).poses
         report = client.diagnostics(departures=str(count))
     found = [
-        (each.path_poses, each.route, each.strategy)
+        (each.path_poses, each.route.tolist(), each.strategy)
         for each in map(read_departure, recordings_in(folder))
     ]
     return found, report

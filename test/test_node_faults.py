@@ -110,7 +110,8 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
     with stage(tmp_path / 'runs') as running:
         client = running.give()
         departs(client)
-        wait_until(lambda: recordings(tmp_path), 'a recording')
+        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
+        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the disk')
         monkeypatch.setattr(durable.os, 'fsync', hang)
         try:
             departs(client)

@@ -274,17 +274,3 @@ def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monk
     assert '3.14159' not in log
     assert client.call('new_route').success
     client.diagnostics(code='NONE')
-
-
-def test_what_readers_would_refuse_is_an_error_and_the_departure_answered(tmp_path):
-    frame = 'm' * 300  # longer than any name that readers take
-    with stage(directory=tmp_path) as running:
-        client = running.client
-        client.publish('alpha_map', risk_grid(frame=frame))
-        client.publish('start_pose', pose(1.5, 5.5, frame=frame))
-        client.publish('goal_pose', pose(8.5, 5.5, frame=frame))
-        client.diagnostics(state='ready')
-        assert client.call('new_route').success
-        report = client.diagnostics(code='RECORDING_FAILED', recording='failed', level=b'\2')
-        assert 'readers would refuse it' in report['message']
-        assert not list(tmp_path.rglob('*.mcap'))

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .qos_text import qos_to_yaml
-
-if TYPE_CHECKING:
-    from rclpy.qos import QoSProfile
 
 
 @dataclass(frozen=True)
@@ -24,7 +21,7 @@ class RecordedMessage:
     data
         The serialised message (CDR), with its four-byte header.
     qos
-        The publisher's profile, or its text as read back from a file.
+        The publisher's profile (rclpy), or its text as read back from a file.
     stamp_ns
         Time in nanoseconds of the node's clock.
     """
@@ -32,7 +29,7 @@ class RecordedMessage:
     topic: str
     type: str
     data: bytes
-    qos: QoSProfile | str
+    qos: Any
     stamp_ns: int
 
     @property

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import yaml
-
-if TYPE_CHECKING:
-    from rclpy.qos import QoSProfile
 
 # rosbag2 refuses a bag that lacks one of these.
 _FIELDS = (
@@ -19,8 +16,8 @@ DURATIONS = ('deadline', 'lifespan', 'liveliness_lease_duration')
 _INFINITE_NS = 2**63 - 1
 
 
-def qos_to_yaml(profile: QoSProfile) -> str:
-    """Return the YAML list with one profile that a channel's ``offered_qos_profiles`` holds.
+def qos_to_yaml(profile: Any) -> str:
+    """Return the YAML list with one rclpy profile that a channel's ``offered_qos_profiles`` holds.
 
     Durations and liveliness that the profile leaves to the middleware are written as the DDS
     defaults, which are what the publisher offered.

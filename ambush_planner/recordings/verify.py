@@ -234,12 +234,12 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
         if late.strategy is None:
             raise
         again = late.strategy
-    # A solve that was cut short is as far from the best value as its certificate says.
-    apart = abs(strategy.value - again.value)
-    allowed = 2.0 * CERTIFICATE_TOLERANCE * again.value + max(
+    # Values differ within the slack that was asked for, and as far as a solve was cut short.
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
+    allowed = (slack + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
         open_gap(strategy, options), open_gap(again, options)
     )
-    if apart <= allowed:
+    if abs(strategy.value - again.value) <= allowed:
         return []
     return [f'strategy: its value is {strategy.value:.9g}, solved again {again.value:.9g}']
 
