@@ -16,7 +16,7 @@ from nav_msgs.srv import GetPlan
 from recording_samples import read_with_mcap_ros2, read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, wait_until
 from test_node_process import client_in, node_process
-from test_recording_faults import listed
+from test_recorder import listed
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 SIDE_BY_SIDE = 2

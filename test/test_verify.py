@@ -90,7 +90,13 @@ def scaled(forger, name, factor):
 
 
 def other_source(forger):
-    forger.entries['route_entropy_source'] = [forger.entries['route_entropy_source'][0] ^ 1]
+    """A source of full length that draws another route."""
+    strategy = read_departure(forger.path).strategy
+    forger.entries['route_entropy_source'] = next(
+        [source] for source in itertools.count(2**255)
+        if strategy.sample_route(np.random.default_rng([source])).tolist()
+        != forger.entries['route']
+    )
 
 
 def other_parameter(name, value):
@@ -269,7 +275,7 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
         assert lost.any() and each.drawn_from.value != each.strategy.value
     holds(tmp_path, capsys)
     forger = Forger(files[-1])
-    forger.entries['route_entropy_source'] = Forger(files[1]).entries['route_entropy_source']
+    other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
     assert code == 1 and 'route: it is not the one' in out
 

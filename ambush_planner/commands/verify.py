@@ -87,10 +87,9 @@ def _exit_code(verdicts: Iterable[Verdict], findings: list[str]) -> cli.Exit:
 def _print(verdict: Verdict, console: cli.Console) -> None:
     mark = console.marked('holds' if verdict.holds else 'FAILS', verdict.holds)
     line = f'{mark}  {shown(verdict.path.name)}'
-    if verdict.departure:
-        strategy = verdict.departure.strategy
-        line += (f': departure {verdict.number}, {len(strategy.network.points)} nodes, '
-                 f'value {strategy.value:.6g}')
+    if verdict.id:
+        line += (f': departure {verdict.number}, {verdict.nodes} nodes, '
+                 f'value {verdict.value:.6g}')
     console.line(line)
     for problem in verdict.problems:
         console.item(problem)
@@ -99,12 +98,11 @@ def _print(verdict: Verdict, console: cli.Console) -> None:
 
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
-    value = verdict.departure.strategy.value if verdict.departure else math.nan
     return {
         'file': cli.place(verdict.path),
         'number': verdict.number,
         'holds': verdict.holds,
-        'value': value if math.isfinite(value) else None,
+        'value': verdict.value if math.isfinite(verdict.value) else None,
         'problems': verdict.problems,
         'notes': verdict.notes,
     }

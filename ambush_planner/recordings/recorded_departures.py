@@ -5,9 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from .recorded_departure import RecordedDeparture, SharedParts, read_departure
 from .recording_errors import UnreadableRecording, reading_from
+
+if TYPE_CHECKING:
+    from .verify import Verdict
 
 # Minimum bit length of the 256-bit seed; honest seeds fall below it with probability 2^-64.
 LEAST_BITS = 192
@@ -62,7 +66,7 @@ def read_departures(
     return sorted(known.values(), key=lambda each: (each.stamp_ns, each.number))
 
 
-def source_findings(departures: Iterable[RecordedDeparture]) -> list[str]:
+def source_findings(departures: Iterable[RecordedDeparture | Verdict]) -> list[str]:
     """Report departures that were not drawn from fresh random numbers of full length.
 
     Sources that differ only in their last 192 bits, like those of a counter, come by chance with

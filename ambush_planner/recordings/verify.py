@@ -49,33 +49,30 @@ class Verdict:
 
     Attributes
     ----------
-    path
-        The file.
-    problems
-        What does not hold; each begins with the part of the recording that it concerns.
-    notes
-        Remarks that are no problems.
     readable
         Whether the file is a whole recording.
-    departure
-        What it holds; None if it could not be read.
+    problems, notes
+        What does not hold, each beginning with the part of the recording that it concerns; and
+        remarks that are no problems.
+    id, number, nodes, value, route_entropy_source
+        Of the departure and its strategy; empty, 0 or nan if they cannot be read. The strategy
+        itself is not kept, since a folder may hold thousands.
     """
 
     path: Path
+    readable: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    readable: bool = False
-    departure: RecordedDeparture | None = field(default=None, repr=False)
+    id: str = ''
+    number: int = 0
+    nodes: int = 0
+    value: float = math.nan
+    route_entropy_source: list[int] = field(default_factory=list, repr=False)
 
     @property
     def holds(self) -> bool:
         """Whether everything that was checked holds."""
         return not self.problems
-
-    @property
-    def number(self) -> int:
-        """The number of the departure in its run; 0 if it could not be read."""
-        return self.departure.number if self.departure else 0
 
 
 class Verifier:
@@ -97,14 +94,18 @@ class Verifier:
         try:
             file = read_recording(path)
             verdict.readable = True
-            verdict.departure = departure_in(file, self._shared)
-            verdict.problems += self._problems(verdict.departure)
+            departure = departure_in(file, self._shared)
+            verdict.id, verdict.number = departure.id, departure.number
+            verdict.nodes = len(departure.strategy.network.points)
+            verdict.value = departure.strategy.value
+            verdict.route_entropy_source = departure.route_entropy_source
+            if departure.parameters.seed >= 0:
+                verdict.notes.append('drawn with a fixed seed: anyone who knows it can foresee it')
+            verdict.problems += self._problems(departure)
         except UnreadableRecording as error:
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
             verdict.problems.append(f'map, trip and parameters cannot be planned with: {error}')
-        if verdict.departure and verdict.departure.parameters.seed >= 0:
-            verdict.notes.append('drawn with a fixed seed: anyone who knows it can foresee it')
         return verdict
 
     def _problems(self, departure: RecordedDeparture) -> list[str]:
@@ -246,7 +247,7 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
 
 def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     """Compare the departures of a folder: what does not hold, and notes on missing numbers."""
-    departures = [each.departure for each in verdicts if each.departure]
+    departures = [each for each in verdicts if each.id]
     problems = [f'random source: {each}' for each in source_findings(departures)]
     numbers: dict[Path, set[int]] = {}
     for each in departures:
