@@ -98,30 +98,6 @@ def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
             for name, value in values.items()}
 
 
-def message_of(kind: Any, fields: Mapping[str, Any], but: tuple[str, ...] = ()) -> Any:
-    """Return the message with these fields, whatever they hold; the way back from ``fields_of``.
-
-    Raises
-    ------
-    ValueError
-        They are not those of the message, or of other types.
-    """
-    message = kind()
-    if set(fields) != set(_field_names(message)) - set(but):
-        raise ValueError(f'they are not the fields of a {kind.__name__}')
-    for name, value in fields.items():
-        default = getattr(message, name)
-        if _field_names(default) and isinstance(value, dict):
-            value = message_of(type(default), value)
-        if type(value) is not type(default):
-            raise ValueError(f'{name} is not a {type(default).__name__}')
-        try:
-            setattr(message, name, value)
-        except AssertionError as error:
-            raise ValueError(f'{name} is out of its range') from error
-    return message
-
-
 def _field_names(message: Any) -> Mapping[str, str]:
     names: Mapping[str, str] = getattr(message, 'get_fields_and_field_types', dict)()
     return names
