@@ -88,7 +88,6 @@ setup(
                 f'{name} = ambush_planner.commands.cli:main'
                 for name in (
                     'ambush', 'ambush_audit', 'ambush_demo', 'ambush_frontier',
-                    'ambush_recover',
                     'ambush_replay', 'ambush_report', 'ambush_table', 'ambush_terrain',
                     'ambush_verify', 'ambush_views',
                 )

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import documented_keys
-from forging import one_verifier
 from matplotlib.figure import Figure
 from recording_samples import file_of, small_departure
 
@@ -18,7 +17,7 @@ from ambush_planner.commands import cli
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
-READERS = ('audit', 'recover', 'replay', 'report', 'verify')
+READERS = ('audit', 'replay', 'report', 'verify')
 
 
 def ambush(*arguments, **more):
@@ -65,18 +64,18 @@ def test_what_is_not_there_exits_3_also_when_quiet(name, tmp_path, capsys):
 
 
 def test_the_name_of_the_program_says_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, 'argv', ['/usr/bin/ambush_recover', str(tmp_path / 'none')])
+    monkeypatch.setattr(sys, 'argv', ['/usr/bin/ambush_verify', str(tmp_path / 'none')])
     assert cli.main() == 3
-    assert capsys.readouterr().err.startswith('ambush_recover: ')
+    assert capsys.readouterr().err.startswith('ambush_verify: ')
 
 
 def test_a_missing_package_is_named():
     code = (
-        'import sys\nsys.modules["rclpy"] = None\n'
+        'import sys\nsys.modules["mcap"] = None\n'
         'from ambush_planner.commands import cli\nsys.exit(cli.main(["verify", "x"]))'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 3 and 'rclpy is not installed; try: pip install' in done.stderr
+    assert done.returncode == 3 and 'mcap is not installed; try: pip install' in done.stderr
     assert 'Traceback' not in done.stderr
 
 
@@ -84,7 +83,7 @@ def test_a_broken_pipe_is_silent(tmp_path):
     for k in range(30):
         (tmp_path / f'x_{k}.mcap').write_bytes(file_of(small_departure())[:-k - 1])
     process = subprocess.Popen(
-        [sys.executable, '-m', 'ambush_planner.commands.cli', 'recover', str(tmp_path), '-q'],
+        [sys.executable, '-m', 'ambush_planner.commands.cli', 'verify', str(tmp_path), '-q'],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )
     process.stdout.close()
@@ -98,10 +97,10 @@ def test_a_broken_pipe_is_silent(tmp_path):
 
 def test_json_is_one_object_and_nothing_else(tmp_path):
     (tmp_path / 'x.mcap').write_bytes(file_of(small_departure())[:-9])
-    done = ambush('recover', tmp_path / 'x.mcap', '--json')
-    assert done.returncode == 1
+    done = ambush('verify', tmp_path / 'x.mcap', '--json')
+    assert done.returncode == 3
     result = json.loads(done.stdout)
-    assert result['verdict'] == 'finding' and result['files'][0]['messages'] == 4
+    assert result['verdict'] == 'unreadable' and not result['departures'][0]['holds']
 
 
 def test_names_are_relative_where_that_is_shorter(tmp_path, monkeypatch):
@@ -121,7 +120,7 @@ def test_colours_only_on_a_terminal(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(('line', 'word'), [
-    ('ambush ver', 'verify'), ('ambush verify --exp', '--expect'),
+    ('ambush ver', 'verify'), ('ambush verify --rep', '--replan'),
     ('ambush audit --fal', '--false'), ('ambush demo --ou', '--output'),
 ])
 def test_words_are_completed(line, word, tmp_path):
@@ -165,13 +164,11 @@ def place(tmp_path_factory):
     np.savez(folder / 'dem.npz', elevation=np.zeros((8, 9)), resolution=10.0)
     (folder / 'from.csv').write_text('name,x,y\na,15,15\n')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
-    with one_verifier():
-        yield folder
+    return folder
 
 
 LINES = {
-    'audit': 'runs', 'recover': 'runs/run_0.mcap',
-    'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported --replace',
+    'audit': 'runs', 'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported --replace',
     'verify': 'runs', 'terrain': 'dem.npz -o made.yaml', 'views': 'map.yaml -o viewed --replace',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',

@@ -16,7 +16,7 @@ from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
 from waiting import TIMEOUT, unstamped
 
-from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings import read_recording, recordings_in
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.worker.process import WorkerProcess
 
@@ -188,13 +188,12 @@ def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
         answered = running.give().get_plan(pose(*START), pose(*GOAL))
         wait_until(lambda: list(tmp_path.glob('*/*.mcap')), 'a recording')
     (file,) = recordings_in(tmp_path)
-    recorded = read_departure(file)
+    recorded = read_recording(file)
     assert '/path' not in {each.topic for each in recorded.messages}
-    kept = recorded.recorded('path')
+    kept = recorded.in_role('path')
     assert kept.topic == '/ambush_planner/get_plan/path'
     assert deserialize_message(kept.data, PathMessage) == answered
-    with Verifier() as verifier:
-        assert verifier.verify(file).holds
+    assert Verifier().verify(file).holds
 
 
 def test_what_was_published_is_withdrawn_when_publishing_ends():

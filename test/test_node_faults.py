@@ -1,8 +1,10 @@
 """Recording fails under a running node: departures go on, and recording resumes."""
 
 import math
+import os
 import shutil
 import signal
+from threading import Event
 
 import pytest
 from nav_msgs.srv import GetPlan
@@ -10,9 +12,10 @@ from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
-from test_recording_faults import small_disk
-from waiting import unstamped
+from test_recorder import small_disk
+from waiting import TIMEOUT, stderr_in, unstamped
 
+from ambush_planner.recordings import durable_files as durable
 from ambush_planner.ros import recordings as recordings_module
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -68,6 +71,50 @@ def test_recording_is_switched_off_and_on(tmp_path):
     assert len(recordings(tmp_path)) == 1
 
 
+def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
+    with stage(tmp_path) as running:
+        departs(running.give())
+    (path,) = recordings(tmp_path)
+    left = path.with_name(f'{path.parent.name}_1.mcap.tmp')
+    left.write_bytes(b'half')
+    os.utime(left, (0.0, 0.0))
+    with stderr_in(tmp_path / 'log') as said, stage(tmp_path):
+        wait_until(lambda: f'removed {left}' in said(), 'the warning')
+    assert not left.exists() and recordings(tmp_path) == [path]
+
+
+def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
+    stuck, go_on = Event(), Event()
+
+    def hang(*_):
+        stuck.set()
+        assert go_on.wait(TIMEOUT)
+
+    with stage(tmp_path / 'runs') as running:
+        client = running.give()
+        departs(client)
+        wait_until(lambda: list(tmp_path.rglob('metadata.yaml')), 'a recording and its list')
+        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the disk')
+        monkeypatch.setattr(durable.os, 'fsync', hang)
+        try:
+            departs(client)
+            assert stuck.wait(TIMEOUT)
+            for _ in range(5):  # the last one waits in vain, and goes without a recording
+                departs(client)
+            report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
+            assert 'wait for the disk, which does not answer' in report['message']
+            # Nobody waits any more: this would not be answered in time.
+            monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
+            for _ in range(20):
+                departs(client)
+            running.planner.set_parameters([Parameter('recording.enabled', value=False)])
+            client.diagnostics(recording='off', code='NONE')
+        finally:
+            monkeypatch.undo()
+            go_on.set()
+    assert len(recordings(tmp_path)) == 5, 'what could wait was written in the end'
+
+
 def test_an_unexpected_error_is_reported_without_its_message(tmp_path, monkeypatch, capfd):
     def broken(*_):
         raise ValueError(f'the route was {math.pi}')
@@ -75,7 +122,7 @@ def test_an_unexpected_error_is_reported_without_its_message(tmp_path, monkeypat
     with stage(tmp_path) as running:
         client = running.give()
         with monkeypatch.context() as patch:
-            patch.setattr(recordings_module, 'recorded_metadata', broken)
+            patch.setattr(recordings_module, 'metadata_entries', broken)
             departs(client)
             message = client.diagnostics(recording='failed')['message']
         departs(client)

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recordings import Recorder
-from ambush_planner.ros import plan_cache
+from ambush_planner.ros import plan_cache, recordings
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.error_codes import NoMap
 from ambush_planner.ros.planner_node import PlannerNode
@@ -113,13 +114,22 @@ def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
     with stage(tmp_path) as running:
         client = running.give()
         try:
-            assert client.call('new_route').success
-            client.last('path')
+            for _ in range(most := recordings._MOST_WAITING):
+                assert client.call('new_route').success
+            client.last('path', most)
             assert not list(tmp_path.rglob('*.mcap'))
+            # The next one waits before its route is drawn, and so before its path is published.
+            next_one = client.send('new_route')
+            client.diagnostics(departures=str(most))
+            time.sleep(0.2)
+            assert not next_one.done() and len(client.received['path']) == most
         finally:
             go_on.set()
-    (file,) = tmp_path.rglob('*.mcap')
-    assert read_with_rosbags(file)
+        wait_until(next_one.done, 'the next answer')
+        client.last('path', most + 1)
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == most + 1, 'all recordings')
+    files = sorted(tmp_path.rglob('*.mcap'))
+    assert all(read_with_rosbags(file) for file in files)
 
 
 def test_a_response_is_recorded_as_it_was_sent(tmp_path):

@@ -1,6 +1,5 @@
 """The report in a real browser: its map is used, nothing is asked of the net, it fits."""
 
-import json
 import re
 
 import numpy as np
@@ -96,9 +95,9 @@ def test_the_page_shows_its_map_and_stays_at_home(browser, page, tmp_path, width
 @pytest.mark.parametrize('reach', [0.0, 25.0])
 def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, reach):
     """An ambush at each site costs what the planner's core says, by the page's own sums."""
-    texts = {'parameters': json.dumps(parameters(**{'game.ambush_radius': reach}))}
+    entries = {'parameters': parameters(**{'game.ambush_radius': reach})}
     a_plan = sample_plan(reach=reach)
-    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], texts=texts)])
+    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
     assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
     opened(browser, tmp_path / 'out' / 'report.html')
     game, p = a_plan.strategy.game, a_plan.strategy.edge_probability

@@ -162,10 +162,10 @@ def test_the_button_has_room():
 def test_views_of_a_recording_have_its_frame_its_map_and_its_topics(tmp_path):
     plan = sample_plan()
     messages, metadata, files = departure(plan, drawn(plan, 1)[0])
-    inputs = json.loads(metadata['inputs'])
-    renamed = {topic: f'/convoy{topic}' for topic in inputs.values()}
+    topics = metadata['topics']
+    renamed = {topic: f'/convoy{topic}' for topic in topics.values()}
     messages = [_renamed(each, renamed) for each in messages]
-    metadata |= {'inputs': json.dumps({role: renamed[topic] for role, topic in inputs.items()})}
+    metadata |= {'topics': {role: renamed[topic] for role, topic in topics.items()}}
     record(tmp_path / 'runs', [(messages, metadata, files)])
     assert main([str(tmp_path / 'runs'), '-o', str(tmp_path / 'views'), '-q']) == 0
     scene = json.loads((tmp_path / 'views' / FOXGLOVE).read_text())['configById']['3D!planner']

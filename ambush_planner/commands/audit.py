@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ..game.acyclic import is_acyclic
-from ..recordings import UnreadableRecording, recordings_in
+from ..recordings import RecordedDeparture, UnreadableRecording, recordings_in
 from ..recordings.audit_departures import FEWEST_DEPARTURES, LEAST_RATE, Driven, audit
 from ..recordings.audit_draws import ManyRoutes
-from ..recordings.recorded_departures import Departure, read_departures, source_findings
+from ..recordings.recorded_departures import read_departures, source_findings
 from . import audit_text, cli
 from .audit_figures import audit_figure
 from .audit_text import Solution
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
 
 def read_all(
     place: Path, console: cli.Console
-) -> tuple[list[Departure], list[UnreadableRecording]]:
+) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
     """Return the departures below ``place`` in time, and the errors of unreadable files.
 
     Raises
@@ -87,23 +87,23 @@ def _work(options: argparse.Namespace, console: cli.Console) -> int:
 
 
 def _outcome(
-    departures: list[Departure], unreadable: list[UnreadableRecording], rate: float,
+    departures: list[RecordedDeparture], unreadable: list[UnreadableRecording], rate: float,
     console: cli.Console,
 ) -> Solution:
-    laws = {id(each.law): each.law for each in departures}
+    laws = {id(each.drawn_from): each.drawn_from for each in departures}
     acyclic = {key for key, law in laws.items() if is_acyclic(law.network, law.edge_probability)}
-    audited = [each for each in departures if id(each.law) in acyclic]
+    audited = [each for each in departures if id(each.drawn_from) in acyclic]
     console.say(f'auditing {cli.count(len(audited), "departure")}')
     result = None
     if len(audited) >= FEWEST_DEPARTURES:
-        driven = [Driven(each.law, each.route) for each in audited]
+        driven = [Driven(each.drawn_from, each.route) for each in audited]
         result = audit(driven, rate, console.bar('audited'))
     # What cannot have been drawn at all can be said of any number of departures.
     impossible = result.impossible if result else sum(
-        ManyRoutes(each.law.network, each.law.edge_probability).recorded([each.route])[1]
-        for each in audited
+        ManyRoutes(law.network, law.edge_probability).recorded([each.route])[1]
+        for each in audited for law in (each.drawn_from,)
     )
-    sources = source_findings((each.path.name, each.metadata) for each in departures)
+    sources = source_findings(departures)
     sources += [
         f'{each.path.name}: drawn with a fixed seed, which can be foretold'
         for each in departures if each.parameters.seed >= 0

@@ -11,9 +11,9 @@ from textwrap import fill
 
 import numpy as np
 
+from ..recordings import RecordedDeparture
 from ..recordings.audit_departures import FEWEST_DEPARTURES, Audit
 from ..recordings.audit_learning import LEARNT
-from ..recordings.recorded_departures import Departure
 from . import cli
 
 CHECKS = {
@@ -46,8 +46,8 @@ class Solution:
         The errors of files that could not be read.
     """
 
-    departures: Sequence[Departure]
-    audited: Sequence[Departure]
+    departures: Sequence[RecordedDeparture]
+    audited: Sequence[RecordedDeparture]
     audit: Audit | None
     impossible: int
     sources: Sequence[str]
@@ -108,7 +108,7 @@ def title(found: Solution) -> str:
     return f'{departures} of {strategies}, {span(found.departures)}'
 
 
-def span(departures: Sequence[Departure]) -> str:
+def span(departures: Sequence[RecordedDeparture]) -> str:
     """Return from when to when the departures were."""
     ends = (when(departures[k].stamp_ns) for k in (0, -1))
     return ' to '.join(dict.fromkeys(ends))

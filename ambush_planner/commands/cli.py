@@ -28,7 +28,6 @@ COMMANDS = {
     'audit': ('commands.audit', 'do departures follow their strategies, do they show patterns?'),
     'demo': ('commands.demo', 'departures on real ground, through the real node'),
     'frontier': ('commands.frontier', 'what a longer way, or a little more risk, buys'),
-    'recover': ('commands.recover', 'save what is whole in broken recordings'),
     'replay': ('commands.replay', 'publish recorded departures again'),
     'report': ('commands.report', 'recorded departures on one page for any browser'),
     'table': ('commands.table', 'what it costs to drive between all depots and all customers'),

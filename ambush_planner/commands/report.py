@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..recordings import recordings_in
-from ..recordings.chain import together
+from ..recordings.verify import together
 from . import cli
 from .audit import read_all
 from .report_page import page
@@ -21,7 +21,7 @@ leave no choice, and what is promised, in words; a section for a map and a pair 
 can be moved and zoomed, its layers switched, departures picked one by one; it tells what an ambush
 at the pointer would cost. The page needs no network, and its one script is its own. It shows
 secret routes: it has mode 0600, a new folder 0700. It says "verified" only with --verify, which
-plans and draws every departure again, as ambush_verify does.
+checks every departure as ambush_verify does.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
 """ + cli.EXIT_CODES
 

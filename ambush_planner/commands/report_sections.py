@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..recordings.recorded_departures import Departure
+from ..recordings import RecordedDeparture
 from .figures import ROUTES
 
 # Places are the same up to this share of the way between start and goal.
@@ -19,7 +19,7 @@ _MOVED = 0.05
 class Section:
     """The departures of one trip, in the order of time."""
 
-    departures: list[Departure]
+    departures: list[RecordedDeparture]
 
     @property
     def strategy(self) -> Strategy:
@@ -41,12 +41,12 @@ class Section:
         count = len(self.departures)
         return {k: ROUTES[k % len(ROUTES)] for k in range(max(0, count - len(ROUTES)), count)}
 
-    def takes(self, other: Departure) -> bool:
+    def takes(self, other: RecordedDeparture) -> bool:
         """Whether a departure is of this trip."""
         first = self.departures[0]
         if other.risk_map is not first.risk_map:
             return False
-        one, two = first.metadata.trip, other.metadata.trip
+        one, two = first.trip, other.trip
         far = math.dist(one.start_xy, one.goal_xy) * _MOVED
         return (
             math.dist(one.start_xy, two.start_xy) <= far
@@ -54,7 +54,7 @@ class Section:
         )
 
 
-def sections_of(departures: Iterable[Departure]) -> list[Section]:
+def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
     """Sort departures by trip, the earliest first."""
     sections: list[Section] = []
     for each in departures:

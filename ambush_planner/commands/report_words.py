@@ -9,7 +9,7 @@ import numpy as np
 
 from ..game.strategy import Strategy
 from ..planning.evaluation import evaluate
-from ..recordings.recorded_departures import Departure
+from ..recordings import RecordedDeparture
 from ..recordings.verify import Verdict
 from .audit_text import plain, when
 from .report_sections import Section
@@ -129,13 +129,13 @@ def _routes(strategy: Strategy) -> str:
 
 def departures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the list of departures, in the order of time."""
-    def length(each: Departure) -> str:
+    def length(each: RecordedDeparture) -> str:
         steps = np.diff(each.strategy.network.points[each.route], axis=0)
         return distance(float(np.hypot(*steps.T).sum()))
 
     rows = [
-        (str(number), when(each.stamp_ns), str(each.metadata.number), each.metadata.service,
-         f'{each.strategy.value:.4f}', length(each), each.metadata.id)
+        (str(number), when(each.stamp_ns), str(each.number), each.service,
+         f'{each.strategy.value:.4f}', length(each), each.id)
         for number, each in enumerate(section.departures, start=1)
     ]
     head = ('#', 'time', 'number in its run', 'asked for by', 'mean loss z', 'length',
@@ -162,13 +162,11 @@ def origins(section: Section) -> list[tuple[str, str]]:
         return ', '.join(sorted(set(values)))
 
     records = section.departures
-    names = sorted({name for record in records for name in record.metadata.versions})
+    names = sorted({name for record in records for name in record.versions})
     return [
         ('strategies', str(section.strategies)),
-        ('latest strategy (SHA-256)', records[-1].metadata.sha256['strategy']),
-        ('frame of the map', joined(record.metadata.frame for record in records)),
-        ('ambush_planner', joined(record.metadata.planner_version for record in records)),
-        *((name, joined(str(record.metadata.versions.get(name, '?')) for record in records))
+        ('frame of the map', joined(record.frame for record in records)),
+        *((name, joined(str(record.versions.get(name, '?')) for record in records))
           for name in names),
     ]
 
@@ -183,8 +181,8 @@ def verification(verdicts: list[Verdict], faults: list[str]) -> list[str]:
     failing = [verdict for verdict in verdicts if not verdict.holds]
     if not failing and not faults:
         return [
-            f'Verified: all {len(verdicts)} recordings were planned and drawn again by '
-            'ambush_verify, and what they say follows from their inputs.'
+            f'Verified: all {len(verdicts)} recordings were checked by ambush_verify: their '
+            'certificates hold, and their routes, drawn again, are the same.'
         ]
     told = [
         f"{verdict.path.name}: {'; '.join(verdict.problems)}" for verdict in failing

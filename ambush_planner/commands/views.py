@@ -18,7 +18,7 @@ from importlib import resources
 from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import yaml
@@ -27,6 +27,9 @@ from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
 from . import cli
 from .frontier import read_risk_map
+
+if TYPE_CHECKING:
+    from ..recordings import RecordingFile
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
 MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
@@ -160,24 +163,23 @@ def _scene(source: Path, namespace: str) -> Scene:
     topics = {**TOPICS, **{name: f'{where}/{name}' for name in _POSES}}
     if source.suffix in ('.yaml', '.yml', '.npz'):
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
-    # Maps need no ROS, which reading recordings does.
-    from ..recordings import read_departure, recordings_in
-    from ..recordings.recorded_case import Case
+    from ..recordings import read_departure, read_recording, recordings_in
 
-    case = Case(read_departure(recordings_in(source)[-1]))
+    path = recordings_in(source)[-1]
+    departure = read_departure(path)
     return scene_of(
-        case.risk_map(), frame=case.metadata.frame, topics=topics | _recorded_topics(case),
-        node=case.metadata.call.service.rpartition('/')[0],
+        departure.risk_map, frame=departure.frame,
+        topics=topics | _recorded_topics(read_recording(path)),
+        node=departure.call['service'].rpartition('/')[0],
     )
 
 
-def _recorded_topics(case: Any) -> dict[str, str]:
+def _recorded_topics(file: RecordingFile) -> dict[str, str]:
     """The names that a recording has for topics, by our own."""
-    from visualization_msgs.msg import MarkerArray
-
-    drawn = ((each, case.decode(each).markers) for each in case.of_type(MarkerArray))
+    drawn = ((each, file.decoded(each).markers) for each in file.messages
+             if each.type == 'visualization_msgs/msg/MarkerArray')
     named = {markers[0].ns: each.topic for each, markers in drawn if markers}
-    inputs = case.metadata.inputs
+    inputs = file.entries['topics']
     roles = {'alpha_map': 'map', 'path': 'path', 'start_pose': 'start', 'goal_pose': 'goal'}
     return {**{name: named[name] for name in MARKERS if name in named},
             **{name: inputs[role] for name, role in roles.items()}}

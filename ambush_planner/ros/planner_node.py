@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 from ..errors import InvalidOption
 from ..planning.node_parameters import NodeParameters
 from .compute_path import ComputePath
-from .departure_record import planner_version
+from .departure_record import software_versions
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
@@ -265,8 +265,8 @@ def main(args: list[str] | None = None) -> int:
             raise InvalidOption(str(error)) from error
         node = PlannerNode()
         node.get_logger().info(
-            f'version {planner_version()}; it needs alpha_map, start_pose and goal_pose; '
-            '~/new_route is a departure, once the node is active'
+            f'version {software_versions()["ambush_planner"]}; it needs alpha_map, start_pose and '
+            'goal_pose; ~/new_route is a departure, once the node is active'
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)
