@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from types import SimpleNamespace
 
 from ..errors import shown
 from .bag_folder import FILE_NAME, bag_of, listed_files, read_bag
@@ -26,7 +27,9 @@ def together(verdicts: Sequence[Verdict], expected: str = '') -> tuple[list[str]
     faults += folder_faults(verdicts)
     faults += [
         f'random source: {each}' for each in source_findings(
-            (each.path.name, each.metadata) for each in verdicts if each.metadata
+            SimpleNamespace(path=each.path, id=each.metadata.id,
+                            route_entropy_source=each.metadata.route_entropy_source)
+            for each in verdicts if each.metadata
         )
     ]
     if expected:

@@ -42,6 +42,16 @@ class Departure:
     risk_map: RiskMap
     route: IndexArray
 
+    drawn_from = property(lambda self: self.law)
+    id = property(lambda self: self.metadata.id)
+    number = property(lambda self: self.metadata.number)
+    frame = property(lambda self: self.metadata.frame)
+    trip = property(lambda self: self.metadata.trip)
+    route_entropy_source = property(lambda self: self.metadata.route_entropy_source)
+
+
+RecordedDeparture = Departure
+
 
 def read_departures(
     paths: Iterable[Path], unreadable: Callable[[UnreadableRecording], None]
@@ -65,28 +75,28 @@ def read_departures(
     return sorted(known.values(), key=lambda each: (each.stamp_ns, each.metadata.number))
 
 
-def source_findings(departures: Iterable[tuple[str, Metadata]]) -> list[str]:
-    """Say which departures were not drawn from fresh random numbers of full length.
+def source_findings(departures: Iterable[RecordedDeparture]) -> list[str]:
+    """Report departures that were not drawn from fresh random numbers of full length.
 
-    ``departures``: a name for each, and its metadata. Two sources nearer to each other than 192
-    bits, a counter's say, come by chance once in 2^64.
+    Sources that differ only in their last 192 bits, like those of a counter, come by chance with
+    probability 2^-64.
     """
-    found, values = [], []
-    for name, metadata in departures:
-        source = metadata.route_entropy_source
+    findings, sources = [], []
+    for each in departures:
+        source, name = each.route_entropy_source, each.path.name
         if len(source) == 1 and source[0].bit_length() < LEAST_BITS:
-            found.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
+            findings.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
         else:
-            values.append((tuple(source), name, metadata.id))
-    values.sort()
-    for (one, first, id_), (other, name, other_id) in zip(values, values[1:], strict=False):
+            sources.append((tuple(source), name, each.id))
+    sources.sort()
+    for (one, first, id_), (other, name, other_id) in zip(sources, sources[1:], strict=False):
         near = one == other or (
             len(one) == len(other) == 1 and (other[0] - one[0]).bit_length() < LEAST_BITS
         )
         if near and id_ != other_id:
             same = 'the same' if one == other else 'nearly the same'
-            found.append(f'{name}: its random source is {same} as that of {first}')
-    return found
+            findings.append(f'{name}: its random source is {same} as that of {first}')
+    return findings
 
 
 def _departure(case: Case, shared: dict[Hashable, Any]) -> Departure:
