@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ from recording_samples import encoded_departure
 from ambush_planner.game.game import GameOptions
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.recordings import UnreadableRecording, read_departure, recordings_in
-from ambush_planner.recordings.audit_departures import Driven, audit
+from ambush_planner.recordings.audit import audit
 from ambush_planner.recordings.map_changes import map_changes_file
 from ambush_planner.recordings.metadata import Link, chain_text
 from ambush_planner.recordings.recorded_case import Case
@@ -145,7 +146,6 @@ def clear_edges(network):
     return found
 
 
-@pytest.mark.usefixtures('fewer_draws')
 def test_on_a_map_that_has_changed_departures_have_the_law_of_the_routes_that_are_left(
     tmp_path, a_plan
 ):
@@ -172,8 +172,9 @@ def test_on_a_map_that_has_changed_departures_have_the_law_of_the_routes_that_ar
     p = law.edge_probability
     apart = np.abs(driven - p)
     assert np.all(apart < 5.0 * np.sqrt(np.maximum(p * (1.0 - p), 1.0 / len(left)) / len(left)))
-    assert audit([Driven(law, route) for route in left[:120]]).findings == ()
-    assert audit([Driven(a_plan.strategy, route) for route in left[:120]]).findings
+    for strategy, finding in ((law, False), (a_plan.strategy, True)):
+        departures = [SimpleNamespace(drawn_from=strategy, route=each) for each in left[:120]]
+        assert audit(departures).finding == finding
 
 
 def test_a_copied_file_counts_once(tmp_path, a_plan):
