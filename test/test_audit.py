@@ -219,7 +219,7 @@ def test_a_step_of_probability_0_is_impossible(terrain):
 
 
 def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
-    with pytest.raises(NotAuditable, match='4 departures .* are too few; at least 5'):
+    with pytest.raises(NotAuditable, match='at least 5 departures .* needed, got 4'):
         run(paper, drawn(paper, FEWEST_DEPARTURES - 1, 1))
     network = Network([[0, 0], [1, 0], [1, 1], [2, 0]], [0, 1, 1, 0],
                       [(0, 1), (1, 2), (2, 1), (1, 3)], 0, 3)

@@ -124,8 +124,8 @@ def audit(
     n, impossible = len(audited), 0
     if n < FEWEST_DEPARTURES:
         raise NotAuditable(
-            f'{n} departures from strategies without cycles are too few; at least '
-            f'{FEWEST_DEPARTURES} are needed'
+            f'at least {FEWEST_DEPARTURES} departures from strategies without cycles are needed, '
+            f'got {n}'
         )
     segments = _number_by_position(groups)
     # Set 0 is the recorded one, the others are resamples.
