@@ -20,11 +20,12 @@ from .figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, prob
 PICTURE = 'audit.png'
 NUMBERS = ('left_out', 'p_value', 'impossible', 'value', 'observer_loss', 'observer_range')
 EPILOG = """\
-All departures are tested together, each under the strategy that it was drawn from: is every stretch
-driven as often as published? The p-value comes from 999 resamples; a value up to 0.001 is a
-finding, so 1 of 1000 audits of honest departures has one. Impossible steps, fixed seeds, and random
-sources that repeat or are too short are findings too. The audit also follows an observer who learns
-as he goes: before each departure he waits where waiting would have cost the earlier ones most.
+All departures are tested together, each under the strategy that it was drawn from: is every
+stretch driven as often as published? The p-value comes from 999 resamples; up to 0.001 it is a
+finding, so 1 of 1000 audits of honest departures has one. Impossible steps, fixed seeds, and
+random sources that repeat or are too short are findings too. The audit also follows an observer
+who learns as he goes: before each departure he waits where waiting would have cost the earlier
+ones most.
 
 At least five departures from strategies without cycles are needed. With -o, DIR gets audit.png:
 where the convoy should have driven, where it did, and what the observer would have caused. It

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..recordings import UnreadableRecording, recordings_in
+from ..recordings import recordings_in
 from ..recordings.report_data import Section, sections_of
 from . import cli
 from .audit import audited, read_all
@@ -28,11 +27,10 @@ ambush_audit find; the exit code is 1 if a recording fails verification.
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """A report's exit code, its sections, and the number of unreadable files."""
+    """A report's exit code and sections."""
 
     code: cli.Exit
     sections: list[Section]
-    unreadable: int
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,55 +45,39 @@ def parser() -> argparse.ArgumentParser:
 
 
 def write_report(place: Path, output: Path, verify: bool, console: cli.Console) -> Written:
-    """Write the page of the recordings in a file or folder.
-
-    Raises
-    ------
-    AmbushPlannerError, OSError
-        A folder cannot be read or written.
-    """
+    """Write the page of the recordings in a file or folder."""
     departures, unreadable = read_all(place, console)
     for error in unreadable:
         console.error(error)
-    if not departures:
-        console.error('no recording could be read, so there is no report')
-        return Written(cli.Exit.UNREADABLE, [], len(unreadable))
     sections, checks = sections_of(departures), None
-    if verify:
+    if verify and departures:
+        missing = {error.path for error in unreadable}
+        paths = [path for path in recordings_in(place) if path not in missing]
+        problems = {each.path.name: each.problems for each in verify_files(paths, console)
+                    if each.problems}
         _, findings, notes = audited(departures)
-        problems = _problems(place, unreadable, console)
         checks = Checks(len(departures), problems, findings, notes)
-    cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
+    if departures:
+        cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
+        console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
+    else:
+        console.error('no recording could be read, so there is no report')
     code = cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
     if checks and checks.problems:
         code = cli.Exit.FINDING
-    return Written(code, sections, len(unreadable))
-
-
-def _problems(
-    place: Path, unreadable: Iterable[UnreadableRecording], console: cli.Console
-) -> dict[str, list[str]]:
-    """Problems that verification finds, by the names of the files that have some."""
-    missing = {error.path for error in unreadable}
-    paths = [path for path in recordings_in(place) if path not in missing]
-    return {each.path.name: each.problems for each in verify_files(paths, console)
-            if each.problems}
+    console.result = {
+        'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
+        'sections': len(sections), 'unreadable': len(unreadable),
+        'verified': code == cli.Exit.HOLDS if verify else None,
+    }
+    return Written(code, sections)
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if options.output is None:
         raise cli.UsageError('-o DIR is required: the folder for report.html')
     cli.refuse_existing(options.output, [PAGE], options.replace)
-    written = write_report(options.recordings, options.output, options.verify, console)
-    path = cli.place(options.output / PAGE) if written.sections else None
-    if path:
-        console.line(f'{path} shows secret routes; only this user can read it.')
-    console.result = {
-        'page': path, 'departures': sum(len(each.departures) for each in written.sections),
-        'sections': len(written.sections), 'unreadable': written.unreadable,
-        'verified': written.code == cli.Exit.HOLDS if options.verify else None,
-    }
-    return written.code
+    return write_report(options.recordings, options.output, options.verify, console).code
 
 
 main = cli.command(parser, _work)

@@ -34,14 +34,6 @@ NOT_VERIFIED = (
     'Not verified: this page shows what the recordings say. Run ambush_verify on them, or make '
     'this page with --verify.'
 )
-WAITS = (
-    '<li><i style="background:#e66100;border-radius:50%"></i>site of the best ambusher: the '
-    'larger, the likelier</li>\n'
-)
-HELD = (
-    '<li><i style="border:2px dashed #000;border-radius:50%"></i>secured ground: nobody can wait '
-    'here</li>\n'
-)
 
 
 @dataclass(frozen=True)
@@ -87,17 +79,14 @@ def colours(section: Section) -> dict[int, str]:
 def _checks(checks: Checks | None) -> list[str]:
     if checks is None:
         return _paragraphs([NOT_VERIFIED])
+    said = [f'Verified: all {checks.recordings} recordings follow from their inputs, as checked by '
+            'ambush_verify.']
+    warnings = [f'The audit has a finding: {finding}.' for finding in checks.findings]
     if checks.problems:
-        said = [
-            _warning(f'VERIFICATION FAILED for {len(checks.problems)} of {checks.recordings} '
-                     'recordings. Do not rely on this page.'),
-            *_paragraphs(f'{name}: {"; ".join(all_)}' for name, all_ in checks.problems.items()),
-        ]
-    else:
-        said = _paragraphs([f'Verified: all {checks.recordings} recordings follow from their '
-                            'inputs, as checked by ambush_verify.'])
-    warnings = [_warning(f'The audit has a finding: {finding}.') for finding in checks.findings]
-    return [*said, *warnings, *_paragraphs(checks.notes)]
+        said = [f'{name}: {"; ".join(problems)}' for name, problems in checks.problems.items()]
+        warnings.insert(0, f'VERIFICATION FAILED for {len(said)} of {checks.recordings} '
+                           'recordings. Do not rely on this page.')
+    return [*map(_warning, warnings), *_paragraphs([*said, *checks.notes])]
 
 
 def _section(section: Section, name: str) -> str:
@@ -120,7 +109,7 @@ def _section(section: Section, name: str) -> str:
                         for k, row in enumerate(rows[1:])),
         least=f'{min(data["levels"]):.3g}', most=f'{max(data["levels"]):.3g}',
         likeliest=words.percent(float(strategy.edge_probability.max(initial=0.0))),
-        marks=(WAITS if strategy.value > 0.0 else '') + (HELD if data['held'] > 0.0 else ''),
+        waits='' if strategy.value > 0.0 else 'hidden', held='' if data['held'] > 0.0 else 'hidden',
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         departures=_table(rows, 'tall', dots),
         certificate='\n'.join(_paragraphs(words.certificate(section))),

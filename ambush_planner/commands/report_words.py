@@ -40,16 +40,12 @@ def certificate(section: Section) -> list[str]:
     held = max(section.departures[-1].parameters.planning.game.secured_radius,
                strategy.game.ambush_radius)
     outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
-    length = (
-        f' with an expected length of at most {distance(strategy.length_budget)}'
-        if math.isfinite(strategy.length_budget) else ''
-    )
+    budget = f' with an expected length of at most {distance(strategy.length_budget)}'
+    length = budget if math.isfinite(strategy.length_budget) else ''
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
     reach = strategy.game.ambush_radius
-    hits = f'hits every route that passes within {distance(reach)}' if reach > 0.0 else (
-        'hits every route through its place'
-    )
+    passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
     ends = (
         f' Nobody waits within {distance(held)} of start or goal: if that ground is not secured, '
         'the guarantee does not hold.' if held > 0.0 else ''
@@ -62,9 +58,9 @@ def certificate(section: Section) -> list[str]:
         'the ambusher in the picture causes at least that mean loss against every planner.',
         f'The two numbers differ by {strategy.gap:.1e}, so this strategy is {verdict}. Both were '
         'computed again for this page from the recorded probabilities.',
-        f'The assumptions: at each departure one ambush waits at one place, which is chosen before '
-        f'the route is drawn, and {hits}. Its loss is that of the risk map at its place.{ends} If '
-        'the map is wrong, or there are more ambushes, so are the numbers.',
+        'The assumptions: at each departure one ambush waits at one place, which is chosen before '
+        f'the route is drawn, and hits every route {passing}. Its loss is that of the risk map at '
+        f'its place.{ends} If the map is wrong, or there are more ambushes, so are the numbers.',
     ]
 
 

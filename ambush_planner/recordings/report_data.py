@@ -118,9 +118,8 @@ def packed(array: npt.ArrayLike, kind: str) -> str:
 
 
 def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
-    for axis in (0, 1):
-        cells = function.reduceat(cells, np.arange(0, cells.shape[axis], block), axis=axis)
-    return cells
+    row, column = (np.arange(0, size, block) for size in cells.shape)
+    return function.reduceat(function.reduceat(cells, row, axis=0), column, axis=1)
 
 
 def _sites(strategy: Strategy) -> FloatArray:
