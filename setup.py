@@ -38,7 +38,9 @@ setup(
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: ['commands/*.js', 'commands/*.rviz', 'commands/*.json']},
+    package_data={package_name: [f'commands/*.{kind}' for kind in (
+        'css', 'html', 'js', 'json', 'rviz',
+    )]},
     data_files=data_files,
     zip_safe=False,
     python_requires='>=3.10',

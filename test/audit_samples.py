@@ -14,7 +14,8 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.parameters import PARAMETERS
-from ambush_planner.planning.plan import PlanningOptions, plan
+from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.recording_file import encode
 from ambush_planner.recordings.strategy_file import strategy_file
@@ -51,7 +52,7 @@ def sample_plan(solver='max_entropy', hill=60, start=START, reach=0.0):
         NetworkOptions(spacing=SPACING), GameOptions(reach, SECURED),
         StrategyOptions(solver),
     )
-    return plan(risk_map, start, GOAL, options)
+    return plan_trip(risk_map, start, GOAL, options)
 
 
 def departure(a_plan, route, number=1, hill=60, strategy=None, entries=(), stamp_ns=None,

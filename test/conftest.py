@@ -70,12 +70,3 @@ def submitted(monkeypatch):
 
     monkeypatch.setattr(SolveQueue, 'submit', tell)
     return keys
-
-
-@pytest.fixture(scope='module')
-def fewer_draws():
-    """Audits compare with as many draws as of many strategies: p-values are exact with any."""
-    from ambush_planner.recordings import audit_departures as departures
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(departures, 'RESAMPLES', departures.RESAMPLES_OF_MANY)
-        yield

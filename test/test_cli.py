@@ -121,7 +121,7 @@ def test_colours_only_on_a_terminal(monkeypatch, capsys):
 
 @pytest.mark.parametrize(('line', 'word'), [
     ('ambush ver', 'verify'), ('ambush verify --rep', '--replan'),
-    ('ambush audit --fal', '--false'), ('ambush demo --ou', '--output'),
+    ('ambush audit --ou', '--output'), ('ambush demo --ou', '--output'),
 ])
 def test_words_are_completed(line, word, tmp_path):
     pytest.importorskip('argcomplete', reason='optional')

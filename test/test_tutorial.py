@@ -60,6 +60,6 @@ def test_every_command_works(tmp_path):
     assert told.count('success=True') == 6, told
     folder = tmp_path / 'ambush_tutorial'
     assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()
-    for name in ('frontier.png', 'audit/audit.txt', 'audit/audit.png'):
+    for name in ('frontier.png', 'audit/audit.png'):
         assert (folder / name).stat().st_size > 0, told
     assert len(list(folder.glob('runs/*/*.mcap'))) == 6, told
