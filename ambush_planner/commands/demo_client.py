@@ -45,11 +45,10 @@ class DemoClient:
         self._node = rclpy.create_node('ambush_demo', context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._map, self._start, self._goal = self._publishers = [
-            self._node.create_publisher(kind, topic, LATCHED)
-            for kind, topic in ((OccupancyGrid, 'alpha_map'), (PoseStamped, 'start_pose'),
-                                (PoseStamped, 'goal_pose'))
-        ]
+        create = self._node.create_publisher
+        self._map = create(OccupancyGrid, 'alpha_map', LATCHED)
+        self._start = create(PoseStamped, 'start_pose', LATCHED)
+        self._goal = create(PoseStamped, 'goal_pose', LATCHED)
         self._node.create_subscription(PathMessage, 'path', self._paths.append, LATCHED)
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
         self._new_route = self._node.create_client(Trigger, '/ambush_planner/new_route')
@@ -67,7 +66,7 @@ class DemoClient:
         """Publish map values, start and goal, and wait until the node plans; raises NoAnswer."""
         self._wait(
             lambda: self._new_route.service_is_ready()
-            and all(publisher.get_subscription_count() for publisher in self._publishers),
+            and all(each.get_subscription_count() for each in (self._map, self._start, self._goal)),
             DISCOVERY_TIMEOUT, 'the node was not found',
         )
         header = Header(frame_id='map', stamp=self._node.get_clock().now().to_msg())

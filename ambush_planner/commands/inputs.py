@@ -55,29 +55,23 @@ def options_from(assignments: Sequence[str]) -> SolveOptions:
     InvalidOption
         A name does not exist, a value has another type than the default, or is out of range.
     """
-    options = SolveOptions()
-    changes: dict[str, dict[str, Any]] = {}
+    options = vars(SolveOptions())
+    names = [f'{group}.{option}' for group, part in options.items() for option in vars(part)]
+    changes: dict[str, dict[str, Any]] = {group: {} for group in options}
     for assignment in assignments:
         name, equals, text = assignment.partition('=')
         if not equals:
             raise InvalidOption(f'{assignment!r}: must be NAME=VALUE')
-        group, _, option = name.strip().partition('.')
-        changes.setdefault(group, {})[option] = _value(options, group, option, text)
-    return dataclasses.replace(options, **{
-        group: dataclasses.replace(getattr(options, group), **values)
-        for group, values in changes.items()
+        if name not in names:
+            raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
+        group, option = name.split('.')
+        changes[group][option] = _value(name, text, type(getattr(options[group], option)))
+    return SolveOptions(**{
+        group: dataclasses.replace(part, **changes[group]) for group, part in options.items()
     })
 
 
-def _value(options: SolveOptions, group: str, option: str, text: str) -> Any:
-    defaults = {
-        f'{part}.{name}': default for part, values in dataclasses.asdict(options).items()
-        for name, default in values.items()
-    }
-    name = f'{group}.{option}'
-    if name not in defaults:
-        raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(defaults))}')
-    kind = type(defaults[name])
+def _value(name: str, text: str, kind: type) -> Any:
     try:
         value = yaml.safe_load(text)
         if kind is float and not isinstance(value, bool):
@@ -105,9 +99,9 @@ def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
     try:
         with np.load(path) as file:
             content = dict(file)
-        origin = tuple(float(value) for value in content.get('origin', (0.0, 0.0, 0.0)))
+        x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(
-            content['alpha'], content['obstacles'], float(content['resolution']), origin
+            content['alpha'], content['obstacles'], float(content['resolution']), (x, y, yaw)
         )
     except KeyError as error:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
