@@ -16,6 +16,7 @@ from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ..errors import AmbushPlannerError
 from ..ros.conversions import occupancy_to_ros, pose_to_ros
 from ..ros.qos import LATCHED
 
@@ -24,7 +25,7 @@ DISCOVERY_TIMEOUT, PLANNING_TIMEOUT, MESSAGE_TIMEOUT = 30.0, 90.0, 15.0
 STEP = 0.05  # [s] between two checks while waiting
 
 
-class NoAnswer(Exception):
+class NoAnswer(AmbushPlannerError):
     """The node did not answer in time, or refused."""
 
 
@@ -64,9 +65,11 @@ class DemoClient:
         goal: tuple[float, float],
     ) -> None:
         """Publish map values, start and goal, and wait until the node plans; raises NoAnswer."""
+        # The node's subscriptions of start and goal are volatile: earlier messages would be lost.
+        inputs = self._map, self._start, self._goal
         self._wait(
             lambda: self._new_route.service_is_ready()
-            and all(each.get_subscription_count() for each in (self._map, self._start, self._goal)),
+            and all(each.get_subscription_count() for each in inputs),
             DISCOVERY_TIMEOUT, 'the node was not found',
         )
         header = Header(frame_id='map', stamp=self._node.get_clock().now().to_msg())

@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
+from ..errors import AmbushPlannerError
+
 # By the DDS rules, participants of domain d use the UDP ports from 7400 + 250 d: the first one for
 # multicast discovery, then two for each participant from 7400 + 250 d + 10.
 FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
@@ -26,7 +28,7 @@ STOP_TIMEOUT = 10.0  # [s]; the node promises to exit within 2 s
 LOG_LINES = 12
 
 
-class NodeFailed(Exception):
+class NodeFailed(AmbushPlannerError):
     """The node did not start, ended early, or did not exit with 0."""
 
 
