@@ -11,7 +11,8 @@ import pytest
 from audit_samples import departure, drawn, record, sample_plan
 from commands import documented_keys
 
-from ambush_planner.commands import cli, console
+from ambush_planner.commands import cli
+from ambush_planner.commands.console import Console
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
@@ -34,12 +35,11 @@ def test_entry_lists_all_commands(capsys):
 
 @pytest.mark.parametrize('name', cli.COMMANDS)
 def test_all_commands_share_options_and_exit_codes(name, capsys):
-    assert exit_code([name, '--help']) == 0
+    assert exit_code([name, '--help']) == exit_code([name, '--version']) == 0
     output = capsys.readouterr().out
-    for text in ('--version', '--json', '--quiet', 'Exit codes: 0 all holds; 1 ', '--json: {'):
+    for text in ('--json', '--quiet', 'Exit codes: 0 all holds; 1 ', '--json: {'):
         assert text in output
-    assert exit_code([name, '--version']) == 0
-    assert re.match(r'ambush_planner \d', capsys.readouterr().out)
+    assert re.search(r'\nambush_planner \d', output)
 
 
 @pytest.mark.parametrize('name', READERS)
@@ -86,15 +86,10 @@ def test_paths_are_relative_below_the_current_folder(tmp_path, monkeypatch):
 
 
 def test_colours_only_on_a_terminal(monkeypatch):
-    def marked():
-        return cli.Console('x', as_json=False, quiet=False).marked('FAILS', False)
-
-    assert marked() == 'FAILS'
-    monkeypatch.setattr(sys.stdout, 'isatty', lambda: True)
-    monkeypatch.delenv('NO_COLOR', raising=False)
-    assert '\x1b[31m' in marked()
-    monkeypatch.setenv('NO_COLOR', '1')
-    assert marked() == 'FAILS'
+    for terminal, colour in ((False, False), (True, True)):
+        monkeypatch.setattr(sys.stdout, 'isatty', lambda terminal=terminal: terminal)
+        marked = Console('x', as_json=False, quiet=False).marked('FAILS', False)
+        assert ('\x1b[31m' in marked) == colour
 
 
 @pytest.mark.parametrize('tqdm', [True, False])
@@ -103,13 +98,13 @@ def test_progress_yields_all_items_with_and_without_tqdm(tqdm, monkeypatch, caps
         pytest.importorskip('tqdm', reason='optional')
     else:
         monkeypatch.setitem(sys.modules, 'tqdm', None)
-    shown = console.Console('x', as_json=False, quiet=False)
-    assert list(shown.progress('abc', 'letters')) == ['a', 'b', 'c']
+    console = Console('x', as_json=False, quiet=False)
+    assert list(console.progress('abc', 'letters')) == ['a', 'b', 'c']
     assert capsys.readouterr().err == ''  # not a terminal
 
 
 @pytest.mark.parametrize(('line', 'word'), [
-    ('ambush ver', 'verify'), ('ambush verify --exp', '--expect'), ('ambush demo --ou', '--output'),
+    ('ambush ver', 'verify'), ('ambush demo --ou', '--output'),
 ])
 def test_shell_completion(line, word, tmp_path):
     pytest.importorskip('argcomplete', reason='optional')
