@@ -63,10 +63,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         for (_, start), (_, goal) in pairs
     ]
     show, solved = console.bar('pairs solved'), count(1)
-    # Workers end silently on Ctrl-C; this process reports it.
+    # On Ctrl-C, this process cancels the other pairs and waits for those that are being solved.
     with ProcessPoolExecutor(
         arguments.jobs, multiprocessing.get_context('spawn'), signal.signal,
-        (signal.SIGINT, signal.SIG_DFL),
+        (signal.SIGINT, signal.SIG_IGN),
     ) as pool:
         results = solve_many(
             problems, pool, answer=_numbers, in_flight=2 * arguments.jobs,
