@@ -1,6 +1,6 @@
-# Everything runs in .venv, which the first `make` fills; a later one installs again only when
-# setup.py has changed. ROS comes from Python wheels, so no ROS installation is needed, and one
-# that is sourced in the calling shell is kept out.
+# Everything runs in .venv. The first `make` fills it; it is updated only if setup.py has changed. ROS
+# comes from Python wheels, so no ROS installation is needed, and one that is sourced in the calling
+# shell is ignored.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -32,10 +32,10 @@ demo: $(VENV)/.demo
 paper: $(VENV)/.demo
 	$(BIN)/python -m paper
 
-# Files of tests side by side. test/watchdog.py ends a run that hangs or loses a worker.
+# Test files run in parallel. test/watchdog.py ends a run that hangs or loses a worker.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
 
-# pytest exits 5, and so fails this target, when it finds no test.
+# pytest fails with exit code 5 if it finds no test.
 test: lint
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(PARALLEL)
 
@@ -43,7 +43,7 @@ lint: $(VENV)/.test
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-# A latency target that is missed does not keep the next one from being measured.
+# A missed latency target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/random_games.py --count 200
@@ -53,8 +53,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/many.py
 	$(BIN)/python benchmarks/trips.py
 	-$(BIN)/python benchmarks/node_latency.py
-	-$(BIN)/python benchmarks/node_ground.py
-	$(BIN)/python benchmarks/node_load.py
+	-$(BIN)/python benchmarks/node_map_changes.py
 
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \
@@ -75,9 +74,8 @@ $(VENV)/.python:
 	$(PYTHON) -m venv $(VENV)
 	@touch $@
 
-# Editable, so that a change of the source needs no new installation: the commands land in
-# .venv/bin and import the checkout. What that leaves out (the resource index and share/) only
-# `ros2 run` needs; package data is read with importlib.resources.
+# The installation is editable: the commands in .venv/bin import the checkout. It lacks the resource
+# index and share/, which only `ros2 run` needs; package data is read with importlib.resources.
 $(VENV)/.demo: EXTRAS := jazzy,figures
 $(VENV)/.test: EXTRAS := jazzy,figures,test,lint
 $(VENV)/.demo $(VENV)/.test: $(VENV)/.python setup.py

@@ -1,11 +1,11 @@
-"""The peer of the benchmark of routes: A* on the map's cells, with any-angle post-processing."""
+"""The peer of ``routes.py``: A* on the map's cells with any-angle post-processing."""
 
 from __future__ import annotations
 
 import heapq
 
 import numpy as np
-from grounds import Ground
+from scenarios import Scenario
 
 from ambush_planner.arrays import FloatArray
 from ambush_planner.maps.obstacles import ObstacleField
@@ -13,14 +13,14 @@ from ambush_planner.maps.obstacles import ObstacleField
 STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]
 
 
-def shortest_line(ground: Ground) -> FloatArray:
+def shortest_line(scenario: Scenario) -> FloatArray:
     """Corners (K, 2) [m] of the path that a grid planner finds from start to goal."""
-    risk_map = ground.risk_map
+    risk_map = scenario.risk_map
     start, goal = (tuple(int(c) for c in np.ravel(risk_map.cells(np.array(end))))
-                   for end in (ground.start, ground.goal))
+                   for end in (scenario.start, scenario.goal))
     cells = a_star(~risk_map.obstacles, start, goal)
     line = (np.array(cells)[:, ::-1] + 0.5) * risk_map.resolution
-    line[0], line[-1] = ground.start, ground.goal
+    line[0], line[-1] = scenario.start, scenario.goal
     field = ObstacleField(risk_map)
     while True:
         shorter = _pulled(field, _pulled(field, line)[::-1])[::-1]
@@ -35,11 +35,11 @@ def a_star(
     """Cells of a shortest 8-connected path that cuts no corners (octile lengths)."""
     rows, columns = free.shape
 
-    def still(cell: tuple[int, int]) -> float:
+    def lower_bound(cell: tuple[int, int]) -> float:
         down, right = abs(cell[0] - goal[0]), abs(cell[1] - goal[1])
         return max(down, right) + (2**0.5 - 1) * min(down, right)
 
-    queue, gone, before = [(still(start), 0.0, start)], {start: 0.0}, {start: start}
+    queue, gone, before = [(lower_bound(start), 0.0, start)], {start: 0.0}, {start: start}
     while queue:
         _, length, (row, column) = heapq.heappop(queue)
         if (row, column) == goal:
@@ -55,7 +55,7 @@ def a_star(
             new = length + (2**0.5 if down and right else 1.0)
             if new < gone.get((r, c), np.inf):
                 gone[r, c], before[r, c] = new, (row, column)
-                heapq.heappush(queue, (new + still((r, c)), new, (r, c)))
+                heapq.heappush(queue, (new + lower_bound((r, c)), new, (r, c)))
     cells = [goal]
     while cells[-1] != start:
         cells.append(before[cells[-1]])
@@ -63,7 +63,7 @@ def a_star(
 
 
 def _pulled(field: ObstacleField, line: FloatArray) -> FloatArray:
-    """Leave out the corners between two that see one another, the furthest first."""
+    """Skip the corners between two with a clear line between them, the furthest first."""
     kept, at = [0], 0
     while at < len(line) - 1:
         ahead = np.arange(at + 1, len(line))
@@ -74,7 +74,7 @@ def _pulled(field: ObstacleField, line: FloatArray) -> FloatArray:
 
 
 def _split(line: FloatArray, step: float) -> FloatArray:
-    """Put points at most ``step`` apart along a line, so that corners can move."""
+    """Add points at most ``step`` apart along a line, so that corners can move."""
     parts = []
     for a, b in zip(line[:-1], line[1:], strict=True):
         count = max(int(np.ceil(np.hypot(*(b - a)) / step)), 1)

@@ -1,183 +1,294 @@
 """Random and mutated messages, requests and parameters for a planner node, over DDS.
 
-After each message the node has to answer: to the request, if it was one, and to `get_parameters`.
-After every hundred it gets its defaults and good inputs, and has to find a route from start to
-goal. It must not end, must not meet an error that it does not know, and must not grow after the
-first thousand. Exit code 1 if it does; what was sent last is printed, and each message can be sent
-again by its seed and number.
+After each message the node must answer: the request, if it was one, and `get_parameters`. After
+every hundred it gets its default parameters and good inputs, and must find a route. It must not
+exit, log an internal error, or grow after the first thousand messages; otherwise the exit code is 1
+or 2. Each message follows from the seed and its number, so ``--first N --messages 1`` repeats it.
 """
 
 from __future__ import annotations
 
-import argparse
 import re
+import struct
 import sys
 import time
-from collections import Counter, deque
-from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections import Counter
+from typing import Any
 
-from geometry_msgs.msg import PoseStamped
-from node_attacks import Attack, attack, good_map, good_pose
+import numpy as np
+from geometry_msgs.msg import PoseStamped, PoseWithCovarianceStamped
+from nav_msgs.msg import OccupancyGrid
+from nav_msgs.srv import GetPlan
 from node_rig import (
-    FAILURES,
     Caller,
     Refused,
     Rig,
-    children,
-    give_nodes_map_updates,
+    grid_of,
+    pose,
     resident,
+    run_and_publish,
     running_node,
     say,
-    scratch,
 )
-from report import RESULTS, conditions, table, write_block
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
+from rclpy.serialization import serialize_message
+from report import conditions, new_parser, table
+from std_srvs.srv import Trigger
 
 from ambush_planner.planning.parameters import PARAMETERS
 
-# The node's solves are given up after this [s], so that one message costs no more.
+try:
+    from map_msgs.msg import OccupancyGridUpdate
+except ModuleNotFoundError:  # it is not on PyPI
+    OccupancyGridUpdate = None
+
+Random = np.random.Generator
+
+# Time limit of the node's solves, to bound the cost of a message [s].
 PLANNING_TIME = 2.0
-NODE = {'max_planning_time': PLANNING_TIME}
 CHECK_EVERY = 100
-SHOWN = 5
-# Messages until the node has used all of itself, threads and libraries.
+# Number of messages until the node's memory has settled.
 WARM_UP = 1000
-# Memory allocators do not give everything back at once.
-GROWTH_ALLOWED = 5.0  # %
+GROWTH_ALLOWED = 5.0  # %, for the memory allocator
+SIDE = 10.0  # of the good map [m]
 START, GOAL = (1.25, 5.25), (8.75, 5.25)
-UNKNOWN = re.compile(r'Traceback|internal error|^\S*Error at$', re.MULTILINE)
+INTERNAL_ERROR = re.compile(r'Traceback|internal error|^\S*Error at$', re.MULTILINE)
+ODD_NUMBERS = (
+    float('nan'), float('inf'), -float('inf'), -0.0, 5e-324, 1e-30, 1e30, 1.8e308, -1.0
+)
+ODD_NAMES = ('', '/map', 'odom', 'mäp', 'a' * 300, 'line\nbreak', '%s%n', '\ufffe', '{0}')
+ODD_LENGTHS = (0, 1, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0xFFFFFFF8, 100_000_000)
 
 
-@dataclass
-class Solution:
-    """What was sent so far, and the node's memory [MB] after so many messages."""
-
-    sent: Counter[str] = field(default_factory=Counter)
-    codes: Counter[str] = field(default_factory=Counter)
-    memory: dict[int, float] = field(default_factory=dict)
-    departures: int = 0
-    seconds: float = 0.0
-
-
-class WrongRoute(Exception):
-    """With good inputs and its defaults the node did not plan as it should."""
-
-
-def fuzz(rig: Rig, caller: Caller, seed: int, numbers: range) -> Solution:
-    """Send the messages with these numbers; the failures of node and caller go through."""
-    outcome, begin = Solution(), time.monotonic()
-    recent: deque[str] = deque(maxlen=SHOWN)
-    every = min(WARM_UP, max(1, len(numbers) // 10))
-    caller.watch_status()
-    try:
-        for done, number in enumerate(numbers, 1):
-            sent = attack(seed, number)
-            recent.append(f'--seed {seed} --first {number}: {sent.what} on {sent.target}')
-            send(caller, sent)
-            outcome.sent['requests' if sent.is_service else 'messages on topics'] += 1
-            outcome.codes[caller.status.get('code', 'none yet')] += 1
-            if done % CHECK_EVERY == 0 or done == len(numbers):
-                check_good_inputs(caller)
-            if done % every == 0:
-                outcome.memory[done] = resident(rig.process.pid)
-                say(f'{done} of {len(numbers)}: {outcome.memory[done]:.1f} MB')
-    except Exception:
-        say('sent last:\n  ' + '\n  '.join(recent))
-        raise
-    outcome.departures = int(caller.status['departures'])
-    outcome.seconds = time.monotonic() - begin
-    return outcome
-
-
-def send(caller: Caller, sent: Attack) -> None:
-    """Send one message, and have the node answer."""
-    if sent.is_service:
-        caller.call(sent.kind, sent.target, sent.content)
+def send(caller: Caller, rng: Random) -> str:
+    """Send a random message or request, wait for answers, and describe it."""
+    choice = rng.random()
+    if choice < 0.7:
+        kind, topic, make = pick(rng, TOPICS)
+        data = bytes(serialize_message(make(rng)))
+        for _ in range(rng.integers(0, 4)):
+            data = pick(rng, MUTATIONS)(rng, data)
+        caller.publisher(kind, topic).publish(data)
+        name = topic
     else:
-        caller.publisher(sent.kind, sent.target).publish(sent.content)
-    caller.ask_parameter()
+        kind, name, request = pick(rng, REQUESTS if choice < 0.9 else PARAMETER_REQUESTS)
+        caller.call(kind, name, request(rng))
+    caller.get_parameter()
+    return name
+
+
+def a_map(rng: Random) -> OccupancyGrid:
+    low, high = pick(rng, ((0, 60), (0, 60), (-1, 101), (-128, 128)))
+    made = grid_of(rng.integers(low, high, rng.integers(1, 25, 2), dtype=np.int8), SIDE / 20)
+    if rng.random() < 0.3:
+        made.header.frame_id = pick(rng, ODD_NAMES)
+        made.info.resolution = abs(number(rng, 1e30))
+        made.info.origin.position.x = number(rng)
+        made.info.origin.orientation.z = number(rng)
+        made.info.width = pick(rng, (made.info.width, *ODD_LENGTHS))
+    return made
+
+
+def an_update(rng: Random) -> Any:
+    rows, columns = rng.integers(0, 6, 2).tolist()
+    x, y = rng.integers(-2, 20, 2).tolist()
+    made = OccupancyGridUpdate(x=x, y=y, width=columns, height=rows)
+    made.header.frame_id = 'map' if rng.random() < 0.8 else pick(rng, ODD_NAMES)
+    made.data = rng.integers(-128, 128, rows * columns, dtype=np.int8).tolist()
+    return made
+
+
+def a_pose(rng: Random) -> PoseStamped:
+    made = pose(*rng.uniform(0.0, SIDE, 2).tolist())
+    if rng.random() < 0.3:
+        made.header.frame_id = pick(rng, ODD_NAMES)
+        made.pose.position.x, made.pose.position.y = number(rng), number(rng)
+        made.pose.orientation.w = number(rng)
+        made.header.stamp.sec = int(rng.integers(-(2**31), 2**31))
+        made.header.stamp.nanosec = int(rng.integers(0, 2**32))
+    return made
+
+
+def an_estimate(rng: Random) -> PoseWithCovarianceStamped:
+    stamped = a_pose(rng)
+    made = PoseWithCovarianceStamped(header=stamped.header)
+    made.pose.pose = stamped.pose
+    made.pose.covariance = [number(rng) for _ in range(36)]
+    return made
+
+
+TOPICS = (
+    (OccupancyGrid, '/alpha_map', a_map),
+    (PoseStamped, '/start_pose', a_pose),
+    (PoseStamped, '/goal_pose', a_pose),
+    (PoseWithCovarianceStamped, '/initialpose', an_estimate),
+    *([(OccupancyGridUpdate, '/alpha_map_updates', an_update)] if OccupancyGridUpdate else []),
+)
+
+
+def flip(rng: Random, data: bytes) -> bytes:
+    changed = bytearray(data)
+    for at in rng.integers(0, len(data), rng.integers(1, 9)) if data else ():
+        changed[at] ^= 1 << int(rng.integers(8))
+    return bytes(changed)
+
+
+def truncate(rng: Random, data: bytes) -> bytes:
+    return data[:int(rng.integers(0, len(data) + 1))]
+
+
+def extend(rng: Random, data: bytes) -> bytes:
+    return data + rng.bytes(int(rng.integers(1, 5000)))
+
+
+def odd_length(rng: Random, data: bytes) -> bytes:
+    return overwrite(rng, data, struct.pack('<I', pick(rng, ODD_LENGTHS)))
+
+
+def odd_number(rng: Random, data: bytes) -> bytes:
+    return overwrite(rng, data, struct.pack('<d', pick(rng, ODD_NUMBERS)))
+
+
+def other_encoding(rng: Random, data: bytes) -> bytes:
+    return bytes([0, int(rng.integers(0, 16)), *rng.bytes(2)]) + data[4:]
+
+
+def overwrite(rng: Random, data: bytes, new: bytes) -> bytes:
+    """Overwrite one of the aligned places in the body."""
+    places = (len(data) - 4) // len(new)
+    if places < 1:
+        return data
+    at = 4 + len(new) * int(rng.integers(places))
+    return data[:at] + new + data[at + len(new):]
+
+
+MUTATIONS = (flip, truncate, extend, odd_length, odd_number, other_encoding)
+
+
+def a_plan(rng: Random) -> GetPlan.Request:
+    tolerance = float(np.float32(pick(rng, (0.0, 1.0, number(rng, 3e38)))))
+    return GetPlan.Request(start=a_pose(rng), goal=a_pose(rng), tolerance=tolerance)
+
+
+def parameters(rng: Random) -> SetParametersAtomically.Request:
+    return SetParametersAtomically.Request(
+        parameters=[a_parameter(rng) for _ in range(rng.integers(0, 4))]
+    )
+
+
+def a_parameter(rng: Random) -> Parameter:
+    """A parameter with a value near its default, of another type, or odd."""
+    name = a_name(rng)
+    default = PARAMETERS[name].default if name in PARAMETERS else 1.0
+    value = ParameterValue(type=int(rng.integers(0, 256)))
+    if rng.random() < 0.8:
+        value.type = {bool: 1, int: 2, float: 3, str: 4}[type(default)]
+    value.bool_value = bool(rng.random() < 0.5)
+    value.integer_value = pick(rng, (-1, 0, 1, 2, 50, 100, 2**62, -(2**63)))
+    odd = PLANNING_TIME if name == 'max_planning_time' else number(rng)
+    value.double_value = pick(rng, (0.0, 0.5, 1.0, 2.0, odd))
+    choices = PARAMETERS[name].choices if name in PARAMETERS else ()
+    value.string_value = pick(rng, (*choices, *ODD_NAMES))
+    return Parameter(name=name, value=value)
+
+
+def a_name(rng: Random) -> str:
+    # The operator alone decides where recordings go.
+    names = [name for name in PARAMETERS if name != 'recording.directory']
+    return pick(rng, ODD_NAMES if rng.random() < 0.05 else names)
+
+
+REQUESTS = (
+    (GetPlan, 'get_plan', a_plan),
+    *((Trigger, name, lambda _: Trigger.Request()) for name in ('new_route', 'replan', 'cancel')),
+)
+PARAMETER_REQUESTS = (
+    (SetParametersAtomically, 'set_parameters_atomically', parameters),
+    (GetParameters, 'get_parameters', lambda rng: GetParameters.Request(names=[a_name(rng)])),
+    (DescribeParameters, 'describe_parameters',
+     lambda rng: DescribeParameters.Request(names=[a_name(rng)])),
+)
+
+
+def number(rng: Random, largest: float = 1e308) -> float:
+    chosen = pick(rng, (*ODD_NUMBERS, float(rng.uniform(-SIDE, 2.0 * SIDE))))
+    return float(np.clip(chosen, -largest, largest))
+
+
+def pick(rng: Random, choices: Any) -> Any:
+    return choices[int(rng.integers(len(choices)))]
 
 
 def check_good_inputs(caller: Caller) -> None:
-    """With its defaults and good inputs the node finds a route, whatever came before."""
+    """Check that the node finds a route with its default parameters and good inputs."""
     values = {name: each.default for name, each in PARAMETERS.items()
               if not each.fixed and not name.startswith('recording')}
-    if refused := caller.set_parameters({**values, 'max_planning_time': PLANNING_TIME}):
-        raise WrongRoute(f'the defaults were refused: {refused}')
-    start, goal = good_pose(*START), good_pose(*GOAL)
-    caller.give(good_map(), start, goal)
-    caller.wait(lambda: finds_route(caller, start, goal), 'a route as it should be')
+    caller.set_parameters({**values, 'max_planning_time': PLANNING_TIME})
+    values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
+    values[8:12, 8:12] = 100
+    caller.give(grid_of(values, SIDE / 20), pose(*START), pose(*GOAL))
+
+    def finds_route() -> bool:  # once the map has arrived
+        try:
+            path = caller.get_plan(pose(*START), pose(*GOAL))
+        except Refused:
+            return False
+        ends = [(p.pose.position.x, p.pose.position.y) for p in (path.poses[0], path.poses[-1])]
+        return ends == [START, GOAL]
+
+    caller.wait(finds_route, 'a route from start to goal')
 
 
-def finds_route(caller: Caller, start: PoseStamped, goal: PoseStamped) -> bool:
-    """Tell whether a path leads from start to goal; the map may be on its way still."""
-    try:
-        path = caller.get_plan(start, goal)
-    except Refused:
-        return False
-    ends = [(p.pose.position.x, p.pose.position.y) for p in (*path.poses[:1], *path.poses[-1:])]
-    return ends == [START, GOAL]
-
-
-def growth(memory: dict[int, float]) -> float:
-    """How much larger the node is in the end than after the first thousand messages [%]."""
-    warm = [size for count, size in memory.items() if count >= WARM_UP]
-    return 100.0 * (warm[-1] / warm[0] - 1.0) if warm else 0.0
-
-
-def results(outcome: Solution, seed: int, unknown: int) -> str:
-    """What was sent and what became of the node."""
-    total = sum(outcome.sent.values())
-    kinds = ', '.join(f'{count} {kind}' for kind, count in sorted(outcome.sent.items()))
-    rows = [[str(count), f'{size:.1f}'] for count, size in outcome.memory.items()]
-    change = growth(outcome.memory)
-    codes = ', '.join(f'{code} {count}' for code, count in outcome.codes.most_common())
-    verdict = 'met' if change <= GROWTH_ALLOWED and not unknown else '**missed**'
+def fuzz(rig: Rig, seed: int, numbers: range) -> tuple[str, bool]:
+    """Send the messages with these numbers; the report, and whether the targets are met."""
+    sent, codes, memory = Counter(), Counter(), {}
+    begin, every = time.monotonic(), min(WARM_UP, max(1, len(numbers) // 10))
+    with Caller(rig) as caller:
+        for done, message in enumerate(numbers, 1):
+            try:
+                sent[send(caller, np.random.default_rng([seed, message]))] += 1
+                codes[caller.status.get('code', 'none yet')] += 1
+                if done % CHECK_EVERY == 0 or done == len(numbers):
+                    check_good_inputs(caller)
+            except Exception:
+                say(f'failed with --seed {seed} --first {message} --messages 1, or earlier')
+                raise
+            if done % every == 0:
+                memory[done] = resident(rig.process.pid)
+                say(f'{done} of {len(numbers)}: {memory[done]:.1f} MB')
+    settled = [size for count, size in memory.items() if count >= WARM_UP]
+    growth = 100.0 * (settled[-1] / settled[0] - 1.0) if settled else 0.0
+    errors = [rig.log[each.start():][:2000] for each in INTERNAL_ERROR.finditer(rig.log)]
+    for error in errors[:3]:
+        say(error)
+    met = growth <= GROWTH_ALLOWED and not errors
+    rows = [[str(count), f'{size:.1f}'] for count, size in memory.items()]
     return (
-        f"{total} messages of seed {seed} ({kinds}) in {outcome.seconds:.0f} s. The node answered "
-        f"after each, and planned well after every {CHECK_EVERY}; there were {outcome.departures} "
-        f"departures. {conditions('ros-jazzy-rclpy')}.\n\nThe diagnostics' code after a message: "
-        f"{codes}.\n\n{table(('messages', 'node [MB]'), rows)}\n\n"
-        f"Target: no end, no unknown error, no growth after {WARM_UP}; {verdict}: {unknown} "
-        f"unknown errors in the log, memory {change:+.1f} % (up to {GROWTH_ALLOWED:g} % is the "
-        "allocator's)."
-    )
+        f'{len(numbers)} messages of seed {seed} in {time.monotonic() - begin:.0f} s '
+        f"({', '.join(f'{count} on {name}' for name, count in sent.most_common())}). The node "
+        f'answered after each, and planned well after every {CHECK_EVERY}. '
+        f"{conditions('ros-jazzy-rclpy')}.\n\nThe diagnostics' code after a message: "
+        f"{', '.join(f'{code} {count}' for code, count in codes.most_common())}.\n\n"
+        f"{table(('messages', 'node [MB]'), rows)}\n\nTarget: no exit, no internal error, no "
+        f"growth after {WARM_UP}; {'met' if met else '**missed**'}: {len(errors)} internal errors "
+        f'in the log, memory {growth:+.1f} % (up to {GROWTH_ALLOWED:g} % is allowed).'
+    ), met
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = new_parser(__doc__)
     parser.add_argument('--messages', type=int, default=10_000, metavar='N', help='how many')
-    parser.add_argument('--seed', type=int, default=1, help='what they follow from')
+    parser.add_argument('--seed', type=int, default=1, help='seed of all messages')
     parser.add_argument('--first', type=int, default=0, metavar='N', help='number of the first')
-    parser.add_argument(
-        '--results', type=Path, default=RESULTS, help='file whose block `node_fuzz` is replaced'
-    )
     options = parser.parse_args()
-    numbers = range(options.first, options.first + options.messages)
-    try:
-        with ExitStack() as stack:
-            folder = stack.enter_context(scratch())
-            give_nodes_map_updates(folder)
-            rig = stack.enter_context(running_node(folder, NODE))
-            try:
-                with Caller(rig.domain, rig.process.check) as caller:
-                    outcome = fuzz(rig, caller, options.seed, numbers)
-                say(f'worker processes: {len(children(rig.process.pid))}')
-            finally:
-                found = UNKNOWN.findall(rig.log)
-                say(f'{len(found)} unknown errors in the log' + ''.join(
-                    f'\n{rig.log[m.start():m.start() + 2000]}'
-                    for m in list(UNKNOWN.finditer(rig.log))[:SHOWN]))
-    except (*FAILURES, WrongRoute) as error:
-        say(f'node_fuzz: {error}')
-        return 1
-    text = results(outcome, options.seed, len(found))
-    print(text)
-    write_block(options.results, 'node_fuzz', text)
-    return int(bool(found) or growth(outcome.memory) > GROWTH_ALLOWED)
+
+    def measure() -> tuple[str, bool]:
+        with running_node({'max_planning_time': PLANNING_TIME}) as rig:
+            numbers = range(options.first, options.first + options.messages)
+            return fuzz(rig, options.seed, numbers)
+
+    return run_and_publish(measure, 'node_fuzz', options.results)
 
 
 if __name__ == '__main__':

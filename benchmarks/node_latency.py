@@ -1,131 +1,179 @@
-"""How soon the node answers: beside a long solve, to a large map, and with a route.
+"""How soon the node answers: during a long solve, and with a route of a known strategy.
 
-The node is a process of its own (but for the map's callback, which is called directly); times are
-the caller's, from the request to the answer read, in milliseconds. Exit code 1 if a target is
-missed.
+The node is a process of its own. Times are the caller's [ms], from the request to the answer read.
+Exit code 1 if a target is missed.
 """
 
 from __future__ import annotations
 
-import argparse
-import statistics
 import sys
-from collections.abc import Sequence
-from pathlib import Path
+import time
+from collections.abc import Callable, Mapping
 
-from node_rig import FAILURES, percentiles, say
-from node_timings import NOTHING, Beside, Departures, beside_a_solve, departures, large_maps
-from report import RESULTS, conditions, table, write_block
+from nav_msgs.msg import OccupancyGrid
+from node_rig import (
+    EMPTY,
+    Caller,
+    NodeSilent,
+    empty_service,
+    percentiles,
+    pose,
+    rough_map,
+    run_and_publish,
+    running_node,
+    say,
+    spread,
+    stopwatch,
+)
+from rcl_interfaces.srv import DescribeParameters
+from report import conditions, new_parser, table
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
-PERIOD = 0.05  # s
-CELLS = 2000
-# Targets [ms]: 99th percentile beside a solve; a map's callback; median of a path's arrival.
-BESIDE, MAP, PATH = 50.0, 50.0, 25.0
-# Of an answer that has arrived, with recording on and 20 departures a second.
-ANSWERS = {
-    '`new_route`: answer arrived': (3.0, 10.0),
-    '`get_plan`: answer with the path arrived': (12.0, 30.0),
+# A map of 100 m x 100 m.
+CELLS, RESOLUTION = 200, 0.5
+START, GOAL = pose(5.0, 50.0), pose(95.0, 50.0)
+# Interval of calls [s].
+PERIOD = 0.05
+# Target for the 99th percentile during a solve [ms].
+DURING_SOLVE = 50.0
+# Targets for the median and 99th percentile of `new_route` with recording [ms].
+MEDIAN, SELDOM = 3.0, 10.0
+# Routes on the map are about 125 m long: about 500 poses.
+PATH = {'route.path_spacing': 0.25}
+QUICK = {
+    'strategy.solver': 'max_entropy', 'network.spacing': 5.0, 'max_planning_time': 60.0,
 }
+# The paper's simplex method needs minutes for 40 000 nodes.
+SLOW = {'strategy.solver': 'simplex', 'network.spacing': 0.5, 'max_planning_time': 3600.0}
+
+Samples = dict[str, list[float]]
 
 
-def spread(samples: Sequence[float]) -> str:
-    """Median / 99th percentile / largest."""
-    return ' / '.join(f'{value:.3g}' for value in percentiles(samples))
-
-
-def verdict(*met: bool) -> str:
-    """A cell."""
-    return 'yes' if all(met) else '**no**'
-
-
-def beside_results(beside: Beside) -> tuple[str, bool]:
-    """The node's answers during a solve, and whether the target is met."""
-    met = {name: percentiles(times)[1] < BESIDE for name, times in beside.during.items()}
+def during_a_solve(samples: int) -> tuple[str, bool]:
+    """Call the node in turns, idle and during a solve; return the table and whether it passed."""
+    with running_node(QUICK) as rig, Caller(rig) as caller:
+        caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
+        caller.trigger('new_route')
+        say('calls to an idle node')
+        idle = alternate(caller, samples)
+        caller.set_parameters(SLOW)
+        answer = caller.send(Trigger, 'new_route')
+        caller.wait(lambda: caller.status['state'] == 'solving', 'the solve to begin')
+        caller.set_parameters(QUICK)
+        say('the same calls during a solve')
+        during = alternate(caller, samples)
+        if answer.done() or caller.status['state'] != 'solving':
+            raise NodeSilent('the solve ended before the calls; use fewer --samples')
+        cancel = stopwatch(lambda: caller.call(Trigger, 'cancel'))
+        caller.wait(answer.done, 'the answer of the cancelled solve')
+    met = {name: percentiles(times)[1] < DURING_SOLVE for name, times in during.items()}
     rows = [
-        [name, f'**{percentiles(times)[1] / percentiles(beside.idle[name])[1]:.2f}x**',
-         spread(times), spread(beside.idle[name]), verdict(met[name])]
-        for name, times in beside.during.items()
+        [name, f'**{percentiles(times)[1] / percentiles(idle[name])[1]:.2f}x**',
+         spread(times), spread(idle[name]), 'yes' if met[name] else '**no**']
+        for name, times in during.items()
     ]
     head = ('median / 99 % / largest [ms]', '99 %, during : idle', 'during the solve', 'idle',
-            f'99 % < {BESIDE:g} ms')
-    count = len(next(iter(beside.during.values())))
+            f'99 % < {DURING_SOLVE:g} ms')
     text = (
-        '### Beside a solve of minutes (simplex, 40 000 nodes)\n\n'
-        f'{count} questions of each kind in turns, one every {1e3 * PERIOD:g} ms, in the first '
-        f'{beside.seconds:.0f} s of the solve. `cancel` ended it in {beside.cancel:.3g} ms.\n\n'
-        f'{table(head, rows)}'
+        '### During a solve of minutes (simplex, 40 000 nodes)\n\n'
+        f'{samples} calls of each kind in turns, one every {1e3 * PERIOD:g} ms. `cancel` ended the '
+        f'solve in {cancel:.3g} ms.\n\n{table(head, rows)}'
     )
     return text, all(met.values())
 
 
-def map_results(times: Sequence[float]) -> tuple[str, bool]:
-    """The map's callback, and whether the target is met."""
-    met = max(times) < MAP
-    text = (
-        f'### A map of {CELLS} x {CELLS} cells\n\nCallback, reading the message included: median '
-        f'{statistics.median(times):.3g} ms, largest {max(times):.3g} ms of {len(times)} '
-        f'different maps. Target < {MAP:g} ms for each: {verdict(met)}.'
-    )
-    return text, met
+def alternate(caller: Caller, samples: int) -> Samples:
+    """Times of several kinds of calls, which alternate."""
+    calls: Mapping[str, Callable[[], object]] = {
+        'service `get_parameters`': caller.get_parameter,
+        'service `describe_parameters`': lambda: caller.call(
+            DescribeParameters, 'describe_parameters',
+            DescribeParameters.Request(names=['map.alpha_min'])),
+        'service `get_plan`, strategy known': lambda: caller.get_plan(START, GOAL),
+        'bad map to its diagnostics': bad_maps(caller),
+    }
+    times: Samples = {name: [] for name in calls}
+    begin = time.monotonic()
+    for k in range(samples * len(calls)):
+        caller.idle_until(begin + k * PERIOD)
+        name = list(calls)[k % len(calls)]
+        times[name].append(stopwatch(calls[name]))
+    return times
 
 
-def departure_results(
-    found: Sequence[Departures], calls: int, nodes: int
-) -> tuple[str, bool]:
-    """Times of departures, and whether the targets are met."""
+def bad_maps(caller: Caller) -> Callable[[], None]:
+    """A function that publishes another invalid map and waits for its diagnostics."""
+    publisher = caller.publisher(OccupancyGrid, '/alpha_map')
+    widths = iter(range(1, 1_000_000))
+
+    def publish_bad_map() -> None:
+        bad = OccupancyGrid(header=Header(frame_id='map'))
+        bad.info.width = next(widths)
+        publisher.publish(bad)
+        text = f'width {bad.info.width},'
+        caller.wait(lambda: text in caller.status['message'], 'diagnostics of a bad map')
+
+    return publish_bad_map
+
+
+def departures(calls: int, nodes: int) -> tuple[str, bool]:
+    """Time departures with and without recording; the table, and whether the target is met."""
     rows, every = [], []
-    for each in found:
-        pace = f'every {1e3 * each.period:g} ms' if each.period else 'back to back'
-        for name, times in each.times.items():
-            median, seldom, _ = percentiles(times)
-            target, judged = ANSWERS.get(name), each.period > 0.0
-            met = not target or not judged or (median < target[0] and seldom < target[1])
-            if name.endswith('`path` received'):
-                met = median < PATH
-            every.append(met)
-            shown = f'< {target[0]:g} / {target[1]:g}' if target and judged else ''
-            nothing = statistics.median(each.times[NOTHING])
-            rows.append([name, 'on' if each.recording else 'off', pace, spread(times),
-                         f'{median / nothing:.1f}', shown, verdict(met) if shown else ''])
-    poses = statistics.median(sum((each.poses for each in found), []))
-    head = ('departure', 'recording', 'calls', 'median / 99 % / largest [ms]',
-            "median, times the empty service's", 'target', 'met')
+    with running_node({'network.target_nodes': nodes, **PATH}) as rig, empty_service(rig.domain):
+        for recording in (True, False):
+            say(f'{calls} departures of each kind, recording {recording}')
+            with Caller(rig) as caller:
+                caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
+                caller.set_parameters({'recording.enabled': recording})
+                caller.connect_empty()
+                for name, call in (
+                    ('a service that does nothing', lambda: caller.call(Trigger, EMPTY)),
+                    ('`new_route`', lambda: caller.trigger('new_route')),
+                    ('`get_plan`, with its path', lambda: caller.get_plan(START, GOAL)),
+                ):
+                    times = paced(caller, calls, call)
+                    median, seldom, _ = percentiles(times)
+                    if judged := name == '`new_route`' and recording:
+                        every.append(median < MEDIAN and seldom < SELDOM)
+                    rows.append([
+                        name, 'on' if recording else 'off', spread(times),
+                        *((f'< {MEDIAN:g} / {SELDOM:g}', 'yes' if every[-1] else '**no**')
+                          if judged else ('', '')),
+                    ])
+    head = ('departure', 'recording', 'median / 99 % / largest [ms]', 'target', 'met')
     text = (
-        f'### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls a row; paths of '
-        f'{poses:.0f} poses (median).\n\n{table(head, rows)}'
+        f'### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls for each row, one '
+        f'every {1e3 * PERIOD:g} ms.\n\n{table(head, rows)}'
     )
     return text, all(every)
 
 
+def paced(caller: Caller, calls: int, call: Callable[[], object]) -> list[float]:
+    """Times of calls at regular intervals, after a first one that may solve the game."""
+    call()
+    begin, times = time.monotonic(), []
+    for k in range(calls):
+        caller.idle_until(begin + k * PERIOD)
+        times.append(stopwatch(call))
+    return times
+
+
 def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = new_parser(__doc__)
     parser.add_argument(
-        '--samples', type=int, default=300, metavar='N', help='questions of each kind and state'
+        '--samples', type=int, default=300, metavar='N', help='calls of each kind and state'
     )
-    parser.add_argument('--calls', type=int, default=500, metavar='N', help='departures a row')
+    parser.add_argument('--calls', type=int, default=500, metavar='N', help='departures in a row')
     parser.add_argument('--nodes', type=int, default=10_000, metavar='N', help='of the network')
-    parser.add_argument('--maps', type=int, default=20, metavar='N', help='large maps')
-    parser.add_argument(
-        '--results', type=Path, default=RESULTS, help='file whose block `node_latency` is replaced'
-    )
     options = parser.parse_args()
-    try:
-        parts = (
-            beside_results(beside_a_solve(options.samples, PERIOD)),
-            map_results(large_maps(options.maps, CELLS)),
-            departure_results(
-                departures(options.calls, options.nodes, (PERIOD, 0.0)), options.calls,
-                options.nodes),
-        )
-    except FAILURES as error:
-        say(f'node_latency: {error}')
-        return 2
-    text = '\n\n'.join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
-    print(text)
-    write_block(options.results, 'node_latency', text)
-    return int(not all(met for _, met in parts))
+
+    def measure() -> tuple[str, bool]:
+        parts = during_a_solve(options.samples), departures(options.calls, options.nodes)
+        text = '\n\n'.join((f"{conditions('ros-jazzy-rclpy')}.", *(part for part, _ in parts)))
+        return text, all(met for _, met in parts)
+
+    return run_and_publish(measure, 'node_latency', options.results)
 
 
 if __name__ == '__main__':

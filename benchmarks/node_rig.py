@@ -1,8 +1,7 @@
-"""A planner node in a process of its own and a caller beside it, for the benchmarks of the node."""
+"""A planner node in a process of its own and a client for it, shared by the node's benchmarks."""
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import statistics
 import subprocess
@@ -29,20 +28,20 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.task import Future
+from report import RESULTS, publish
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.ros.conversions import occupancy_to_ros, pose_to_ros
 
-FRAME = 'map'
 PLANNER = '/ambush_planner'
 # Discovery alone can take more than 3 s.
 TIMEOUT = 30.0
-# The node's own limit for a solve is 60 s.
+# The node's own time limit for a solve is 60 s.
 ANSWER_TIMEOUT = 90.0
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-MEGABYTE = 2.0**20
+# A service that does nothing, in another process: what ROS itself takes.
 EMPTY = 'empty'
 EMPTY_SERVICE = f"""
 import rclpy
@@ -56,15 +55,14 @@ try:
 except ExternalShutdownException:
     pass
 """
-TESTS = Path(__file__).resolve().parent.parent / 'test'
 
 
 class NodeSilent(Exception):
-    """The node did not do in time what it should."""
+    """The node did not do something in time."""
 
 
 class Refused(Exception):
-    """The node said no."""
+    """The node refused a request."""
 
 
 @dataclass(frozen=True)
@@ -82,56 +80,33 @@ class Rig:
 
     @property
     def recordings(self) -> Path:
-        """Where it records."""
         return self.folder / 'recordings'
 
 
-FAILURES = (NodeFailed, NodeSilent, Refused)
-
-
 @contextmanager
-def scratch() -> Iterator[Path]:
-    """A temporary folder, in which the processes started from here log, too."""
-    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name:
-        os.environ['ROS_LOG_DIR'] = str(Path(name, 'log'))
-        yield Path(name)
-
-
-def give_nodes_map_updates(folder: Path) -> None:
-    """Let nodes started from now on have ``map_msgs``, or a stand-in where there is none."""
-    if importlib.util.find_spec('map_msgs') is not None:
-        return
-    package = folder / 'standins' / 'map_msgs'
-    package.mkdir(parents=True)
-    (package / '__init__.py').touch()
-    (package / 'msg.py').write_text(
-        "from standin_types import standin\n"
-        "OccupancyGridUpdate = standin('map_msgs', 'OccupancyGridUpdate')\n"
-    )
-    added = (str(package.parent), str(TESTS), os.environ.get('PYTHONPATH', ''))
-    os.environ['PYTHONPATH'] = os.pathsep.join(filter(None, added))
-
-
-@contextmanager
-def running_node(folder: Path, parameters: Mapping[str, object]) -> Iterator[Rig]:
-    """Start a node that records and logs in a folder, and stop it in the end; see NodeProcess."""
+def running_node(
+    parameters: Mapping[str, object], folder: Path | None = None
+) -> Iterator[Rig]:
+    """Run a node that records and logs in a folder, by default a temporary one."""
     # Read by the middleware in this process, and inherited by the node's.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
-    where = {'recording.directory': str(folder / 'recordings')}
-    with free_domain() as domain:
-        with NodeProcess({**where, **parameters}, domain, folder / 'node.log') as process:
+    with tempfile.TemporaryDirectory(prefix='ambush_planner_') as name, free_domain() as domain:
+        folder = folder or Path(name)
+        os.environ['ROS_LOG_DIR'] = str(folder / 'log')
+        settings = {'recording.directory': str(folder / 'recordings'), **parameters}
+        with NodeProcess(settings, domain, folder / 'node.log') as process:
             yield Rig(process, domain, folder)
 
 
 @contextmanager
 def empty_service(domain: int) -> Iterator[None]:
-    """Serve, from a process of its own, a Trigger that does nothing: what ROS itself takes."""
+    """Run the service that does nothing."""
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
     process = subprocess.Popen([sys.executable, '-c', EMPTY_SERVICE], env=environment)
     try:
         yield
     finally:
-        process.terminate()  # killed, it could take the node along: they share memory
+        process.terminate()  # SIGKILL could affect the node: they share memory
         try:
             process.wait(TIMEOUT)
         except subprocess.TimeoutExpired:
@@ -139,35 +114,25 @@ def empty_service(domain: int) -> Iterator[None]:
             process.wait()
 
 
-class StampingExecutor(SingleThreadedExecutor):
-    """Notes when an answer is there, before Python reads it."""
-
-    arrived = 0.0
-
-    def _take_client(self, client: Any) -> Any:
-        self.arrived = time.perf_counter()
-        return super()._take_client(client)
-
-
 class Caller:
-    """A ROS node in this process that asks the planner; to be used in a ``with``.
+    """A ROS node in this process that calls the planner; a context manager.
 
-    ``check`` is called while waiting, and may raise. ``status`` holds the values of the latest
-    diagnostics once ``watch_status`` was called.
+    ``status`` holds the values of the latest diagnostics.
     """
 
-    def __init__(self, domain: int, check: Callable[[], None]) -> None:
-        self._domain, self._check = domain, check
-        self._clients: dict[tuple[str, int], Any] = {}
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+        self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self.status: dict[str, str] = {}
 
     def __enter__(self) -> Caller:
         self._context = Context()
-        rclpy.init(args=[], context=self._context, domain_id=self._domain)
+        rclpy.init(args=[], context=self._context, domain_id=self._rig.domain)
         self.node = rclpy.create_node('caller', context=self._context)
-        self._executor = StampingExecutor(context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
         return self
 
     def __exit__(
@@ -180,49 +145,28 @@ class Caller:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    @property
-    def arrived(self) -> float:
-        """When the last answer was there, not read yet, by ``time.perf_counter``."""
-        return self._executor.arrived
-
-    def watch_status(self) -> None:
-        """Keep the diagnostics from now on."""
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._on_status, 10)
-
-    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None]) -> None:
-        """Subscribe to a latched topic of the planner, and wait until it is there."""
-        self.node.create_subscription(kind, topic, callback, LATCHED)
-        self.wait(lambda: self.node.count_publishers(topic), f'a publisher of {topic}')
-
     def publisher(self, kind: type, topic: str) -> Any:
-        """A publisher that the planner listens to."""
+        """A publisher to which the planner has subscribed."""
         if topic not in self._publishers:
             qos = LATCHED if kind is OccupancyGrid else 1
             made = self._publishers[topic] = self.node.create_publisher(kind, topic, qos)
             self.wait(made.get_subscription_count, f'a subscription of {topic}')
         return self._publishers[topic]
 
-    def client(self, kind: type, name: str, depth: int = 10) -> Any:
-        """A client of a service of the planner; both have found each other."""
-        if (name, depth) not in self._clients:
-            service, qos = f'{PLANNER}/{name}', QoSProfile(depth=depth)
-            made = self.node.create_client(kind, service, qos_profile=qos)
-            self._clients[name, depth] = made
+    def client(self, kind: type, name: str) -> Any:
+        """A connected client of a service of the planner."""
+        if name not in self._clients:
+            made = self._clients[name] = self.node.create_client(kind, f'{PLANNER}/{name}')
             self.wait(made.service_is_ready, f'the service {name}')
-            self._be_met()
-        return self._clients[name, depth]
+            # Answers are lost until the server has discovered the client. It discovers clients in
+            # the order of their creation, so an answer to a later one shows that it has.
+            last = self.node.create_client(GetParameters, f'{PLANNER}/get_parameters')
+            self._call_until_answered(last)
+            self.node.destroy_client(last)
+        return self._clients[name]
 
-    def _be_met(self) -> None:
-        """Return once the planner knows the clients there are: until then answers are lost.
-
-        It finds them in the order in which they were made, and answers this last one.
-        """
-        last = self.node.create_client(GetParameters, f'{PLANNER}/get_parameters')
-        self._ask_until_answered(last)
-        self.node.destroy_client(last)
-
-    def _ask_until_answered(self, client: Any) -> None:
-        """Call a service that changes nothing until it answers."""
+    def _call_until_answered(self, client: Any) -> None:
+        """Repeat a call without side effects until it is answered."""
         what = f'an answer of {client.srv_name}'
         self.wait(client.service_is_ready, what)
         deadline = time.monotonic() + ANSWER_TIMEOUT
@@ -234,124 +178,124 @@ class Caller:
                 if time.monotonic() > deadline:
                     raise
 
+    def connect_empty(self) -> None:
+        """Connect to the service that does nothing, which runs in another process."""
+        self._call_until_answered(self.client(Trigger, EMPTY))
+
     def send(self, kind: type, name: str, request: Any = None) -> Future:
-        """Call a service of the planner; the future of the answer."""
+        """Call a service of the planner; return the future of the answer."""
         return self.client(kind, name).call_async(request or kind.Request())
 
     def call(self, kind: type, name: str, request: Any = None) -> Any:
-        """Call a service of the planner; the answer. Raises NodeSilent."""
+        """Call a service of the planner; return the answer. Raises NodeSilent."""
         future = self.send(kind, name, request)
         self.wait(future.done, f'an answer of {name}', ANSWER_TIMEOUT)
         return future.result()
 
-    def meet(self, name: str) -> None:
-        """Call a Trigger of another node, which does nothing, until it answers."""
-        self._ask_until_answered(self.client(Trigger, name))
-
-    def new_route(self) -> None:
-        """Depart between the latest start and goal. Raises Refused."""
-        self.trigger('new_route')
-
     def trigger(self, name: str) -> None:
-        """Call a Trigger that has to succeed. Raises Refused."""
+        """Call a Trigger that must succeed. Raises Refused."""
         answer = self.call(Trigger, name)
         if not answer.success:
-            raise Refused(f'{name}: {answer.message}{self._others()}')
+            raise Refused(f'{name}: {answer.message}')
 
     def get_plan(self, start: PoseStamped, goal: PoseStamped) -> PathMessage:
         """Depart between two poses. Raises Refused."""
         path = self.call(GetPlan, 'get_plan', GetPlan.Request(start=start, goal=goal)).plan
         if not path.poses:
-            raise Refused(f'get_plan: no path{self._others()}')
+            raise Refused('get_plan: no path')
         return path
 
-    def ask_parameter(self, name: str = 'strategy.solver') -> None:
-        """The smallest thing that a node can be asked."""
+    def get_parameter(self, name: str = 'strategy.solver') -> None:
+        """Get a parameter, the cheapest request."""
         self.call(GetParameters, 'get_parameters', GetParameters.Request(names=[name]))
 
-    def set_parameters(self, values: Mapping[str, Any]) -> str:
-        """Set parameters together; empty, or why they were refused."""
+    def set_parameters(self, values: Mapping[str, Any]) -> None:
+        """Set parameters together. Raises Refused."""
         request = SetParametersAtomically.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()])
         result = self.call(SetParametersAtomically, 'set_parameters_atomically', request).result
-        return '' if result.successful else result.reason or 'no reason'
+        if not result.successful:
+            raise Refused(f'parameters: {result.reason}')
 
     def give(self, grid: OccupancyGrid, start: PoseStamped, goal: PoseStamped) -> None:
-        """Publish the inputs, and wait until the node has some of each."""
+        """Publish the inputs, and wait until the node has received all of them."""
         self.publisher(OccupancyGrid, '/alpha_map').publish(grid)
         self.publisher(PoseStamped, '/start_pose').publish(start)
         self.publisher(PoseStamped, '/goal_pose').publish(goal)
-        if not self.status:
-            self.watch_status()
         self.wait(lambda: self.status.get('state') == 'ready', 'map, start and goal to be taken')
 
     def idle_until(self, moment: float) -> None:
-        """Take what comes until ``time.monotonic()`` is ``moment``."""
+        """Process messages until ``time.monotonic()`` is ``moment``."""
         while (left := moment - time.monotonic()) > 0.0:
-            self._check()
+            self._rig.process.check()
             self._executor.spin_once(timeout_sec=left)
 
-    def wait(
-        self, done: Callable[[], object], what: str, timeout: float = TIMEOUT
-    ) -> None:
-        """Spin until ``done``; raises NodeSilent when the time is up."""
+    def wait(self, done: Callable[[], object], what: str, timeout: float = TIMEOUT) -> None:
+        """Spin until ``done``; raises NodeSilent after the timeout, NodeFailed if the node ends."""
         deadline = time.monotonic() + timeout
         while not done():
-            self._check()
+            self._rig.process.check()
             if time.monotonic() > deadline:
-                raise NodeSilent(f'not within {timeout:g} s: {what}{self._others()}')
+                raise NodeSilent(f'timed out after {timeout:g} s: {what}')
             self._executor.spin_once(timeout_sec=0.05)
-
-    def _others(self) -> str:
-        """Say so if a planner of somebody else has come into the domain: it answers, too."""
-        count = self.node.get_node_names().count(PLANNER.strip('/'))
-        return f'; there are {count} planners in ROS domain {self._domain}' if count != 1 else ''
 
     def _on_status(self, message: DiagnosticArray) -> None:
         for status in message.status:
             self.status = {value.key: value.value for value in status.values}
 
 
-def field(cells: int, resolution: float, seed: int = 1) -> OccupancyGrid:
+def rough_map(cells: int, resolution: float, seed: int = 1) -> OccupancyGrid:
     """A square map without obstacles, rough enough that its game has many routes."""
     values = np.random.default_rng(seed).integers(0, 60, (cells, cells), dtype=np.int8)
-    return occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), Header(frame_id=FRAME))
+    return grid_of(values, resolution)
 
 
-def pose(x: float, y: float, yaw: float = 0.0) -> PoseStamped:
+def grid_of(values: np.ndarray, resolution: float) -> OccupancyGrid:
+    """The message of a map."""
+    return occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), Header(frame_id='map'))
+
+
+def pose(x: float, y: float) -> PoseStamped:
     """A pose on the map."""
-    return PoseStamped(header=Header(frame_id=FRAME), pose=pose_to_ros(x, y, yaw))
+    return PoseStamped(header=Header(frame_id='map'), pose=pose_to_ros(x, y))
 
 
 def resident(pid: int) -> float:
-    """Memory of a process that is in RAM [MB]."""
+    """Resident memory of a process [MB]."""
     pages = int(Path(f'/proc/{pid}/statm').read_text().split()[1])
-    return pages * os.sysconf('SC_PAGE_SIZE') / MEGABYTE
+    return pages * os.sysconf('SC_PAGE_SIZE') / 2.0**20
 
 
-def processor_time(pid: int) -> float:
-    """What a process has used of the processors so far, all its threads together [ms]."""
-    fields = Path(f'/proc/{pid}/stat').read_text().rpartition(')')[2].split()
-    return 1e3 * (int(fields[11]) + int(fields[12])) / os.sysconf('SC_CLK_TCK')
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started and not yet waited for."""
-    lists = Path(f'/proc/{pid}/task').glob('*/children')
-    return [int(child) for each in lists for child in each.read_text().split()]
-
-
-def shared_memory(pid: int) -> set[Path]:
-    """Files of shared memory that a process uses."""
-    lines = Path(f'/proc/{pid}/maps').read_text().splitlines()
-    return {Path(line.split()[5]) for line in lines if ' /dev/shm/' in line}
+def stopwatch(run: Callable[[], object]) -> float:
+    """Duration of a call [ms]."""
+    begin = time.perf_counter()
+    run()
+    return 1e3 * (time.perf_counter() - begin)
 
 
 def percentiles(samples: Sequence[float]) -> tuple[float, float, float]:
-    """Median, 99th percentile, largest."""
+    """Median, 99th percentile and largest of samples."""
     return statistics.median(samples), float(np.quantile(samples, 0.99)), max(samples)
 
 
+def spread(samples: Sequence[float]) -> str:
+    """Median / 99th percentile / largest of samples, as text."""
+    return ' / '.join(f'{value:.3g}' for value in percentiles(samples))
+
+
 def say(text: str) -> None:
-    """Progress, which is no result."""
+    """Print progress."""
     print(text, file=sys.stderr, flush=True)
+
+
+def run_and_publish(
+    measure: Callable[[], tuple[str, bool]], block: str, path: Path = RESULTS
+) -> int:
+    """Publish the text of a measurement; return 0, 1 if a target was missed, 2 on failure."""
+    try:
+        text, met = measure()
+    except (NodeFailed, NodeSilent, Refused) as error:
+        say(f'{block}: {error}')
+        return 2
+    publish(path, block, text)
+    return int(not met)

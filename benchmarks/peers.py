@@ -1,9 +1,9 @@
-"""The same problems in the form that other solvers take.
+"""The same problems for other solvers.
 
-HiGHS (Huangfu and Hall, 2018) gets the linear program for the value, with or without the strategy's
-length budget; Clarabel (Goulart and Chen, 2024), a conic interior point method, gets the problem of
-the greatest route entropy on the strategy's own acyclic edges. Both run on one thread with their
-default tolerances. What is timed is the solver alone, not the making of its matrices.
+HiGHS (Huangfu and Hall, 2018) solves the linear program for the value, with or without the
+strategy's length budget. Clarabel (Goulart and Chen, 2024), a conic interior point method,
+maximises the route entropy on the strategy's own acyclic edges. Both run on one thread with default
+tolerances. Only the solver is timed, not the construction of its matrices.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from ambush_planner.game.game import make_game
 from ambush_planner.game.linear_program import linear_program
 
 Answer = dict[str, Any]
-# What they call an answer that they stand by.
+# Statuses of a usable answer.
 SOLVED = ('Optimal', 'Solved', 'AlmostSolved')
 
 
 @dataclass(frozen=True, eq=False)
 class EntropyProblem:
-    """Largest -sum p ln(p / x_tail) of a unit flow on ``edges`` (K,), acyclic, within limits.
+    """Maximise -sum p ln(p / x_tail) of a unit flow on acyclic ``edges`` (K,) within limits.
 
     ``value`` bounds alpha_j x_j at every node, ``length`` the expected length [m].
     """
@@ -40,16 +40,16 @@ class EntropyProblem:
     length: float
 
 
-def _answer(status: str, seconds: float, iterations: int, **result: float) -> Answer:
-    """The result only of a solver that stands by it; of another that it failed."""
-    answer = {'seconds': seconds, 'iterations': iterations, 'status': status}
+def _answer(status: str, seconds: float, **result: float) -> Answer:
+    """The result, or that the solver failed."""
+    answer = {'seconds': seconds, 'status': status}
     return answer | (result if status in SOLVED else {'failed': True})
 
 
 def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
     """Prepare the linear program for HiGHS; ``solver`` 'simplex' (dual) or 'ipx' (no crossover).
 
-    An infinite ``budget`` leaves the row of the expected length [m] out.
+    With an infinite ``budget`` the row of the expected length [m] is omitted.
     """
     program = linear_program(make_game(network, GameOptions()), 0.0, budget, unit=1.0)
     matrix = vstack((program.inequalities, program.equalities)).tocsc()
@@ -78,13 +78,8 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
         started = time.process_time()
         engine.run()
         seconds = time.process_time() - started
-        status, info = engine.getModelStatus(), engine.getInfo()
-        return _answer(
-            engine.modelStatusToString(status),
-            seconds,
-            max(info.simplex_iteration_count, info.ipm_iteration_count),
-            value=info.objective_function_value,
-        )
+        status = engine.modelStatusToString(engine.getModelStatus())
+        return _answer(status, seconds, value=engine.getInfo().objective_function_value)
 
     return run
 
@@ -92,10 +87,10 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
 def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], Answer]:
     """Prepare the route-entropy problem for Clarabel.
 
-    Variables (p, t, x), x the visits of each node but the target: what leaves a node and what
-    enters it is x, which keeps all rows sparse. (t_k, p_k, x_tail) in the exponential cone says
+    Variables (p, t, x), where x are the visits of each node but the target: the flow into and out
+    of a node is x, which keeps all rows sparse. (t_k, p_k, x_tail) in the exponential cone means
     p exp(t / p) <= x, that is t_k <= -p_k ln(p_k / x_tail). The slack b - A v is 0 for the flow and
-    >= 0 for the limits, each scaled to 1, then comes one cone an edge.
+    >= 0 for the limits, each scaled to 1, followed by one cone per edge.
     """
     m = len(problem.edges)
     tail, head = network.edges[problem.edges].T
@@ -141,9 +136,7 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
         started = time.process_time()
         found = clarabel.DefaultSolver(quadratic, cost, matrix, right, kinds, settings).solve()
         seconds = time.process_time() - started
-        return _answer(
-            str(found.status), seconds, found.iterations, route_entropy=-found.obj_val
-        )
+        return _answer(str(found.status), seconds, route_entropy=-found.obj_val)
 
     return run
 
@@ -151,6 +144,6 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
 def _limits(
     network: Network, problem: EntropyProblem, node: IndexArray
 ) -> tuple[csr_matrix, IndexArray]:
-    """Rows alpha_j x_j / value over x, and which of them can matter: a node is visited once."""
+    """Rows alpha_j x_j / value over x, and which of them can bind: a node is visited once."""
     share = network.alpha[node] / problem.value
     return csr_matrix((share, (np.arange(len(node)),) * 2)), np.flatnonzero(share > 1.0)

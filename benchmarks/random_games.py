@@ -1,14 +1,13 @@
-"""Random valid games of the kinds that users have: does any solve fail, and is each value right?
+"""Random valid games as users have them: does any solve fail, and is each value right?
 
-Ground (real terrain, a city, a maze, Nav2's depot, hills), start and goal, 500 to 5000 nodes, ways
-to lay the network, budgets, reach, thresholds, slacks and ambushers are drawn from a seed of each
-game's own: ``--first SEED --count 1`` plays one again. Up to 1500 nodes the value is held against
-HiGHS' dual simplex method on the whole program, built here. Results go into results.md.
+Map (real terrain, a city, a maze, Nav2's depot, hills), start and goal, 500 to 5000 nodes, network
+method, budgets, reach, thresholds, slacks and ambushers are drawn from a seed of each game's own:
+``--first SEED --count 1`` repeats a game. Up to 1500 nodes the value is checked by HiGHS' dual
+simplex method on the whole program, built here.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 import sys
 import time
@@ -20,14 +19,12 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from grounds import GROUNDS, Ground
-from maps import hills
-from report import RESULTS, conditions, table, write_block
+from report import conditions, new_parser, publish, table
+from scenarios import SCENARIOS, Scenario, hills
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix, hstack, vstack
 
 from ambush_planner import (
-    AmbushPlannerError,
     BudgetInfeasible,
     GameOptions,
     GoalBlocked,
@@ -38,23 +35,22 @@ from ambush_planner import (
     Strategy,
     StrategyOptions,
     TimeLimit,
-    build_network,
     solve,
 )
 from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE
 
-# Nodes up to which HiGHS judges, and how far it may be off: its own tolerances, relative.
-JUDGED, AGREES = 1500, 1e-5
-# Games that take longer than this are told [processor seconds].
+# Largest number of nodes that HiGHS checks, and the relative tolerance of its value.
+CHECKED_NODES, TOLERANCE = 1500, 1e-5
+# Games that take longer than this are reported [processor seconds].
 SLOW = 30.0
-# A strategy's routes that are looked at, for nodes that come twice.
+# Number of routes checked for repeated nodes.
 ROUTES = 20
-SITUATIONS = ('plain', 'detour', 'reach', 'reach and detour', 'several ambushers', 'exposure')
+KINDS = ('plain', 'detour', 'reach', 'reach and detour', 'several ambushers', 'exposure')
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
-    """A network, its options, and the words that tell them."""
+class RandomGame:
+    """A network, its options, and their description."""
 
     network: Network
     game: GameOptions
@@ -64,10 +60,10 @@ class Case:
 
 @dataclass
 class Tally:
-    """What became of the games."""
+    """Results of all games so far."""
 
     games: int = 0
-    judged: int = 0
+    checked: int = 0
     infeasible: int = 0
     failures: list[str] = field(default_factory=list)
     kinds: Counter[str] = field(default_factory=Counter)
@@ -78,30 +74,31 @@ class Tally:
 
 
 @cache
-def ground(name: str) -> Ground:
+def scenario(name: str) -> Scenario:
     if name == 'hills':
-        return Ground(hills(100), (3.0, 50.0), (97.0, 50.0))
-    return GROUNDS[name]()
+        return Scenario(hills(100), (3.0, 50.0), (97.0, 50.0))
+    return SCENARIOS[name]()
 
 
 def available() -> list[str]:
-    """Grounds whose maps are there."""
+    """Names of the scenarios whose maps exist."""
     names = []
     for name in ('terrain', 'city', 'maze', 'depot', 'hills'):
         try:
-            ground(name)
+            scenario(name)
             names.append(name)
         except FileNotFoundError as error:
             print(f'without {name}: {error}', file=sys.stderr)
     return names
 
 
-def draw_case(seed: int, names: list[str]) -> Case | None:
-    """A game of this seed; None where start and goal do not lie on the same free ground."""
+def draw_game(seed: int, names: list[str]) -> RandomGame | None:
+    """The game of this seed; None if start and goal are not connected."""
     rng = np.random.default_rng(seed)
     name = str(rng.choice(names))
-    place = ground(name)
-    start, goal = _ends(rng, place) if rng.random() < 0.5 else (place.start, place.goal)
+    chosen = scenario(name)
+    if rng.random() < 0.5:
+        chosen = _with_random_ends(rng, chosen)
     method = str(rng.choice(
         ['uniform_delaunay'] * 6
         + ['lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay']
@@ -111,7 +108,7 @@ def draw_case(seed: int, names: list[str]) -> Case | None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore', UserWarning)
-            network = build_network(place.risk_map, start, goal, options)
+            network = chosen.network(options)
     except (NoRoute, StartBlocked, GoalBlocked):
         return None
     spacing = float(np.median(network.lengths))
@@ -139,20 +136,18 @@ def draw_case(seed: int, names: list[str]) -> Case | None:
         f'detour {strategy.max_detour:.10g}, exposure {strategy.max_exposure:g}, '
         f'slack {strategy.risk_slack:g}'
     )
-    return Case(network, game, strategy, words)
+    return RandomGame(network, game, strategy, words)
 
 
-def _ends(
-    rng: np.random.Generator, place: Ground
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    free = np.argwhere(~place.risk_map.obstacles)
+def _with_random_ends(rng: np.random.Generator, chosen: Scenario) -> Scenario:
+    free = np.argwhere(~chosen.risk_map.obstacles)
     cells = free[rng.choice(len(free), 2, replace=False)][:, ::-1]
-    (x, y), (u, v) = place.risk_map.to_world(cells + 0.5).tolist()
-    return (x, y), (u, v)
+    start, goal = map(tuple, chosen.risk_map.to_world(cells + 0.5).tolist())
+    return Scenario(chosen.risk_map, start, goal)
 
 
 def highs_value(strategy: Strategy) -> float:
-    """The least value by the whole program: minimise k t + sum s, losses_j <= t + s_j."""
+    """The optimal value by the whole program: minimise k t + sum s, losses_j <= t + s_j."""
     game = strategy.game
     network, edge = game.network, np.flatnonzero(game.playable)
     m, n, sites, k = len(edge), game.node_count, len(game.sites), game.ambushers
@@ -187,67 +182,64 @@ def highs_value(strategy: Strategy) -> float:
     return float(found.fun)
 
 
-def play(case: Case, tally: Tally) -> None:
-    """Solve, look at the strategy, and let HiGHS judge the small ones."""
+def play(game: RandomGame, tally: Tally) -> None:
+    """Solve the game and check its strategy."""
     tally.games += 1
     begin = time.process_time()
     try:
-        strategy = solve(case.network, case.game, case.strategy)
+        strategy = solve(game.network, game.game, game.strategy)
     except (BudgetInfeasible, NoRoute):
-        tally.infeasible += 1  # a threshold forbids all short routes
+        tally.infeasible += 1  # the threshold forbids all short routes
         return
     except TimeLimit as error:
         found = error.strategy
         reached = f'{found.value:.6g} over {found.lower_bound:.6g}' if found else 'nothing'
-        tally.failures.append(f'{case.words}: gap not closed: {reached}')
-        return
-    except AmbushPlannerError as error:
-        tally.failures.append(f'{case.words}: {type(error).__name__}: {error}')
+        tally.failures.append(f'{game.words}: gap not closed: {reached}')
         return
     except Exception as error:
         place = traceback.extract_tb(error.__traceback__)[-1]
-        tally.failures.append(f'{case.words}: {error!r} at {Path(place.filename).name}, '
+        tally.failures.append(f'{game.words}: {error!r} at {Path(place.filename).name}, '
                               f'line {place.lineno}')
         return
     seconds = time.process_time() - begin
     tally.seconds.append(seconds)
-    tally.slowest = max(tally.slowest, (seconds, case.words))
-    tally.kinds[situation(case, strategy)] += 1
+    tally.slowest = max(tally.slowest, (seconds, game.words))
+    tally.kinds[kind_of(game, strategy)] += 1
     over = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
-    excess = over / (1.0 - over) - case.strategy.risk_slack
-    tally.worst = max(tally.worst, (excess, case.words))
-    tally.failures += [f'{case.words}: {fault}' for fault in faults(case, strategy, tally)]
+    excess = over / (1.0 - over) - game.strategy.risk_slack
+    tally.worst = max(tally.worst, (excess, game.words))
+    tally.failures += [f'{game.words}: {fault}' for fault in faults(game, strategy, tally)]
 
 
-def faults(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
-    """What is wrong with a published strategy."""
+def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> list[str]:
+    """Everything that is wrong with a strategy."""
     found = []
     value, bound = strategy.value, strategy.lower_bound
     if not bound <= value * (1.0 + 1e-9):
         found.append(f'bound {bound:.12g} above value {value:.12g}')
-    if value > bound * (1.0 + case.strategy.risk_slack + 2.0 * CERTIFICATE_TOLERANCE):
-        found.append(f'value {value:.9g} over slack and bound {bound:.9g}')
+    if value > bound * (1.0 + game.strategy.risk_slack + 2.0 * CERTIFICATE_TOLERANCE):
+        found.append(f'value {value:.9g} exceeds bound {bound:.9g} by more than the slack')
     if strategy.expected_length > strategy.length_budget * (1.0 + 1e-6):
         found.append('over the length budget')
     if strategy.expected_exposure > strategy.exposure_budget * (1.0 + 1e-6):
         found.append('over the exposure budget')
     for route in strategy.sample_routes(ROUTES, np.random.default_rng(0)):
         if len(np.unique(route)) != len(route):
-            found.append('a route comes back to a node')
+            found.append('a route visits a node twice')
             break
-    if len(case.network.points) <= JUDGED:
-        tally.judged += 1
-        found += _judged(case, strategy, tally)
+    if len(game.network.points) <= CHECKED_NODES:
+        tally.checked += 1
+        found += _check_value(game, strategy, tally)
     return found
 
 
-def _judged(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
+def _check_value(game: RandomGame, strategy: Strategy, tally: Tally) -> list[str]:
     try:
         least = highs_value(strategy)
     except ArithmeticError as error:
         return [str(error)] if strategy.length_price == 0.0 else []
     value, bound = strategy.value, strategy.lower_bound
-    # Budgets that hardly leave room: HiGHS' own tolerance on the length is worth this much.
+    # Effect of HiGHS' feasibility tolerance on tight budgets.
     loose = 1e-8 * sum(
         price * budget
         for price, budget in (
@@ -256,26 +248,26 @@ def _judged(case: Case, strategy: Strategy, tally: Tally) -> list[str]:
         )
         if price > 0.0
     )
-    room = AGREES * least + loose + 1e-9
-    low = bound - room <= least
-    high = value <= least * (1.0 + case.strategy.risk_slack) + room
-    near = least <= value + room
+    margin = TOLERANCE * least + loose + 1e-9
+    low = bound - margin <= least
+    high = value <= least * (1.0 + game.strategy.risk_slack) + margin
+    near = least <= value + margin
     tally.difference = max(
-        tally.difference, (max(bound - least - loose, 0.0) / max(least, 1e-12), case.words)
+        tally.difference, (max(bound - least - loose, 0.0) / max(least, 1e-12), game.words)
     )
     return [] if low and high and near else [
         f'HiGHS has {least:.9g}, value {value:.9g}, bound {bound:.9g}'
     ]
 
 
-def situation(case: Case, strategy: Strategy) -> str:
-    """Which of the kinds of game this is."""
+def kind_of(game: RandomGame, strategy: Strategy) -> str:
+    """Which of the ``KINDS`` a game is."""
     binds = strategy.length_price > 0.0
-    if case.game.ambushers > 1:
+    if game.game.ambushers > 1:
         return 'several ambushers'
     if strategy.exposure_price > 0.0:
         return 'exposure'
-    if case.game.ambush_radius > 0.0:
+    if game.game.ambush_radius > 0.0:
         return 'reach and detour' if binds else 'reach'
     return 'detour' if binds else 'plain'
 
@@ -283,15 +275,15 @@ def situation(case: Case, strategy: Strategy) -> str:
 def report(tally: Tally, first: int) -> str:
     """The tally as Markdown."""
     seconds = np.array(tally.seconds or [0.0])
-    kinds = ', '.join(f'{tally.kinds[kind]} {kind}' for kind in SITUATIONS)
+    kinds = ', '.join(f'{tally.kinds[kind]} {kind}' for kind in KINDS)
     rows = [
         ['games', f'{tally.games} (seeds from {first})'],
         ['**failures**', f'**{len(tally.failures)}**'],
         ['solved, by what raises the value', kinds],
         ['refused: no route within threshold and budgets', str(tally.infeasible)],
-        ['values held against HiGHS', str(tally.judged)],
-        ["bound above HiGHS' value at most by, relative", f'{tally.difference[0]:.1e}'],
-        ['gap beyond the slack at most, relative', f'{tally.worst[0]:.1e}'],
+        ['values checked by HiGHS', str(tally.checked)],
+        ["largest excess of a bound over HiGHS' value, relative", f'{tally.difference[0]:.1e}'],
+        ['largest excess of a gap over the slack, relative', f'{tally.worst[0]:.1e}'],
         ['processor seconds: median, 99 %, largest',
          ', '.join(f'{s:.2f}' for s in (*np.quantile(seconds, [0.5, 0.99]), seconds.max()))],
         ['slowest', tally.slowest[1]],
@@ -300,38 +292,28 @@ def report(tally: Tally, first: int) -> str:
     return text + ''.join(f'\n* {failure}' for failure in tally.failures)
 
 
-def show(case: Case, tally: Tally, failures: list[str], seconds: float, count: int) -> None:
-    """Progress on standard error."""
-    for failure in failures:
-        print(f'FAILURE {failure}', file=sys.stderr, flush=True)
-    if count == 1 or seconds > SLOW:
-        print(f"{seconds:.1f} s, HiGHS' check included: {case.words}", file=sys.stderr)
-    if tally.games % 10 == 0:
-        print(f'{tally.games} games, {len(tally.failures)} failures', file=sys.stderr, flush=True)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = new_parser(__doc__)
     parser.add_argument('--count', type=int, default=2000, help='number of games')
     parser.add_argument('--first', type=int, default=0, help='seed of the first one')
-    parser.add_argument(
-        '--results', type=Path, default=RESULTS, help='file whose block `random_games` is replaced'
-    )
     options = parser.parse_args()
     names, tally = available(), Tally()
     seed = options.first
     while tally.games < options.count:
-        case = draw_case(seed, names)
+        game = draw_game(seed, names)
         seed += 1
-        if case is not None:
-            told, begin = len(tally.failures), time.process_time()
-            play(case, tally)
-            show(case, tally, tally.failures[told:], time.process_time() - begin, options.count)
-    text = report(tally, options.first)
-    print(text)
-    write_block(options.results, 'random_games', text)
+        if game is None:
+            continue
+        shown, begin = len(tally.failures), time.process_time()
+        play(game, tally)
+        seconds = time.process_time() - begin
+        for failure in tally.failures[shown:]:
+            print(f'FAILURE {failure}', file=sys.stderr, flush=True)
+        if options.count == 1 or seconds > SLOW:
+            print(f"{seconds:.1f} s including HiGHS' check: {game.words}", file=sys.stderr)
+        if tally.games % 10 == 0:
+            print(f'{tally.games} games, {len(tally.failures)} failures', file=sys.stderr)
+    publish(options.results, 'random_games', report(tally, options.first))
     sys.exit(1 if tally.failures else 0)
 
 

@@ -1,7 +1,8 @@
-"""Tables in Markdown, and the marked blocks of a file in which they stand."""
+"""Command lines of the benchmarks, and the tables that they write into results.md."""
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 from collections.abc import Sequence
@@ -11,26 +12,35 @@ from pathlib import Path
 RESULTS = Path(__file__).with_name('results.md')
 
 
+def new_parser(description: str | None) -> argparse.ArgumentParser:
+    """A command line with the option ``--results``."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument(
+        '--results', type=Path, default=RESULTS, help="file in which the script's block is replaced"
+    )
+    return parser
+
+
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Markdown table."""
+    """A Markdown table."""
     lines = [head, ['---'] * len(head), *rows]
     return '\n'.join('| ' + ' | '.join(line) + ' |' for line in lines)
 
 
 def conditions(*libraries: str) -> str:
-    """One line: what the numbers were measured with, and how busy the machine was.
-
-    A load over the number of cores, as processes that want to run, makes all times longer.
-    """
+    """Versions, number of cores and load of the machine; a high load makes all times longer."""
     python = f'Python {platform.python_version()}'
     versions = [f'{name} {version(name)}' for name in ('numpy', 'scipy', *libraries)]
     load = f'load {os.getloadavg()[0]:.1f}'
     return ', '.join([python, *versions, f'{os.cpu_count()} cores', load])
 
 
-def write_block(path: Path, name: str, text: str) -> None:
-    """Put text between the file's marks ``name``; add the marks at its end if it has none."""
-    first, last = f'<!-- {name}: begin -->', f'<!-- {name}: end -->'
+def publish(path: Path, block: str, text: str) -> None:
+    """Print the text and put it between the marks of a block; append a missing block."""
+    print(text)
+    first, last = f'<!-- {block}: begin -->', f'<!-- {block}: end -->'
     old = path.read_text() if path.exists() else ''
     if first not in old:
         old += f'\n{first}\n{last}\n'

@@ -1,12 +1,7 @@
-"""What a trip by way of stops costs beside its legs one by one, on the demo's terrain.
-
-The table goes to the screen and into results.md, a picture of the trip into ``--picture``.
-"""
+"""Cost of a trip with stops compared with its legs one by one, on the demo's terrain."""
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,30 +9,24 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from grounds import terrain
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from problems import TERRAIN_SECURED
-from report import RESULTS, conditions, table, write_block
+from one_run import TERRAIN_SECURED
+from report import conditions, new_parser, publish, table
+from scenarios import Scenario, terrain
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
 from ambush_planner.commands.figures import (
     draw_ambush_sites,
-    draw_edges,
     draw_ends,
     draw_risk_map,
     draw_secured,
+    draw_segments,
     frame,
 )
 from ambush_planner.planning.plan import Plan, departure_paths
 
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
-SPACING = 600.0
-OPTIONS = PlanningOptions(
-    NetworkOptions(spacing=SPACING), GameOptions(secured_radius=TERRAIN_SECURED)
-)
-# A reach in spacings.
-REACH = 1.5
+REACH = 1.5  # spacings
 SHOWN = 6
 COLOURS = ('#332288', '#cc3377', '#117733', '#e69f00', '#0072b2', '#56b4e9')
 
@@ -47,30 +36,31 @@ def timed(work: Callable[[], Plan]) -> tuple[Plan, float]:
     return work(), time.process_time() - begin
 
 
-def rows(options: PlanningOptions, name: str) -> tuple[list[list[str]], Plan]:
+def measure(
+    scenario: Scenario, options: PlanningOptions, name: str
+) -> tuple[list[list[str]], Plan]:
     """A row for the legs one by one, for the trip in the given order, and for the best order."""
-    ground = terrain()
-    places = (ground.start, *STOPS, ground.goal)
+    places = (scenario.start, *STOPS, scenario.goal)
     legs = [
-        timed(lambda pair=pair: plan_trip(ground.risk_map, *pair, options))
+        timed(lambda pair=pair: plan_trip(scenario.risk_map, *pair, options))
         for pair in pairwise(places)
     ]
     alone = sum(seconds for _, seconds in legs)
     values = [leg.strategy.value for leg, _ in legs]
-    found = [[
+    rows = [[
         f'{name}: {len(legs)} legs one by one', '-', f'{max(values):.4g} to {sum(values):.4g}', '-',
         f'{sum(leg.strategy.expected_length for leg, _ in legs) / 1000:.1f}', f'{alone:.2f}', '1',
     ]]
     for order in ('given', 'best'):
         trip, seconds = timed(lambda order=order: plan_trip(
-            ground.risk_map, ground.start, ground.goal, options, stops=STOPS, order=order))
-        found.append([
+            scenario.risk_map, scenario.start, scenario.goal, options, stops=STOPS, order=order))
+        rows.append([
             f'{name}: trip, {order} order', ' '.join(str(k + 1) for k in trip.order),
             f'{trip.strategy.value:.4g}', f'{trip.strategy.gap / trip.strategy.value:.1e}',
             f'{trip.strategy.expected_length / 1000:.1f}', f'{seconds:.2f}',
             f'**{seconds / alone:.1f}**',
         ])
-    return found, trip
+    return rows, trip
 
 
 def picture(risk_map: RiskMap, trip: Plan) -> Figure:
@@ -81,7 +71,7 @@ def picture(risk_map: RiskMap, trip: Plan) -> Figure:
     start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
     frame(left, risk_map, f'One strategy over {network.legs} legs: mean loss {strategy.value:.2f}')
     frame(right, risk_map, f'{SHOWN} departures')
-    draw_edges(left, network, strategy.edge_probability)
+    draw_segments(left, network.points[network.edges], strategy.edge_probability)
     draw_ambush_sites(left, network, strategy.ambush_probability)
     paths = departure_paths(trip, SHOWN, 100.0, np.random.default_rng(1))
     for path, colour in zip(paths, COLOURS, strict=True):
@@ -90,34 +80,32 @@ def picture(risk_map: RiskMap, trip: Plan) -> Figure:
         draw_risk_map(axes, risk_map)
         draw_secured(axes, [start, *stops, goal], TERRAIN_SECURED)
         draw_ends(axes, start, goal, stops)
-    figure.legend(
-        handles=[Line2D([], [], color=COLOURS[4], label='likely edges'),
-                 Line2D([], [], color='black', linestyle='--', label='secured ground')],
-        loc='lower center', ncol=2)
     return figure
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument('--picture', type=Path, help='where the picture goes')
-    parser.add_argument('--print-only', action='store_true', help='leave results.md as it is')
+def main() -> None:
+    parser = new_parser(__doc__)
+    parser.add_argument('--picture', type=Path, help='file for the picture of docs/python.md')
+    parser.add_argument('--spacing', type=float, default=600.0, help='of the nodes [m]')
     arguments = parser.parse_args()
-    reaching = replace(OPTIONS, game=replace(OPTIONS.game, ambush_radius=REACH * SPACING))
-    plain, trip = rows(OPTIONS, 'no reach')
-    wide, _ = rows(reaching, f'reach {REACH * SPACING:g} m')
-    text = table(
-        ['', 'stops', 'value', 'gap, relative', 'km', 'processor seconds', 'ratio'],
-        [*plain, *wide])
-    text += f'\n\n{len(trip.network.points)} nodes in {trip.network.legs} layers. {conditions()}.'
-    print(text)
-    if not arguments.print_only:
-        write_block(RESULTS, 'trips', text)
+    options = PlanningOptions(
+        NetworkOptions(spacing=arguments.spacing), GameOptions(secured_radius=TERRAIN_SECURED)
+    )
+    reach = REACH * arguments.spacing
+    scenario = terrain()
+    plain, trip = measure(scenario, options, 'no reach')
+    wide, _ = measure(
+        scenario, replace(options, game=replace(options.game, ambush_radius=reach)),
+        f'reach {reach:g} m',
+    )
+    head = ['', 'stops', 'value', 'gap, relative', 'km', 'processor seconds', 'ratio']
+    publish(arguments.results, 'trips', (
+        f'{table(head, [*plain, *wide])}\n\n{len(trip.network.points)} nodes in '
+        f'{trip.network.legs} layers. {conditions()}.'
+    ))
     if arguments.picture:
-        picture(terrain().risk_map, trip).savefig(arguments.picture)
-    return 0
+        picture(scenario.risk_map, trip).savefig(arguments.picture)
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    main()

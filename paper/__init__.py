@@ -1,1 +1,1 @@
-"""The paper, reproduced: E. Boidot and E. Feron, Planning random path distributions ..."""
+"""Reproduction of E. Boidot and E. Feron, *Planning Random path distributions for ambush games*."""

@@ -1,4 +1,4 @@
-"""``ambush_paper``: the paper's tables and figures, repeated on an environment that is stated.
+"""``python -m paper``: the paper's tables and figures, repeated on a stated environment.
 
 E. Boidot and E. Feron, *Planning Random path distributions for ambush games in unstructured
 environments*. See ``paper.environment`` for the environment and docs/paper.md for the result.
@@ -9,6 +9,8 @@ from __future__ import annotations
 import argparse
 import json
 import platform
+import sys
+import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -16,68 +18,76 @@ from pathlib import Path
 import numpy as np
 import scipy
 
-from ambush_planner.commands import cli
-from ambush_planner.errors import InvalidOption
+from ambush_planner.errors import AmbushPlannerError, InvalidOption
 
 from . import environment
 from .report import Comparison, compare, report
 from .results import DRAWS, Results, Say, compute
 
 EPILOG = """\
-The folder then holds results.json, tables.md and the figures 2 to 7 of the paper with one of our
-own strategy. The paper's numbers stand beside ours; on its 8-node network they can be compared
-themselves, on the map, which it does not publish, only their order can. Takes about a minute.
-A comparison that fails is a finding.
---json: {"verdict", "folder", "failed": [statements], "seconds"}
-""" + cli.EXIT_CODES
-BEGIN, END = '<!-- ambush_paper: begin -->', '<!-- ambush_paper: end -->'
+The folder then contains results.json, tables.md and the figures 2 to 7 of the paper with one of our
+own strategy. On the paper's 8-node network numbers can be compared; on the map, which it does not
+publish, only their order can. Takes about a minute.
+Exit code: 0 all comparisons hold; 1 one does not; 2 wrong usage; 3 a file is unusable.
+"""
+BEGIN, END = '<!-- paper: begin -->', '<!-- paper: end -->'
 
 
-def parser() -> argparse.ArgumentParser:
-    """The command line."""
-    made = cli.new_parser(
-        'paper', "Repeat the paper's tables and figures on an environment that is stated.", EPILOG
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Repeat the paper; return the exit code."""
+    parser = argparse.ArgumentParser(
+        prog='python -m paper', epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Repeat the paper's tables and figures on a stated environment.",
     )
-    made.add_argument(
+    parser.add_argument(
         '-o', '--output', type=Path, default=Path('out/paper'), metavar='FOLDER',
-        help='where the results go; made if missing (default: %(default)s)',
+        help='folder of the results (default: %(default)s)',
     )
-    made.add_argument(
+    parser.add_argument(
         '--docs', type=Path, metavar='FILE',
-        help='also renew the tables in this Markdown file, between its marks',
+        help='also update the tables in this Markdown file, between its marks',
     )
-    return made
+    options = parser.parse_args(arguments)
+    begin = time.monotonic()
 
+    def say(text: str) -> None:
+        print(f'{time.monotonic() - begin:5.1f} s  {text}', file=sys.stderr, flush=True)
 
-def _work(options: argparse.Namespace, console: cli.Console) -> int:
-    from .figures import draw_all  # --help needs no matplotlib
-
-    options.output.mkdir(parents=True, exist_ok=True)
-    results, comparisons = _compute(options.output, options.docs, console.step)
-    draw_all(results, options.output, console.step)
-    console.line(report(results))
-    console.line(f'{cli.place(options.output)}: results.json, tables.md and the figures')
+    try:
+        comparisons = _run(options.output, options.docs, say)
+    except ModuleNotFoundError as error:
+        print(f'paper: {error}; try: make paper', file=sys.stderr)
+        return 3
+    except (AmbushPlannerError, OSError) as error:
+        print(f'paper: {error}', file=sys.stderr)
+        return 3
     failed = [comparison.statement for comparison in comparisons if not comparison.holds]
     for statement in failed:
-        console.error(f'does not hold: {statement}')
-    console.result = {
-        'folder': cli.place(options.output), 'failed': failed,
-        'seconds': round(console.seconds, 1),
-    }
-    return cli.Exit.FINDING if failed else cli.Exit.HOLDS
+        print(f'paper: does not hold: {statement}', file=sys.stderr)
+    return 1 if failed else 0
 
 
-def _compute(folder: Path, docs: Path | None, say: Say) -> tuple[Results, list[Comparison]]:
-    """Run the experiments and write the numbers."""
+def _run(folder: Path, docs: Path | None, say: Say) -> list[Comparison]:
+    from .figures import draw_all  # --help needs no matplotlib
+
+    folder.mkdir(parents=True, exist_ok=True)
     if docs is not None:
-        with_tables(docs.read_text(), '')  # fails now, not when all is done
-    results = compute(environment.make_risk_map(), say)
-    comparisons = compare(results)
-    (folder / 'results.json').write_text(_as_json(results, comparisons))
+        with_tables(docs.read_text(), '')  # fails before the computation
+    results, comparisons = _compute(folder, say)
     tables = report(results)
     (folder / 'tables.md').write_text(tables)
     if docs is not None:
         docs.write_text(with_tables(docs.read_text(), tables))
+    draw_all(results, folder, say)
+    print(f'{tables}\n{folder}: results.json, tables.md and the figures')
+    return comparisons
+
+
+def _compute(folder: Path, say: Say) -> tuple[Results, list[Comparison]]:
+    """Run the experiments and write the numbers."""
+    results = compute(environment.make_risk_map(), say)
+    comparisons = compare(results)
+    (folder / 'results.json').write_text(_as_json(results, comparisons))
     return results, comparisons
 
 
@@ -87,7 +97,7 @@ def with_tables(document: str, tables: str) -> str:
     Raises
     ------
     InvalidOption
-        The document does not hold both marks, one after the other.
+        The document does not contain both marks in order.
     """
     before, begin, rest = document.partition(BEGIN)
     _, end, after = rest.partition(END)
@@ -114,6 +124,3 @@ def _as_json(results: Results, comparisons: Sequence[Comparison]) -> str:
         'comparisons': [asdict(comparison) for comparison in comparisons],
     }
     return json.dumps(content, indent=2, allow_nan=False) + '\n'
-
-
-main = cli.command(parser, _work)

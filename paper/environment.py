@@ -1,7 +1,7 @@
-"""The environment on which ``ambush_paper`` repeats the paper's experiments: our choice.
+"""The environment of the repeated experiments, which is our choice.
 
 The paper publishes neither its risk map nor its start and goal. Its figures show about 30 x 30
-nodes, a square obstacle in the middle, high alpha in the south-east, and a journey from side to
+nodes, a square obstacle in the centre, high alpha in the south-east, and a journey from side to
 side. Here
 
 * the map is a square of ``SIDE`` = 31 m in cells of 0.2 m, with 31 x 31 lattice nodes 1 m apart:
@@ -10,12 +10,12 @@ side. Here
 * alpha(x, y) = 2 + 2 (1 - y / 31) + 6 exp(-((x - 22)^2 + (y - 8)^2) / (2 * 5.5^2)): a gentle fall
   from south to north and one hill in the south-east; from 2.0 to 9.5 over the map;
 * the obstacle is the square 13 < x, y < 18;
-* start (0.5, 15.5) in the west, goal (30.5, 11.5) in the east: the short way runs south of the
-  obstacle across the flank of the hill, the way of low losses north of it.
+* start (0.5, 15.5) is in the west, goal (30.5, 11.5) in the east: the shortest route runs south of
+  the obstacle across the flank of the hill, the one with low losses north of it.
 
-The numbers were chosen so that the shape of the paper's table III comes out (value near 1, fixed
-routes several times worse, the risk avoiding route about 1.3 times the shortest), after trying a
-few dozen; they are not fitted to it.
+The numbers were chosen among a few dozen to reproduce the pattern of the paper's table III (value
+near 1, fixed routes several times worse, the risk avoiding route about 1.3 times the shortest);
+they are not fitted to it.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ START, GOAL = (0.5, 15.5), (30.5, 11.5)
 # Random sampling of Method 1.
 SEED = 0
 
-# The dark ground of the figures.
+# Alpha above which the figures are dark.
 HIGH_ALPHA = 5.0
-# For figure 7: from next to no effect to a single node that everybody has to pass.
+# Thresholds of figure 7, from hardly any effect to a single node that all routes pass.
 THRESHOLDS = (7.0, 6.0, 5.0, 4.5)
-# For one strategy of ours: ground around start and goal where nobody can wait.
+# Radius around start and goal without ambushes, for one of our strategies [m].
 SECURED_RADIUS = 5.0
 
 EXAMPLE = '8 nodes'
@@ -76,8 +76,8 @@ def make_networks(risk_map: RiskMap) -> dict[str, Network]:
 def make_example() -> Network:
     """Return the paper's figure 1: 8 nodes, 13 edges, alpha 1 inside, 7 routes.
 
-    The paper states these numbers and draws the network; two columns of three nodes, joined
-    straight and to the neighbouring rows, are the network that has them.
+    The paper states these numbers and draws the network. They match two columns of three nodes,
+    joined along the rows and to the neighbouring rows.
     """
     points = [(0, 1), *((1, k) for k in range(3)), *((2, k) for k in range(3)), (3, 1)]
     edges = [(0, k) for k in (1, 2, 3)] + [(k, 7) for k in (4, 5, 6)]

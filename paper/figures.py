@@ -1,4 +1,4 @@
-"""The paper's figures 2 to 7, and our own strategies in the same style."""
+"""The paper's figures 2 to 7, and our strategies in the same style."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .environment import EXAMPLE, METHODS, SECURED_RADIUS, SPACING
 from .report import NAMES
 from .results import METHOD_3, SOLVERS, Results, Say
 
-# Squares that are visited less often than this, relative to the busiest, get no arrow.
+# Share of the busiest square's visits below which a square gets no arrow.
 LEAST_SHARE = 2e-3
 
 DOTS_PER_INCH = 100
@@ -39,7 +39,7 @@ CONNECTIVITY = {
     'Method 2': 'lattice, 8-connected',
     'Method 3': 'lattice, Delaunay triangulation',
 }
-# Thresholds of figure 7: a moderate one, and one that leaves a bottleneck.
+# Thresholds of figure 7: a moderate one, and one with a bottleneck.
 SHOWN_THRESHOLDS = (7.0, 5.0)
 
 
@@ -88,7 +88,7 @@ def _secured(results: Results) -> Figure:
 
 
 def _thresholds(results: Results) -> Figure:
-    """One row a threshold: the whole map, and the goal with the places where the ambusher waits."""
+    """A row for each threshold: the whole map, and the goal with the ambush sites."""
     figure, axes = _panels(len(SHOWN_THRESHOLDS))
     for panels, threshold in zip(axes, SHOWN_THRESHOLDS, strict=True):
         strategy = results.thresholds[threshold]
@@ -109,7 +109,7 @@ def _thresholds(results: Results) -> Figure:
 
 
 def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
-    """One row a strategy: left how likely each edge is used, right the mean direction."""
+    """A row for each strategy: expected uses of each edge, and the mean direction."""
     figure, axes = _panels(len(rows))
     for (left, right), (title, strategy) in zip(axes, rows, strict=True):
         frame(left, risk_map, title)
@@ -130,7 +130,7 @@ def _panels(rows: int) -> tuple[Figure, np.ndarray]:
 
 
 def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
-    """Draw the edges on a linear scale that a few crowded edges do not stretch."""
+    """Draw the edges on a linear scale, clipped for a few busy edges."""
     p = strategy.edge_probability
     most = float(np.quantile(p[p > 1e-3], 0.98))
     segments = strategy.network.points[strategy.network.edges]
@@ -138,10 +138,10 @@ def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
 
 
 def _without_two_way_traffic(strategy: Strategy) -> Strategy:
-    """Let traffic there and back on the same edge cancel out, for its mean direction.
+    """Cancel opposite traffic on the same edge.
 
-    Solutions of the linear programs drive most edges both ways; the mean of all that motion
-    shows the network's own asymmetry, what is left shows where the journey goes.
+    Solutions of the linear programs use most edges in both directions. The mean direction of all
+    traffic would show the network's asymmetry; that of the net traffic shows the journey.
     """
     network, p = strategy.network, strategy.edge_probability
     uses = csr_matrix((p, network.edges.T), shape=(len(network.points),) * 2)
@@ -168,7 +168,7 @@ def _sites_legend(figure: Figure) -> None:
 
 
 def _example(results: Results, solver: str, name: str) -> Figure:
-    """The 8-node network: the wider an arrow, the likelier the edge; unused ones dotted."""
+    """The 8-node network; wider arrows are likelier edges, dotted ones are unused."""
     strategy = results.strategies[EXAMPLE, solver]
     network = strategy.network
     figure = Figure(figsize=(8.0, 4.6), dpi=DOTS_PER_INCH, layout='constrained')
@@ -214,8 +214,8 @@ def binned_directions(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Average mean directions over squares of edge ``size`` [m].
 
-    Returns, for each square that holds weight, the centre of its weight (K, 2), the weighted mean
-    direction (K, 2) and its share of the largest weight (K,).
+    Returns, for each square with weight, the centre of weight (K, 2), the weighted mean direction
+    (K, 2) and the weight relative to the largest (K,).
     """
     used = weight > 0.0
     points, direction, weight = points[used], direction[used], weight[used]
@@ -234,9 +234,9 @@ def binned_directions(
 
 
 def draw_mean_direction(axes: Axes, strategy: Strategy, size: float) -> None:
-    """Draw which way the convoy leaves the ground, averaged over squares of edge ``size`` [m].
+    """Draw the mean direction of travel in squares of edge ``size`` [m].
 
-    An arrow is long where the direction is certain, and dark where the convoy often comes.
+    Long arrows mean a certain direction, dark ones many visits.
     """
     places, directions, share = binned_directions(
         strategy.network.points, strategy.mean_direction(), strategy.visit_probability, size

@@ -1,4 +1,4 @@
-"""What ``ambush_paper`` prints: tables, and the paper's statements beside what came out here."""
+"""The tables, and the paper's statements compared with the results here."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ from .results import (
 
 NAMES = dict(zip(SOLVERS, ('interior point (LP)', 'simplex (LP)', 'max_entropy (ours)'),
                  strict=True))
-# Where on the optimal face an interior point method stops depends on its scaling and its steps.
+# Allowed difference of entropies: where on the optimal face an interior point method stops depends
+# on its scaling and its steps.
 NEAR = 0.01
-# Values of one game by several solvers agree to this, relative: a strategy's certificate closes
-# within it.
+# Relative difference of one game's values by several solvers, as of their certificates.
 SAME_VALUE = 1e-5
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A statement of the paper, or of ours about it: both sides as printed, and whether it holds.
+    """A statement of the paper or of ours, with both sides as printed, and whether it holds.
 
-    ``exact``: the number itself can be compared; otherwise the map differs and only the order can.
+    ``exact``: the numbers can be compared; otherwise the maps differ, so only their order can.
     """
 
     statement: str
@@ -44,7 +44,7 @@ class Comparison:
 
 
 def compare(results: Results) -> list[Comparison]:
-    """Hold everything that the paper states against the results."""
+    """Compare all statements of the paper with the results."""
     return [
         *_example(results),
         *_table_2(results),
@@ -55,7 +55,7 @@ def compare(results: Results) -> list[Comparison]:
 
 
 def _example(results: Results) -> Iterable[Comparison]:
-    """The 8-node network is published: its numbers can be compared one by one."""
+    """The 8-node network is published, so its numbers can be compared."""
     centre, vertex = (results.spread(EXAMPLE, solver) for solver in SOLVERS[:2])
     for row in (centre, vertex):
         paper = float(row.paper_edge_entropy or 0.0)
@@ -162,7 +162,7 @@ def _secondary_objectives(results: Results) -> Iterable[Comparison]:
 
 
 def _ours(results: Results) -> Iterable[Comparison]:
-    """What the package claims to do better, on the same networks."""
+    """Claims about our own strategy, on the same networks."""
     networks = list(results.networks)
 
     def everywhere(statement: str, test: Callable[[Spread, Spread, Spread], bool]) -> Comparison:

@@ -1,4 +1,4 @@
-"""The paper's experiments: every strategy that its tables and figures need, and the numbers."""
+"""The paper's experiments: all strategies of its tables and figures, and their numbers."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ SOLVERS = ('interior_point', 'simplex', 'max_entropy')
 # The network of the paper's table III.
 METHOD_3 = 'Method 3'
 LENGTH_WEIGHT = 0.01
-# Budgets of our strategies beside it: one that costs no value, and two near to the shortest route.
+# Length budgets of our strategies: one that costs no value, and two close to the shortest route.
 DETOURS = (1.5, 1.1, 1.06)
 DRAWS = 2000
 DRAWS_SEED = 1
-# Edges of a solution that are used less than this are numerical noise.
+# Edge probability below which a solution is numerical noise.
 UNUSED = 1e-6
 
 PAPER_ENTROPY = {
@@ -42,7 +42,7 @@ PAPER_ENTROPY = {
 STOCHASTIC, SHORTEST, SAFEST = 'stochastic', 'energy efficient', 'risk avoidance'
 WEIGHTED = 'stochastic, 0.99 / 0.01'
 SECURED = f'ours, ends secured within {SECURED_RADIUS:g} m'
-# Expected length, P_1, P_inf, V_inf; of the weighted variant the text tells only the length.
+# Expected length, P_1, P_inf, V_inf; for the weighted variant the text states only the length.
 PAPER_MEASURES: dict[str, tuple[float | None, ...]] = {
     STOCHASTIC: (89.57, 0.33, 0.33, 1.09),
     SHORTEST: (31.24, 0.33, 1.0, 5.99),
@@ -55,10 +55,10 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Spread:
-    """How a strategy spreads: one row of table II.
+    """Spread of a strategy: a row of table II.
 
-    Entropies in nats; ``routes`` are the distinct simple routes among ``DRAWS`` drawn ones,
-    ``high_alpha_share`` the share of node visits at alpha over ``HIGH_ALPHA``.
+    Entropies are in nats; ``routes`` counts distinct routes among ``DRAWS`` drawn ones, and
+    ``high_alpha_share`` is the share of node visits at alpha over ``HIGH_ALPHA``.
     """
 
     network: str
@@ -79,7 +79,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class PlannerRow:
-    """One planner's row of table III; ``paper`` holds the paper's own, as far as it has them."""
+    """A planner's row of table III; ``paper`` holds the paper's values as far as published."""
 
     planner: str
     expected_length: float
@@ -91,7 +91,7 @@ class PlannerRow:
 
 @dataclass(frozen=True)
 class ThresholdRow:
-    """The game without the nodes whose alpha is over ``alpha_threshold``, and where it is lost."""
+    """Value and number of ambush sites without nodes whose alpha exceeds ``alpha_threshold``."""
 
     alpha_threshold: float
     value: float
@@ -140,7 +140,7 @@ def budgeted_name(max_detour: float) -> str:
 
 
 def compute(risk_map: RiskMap, say: Say) -> Results:
-    """Run all experiments; ``say`` is told what is being done.
+    """Run all experiments; ``say`` is called with the progress.
 
     Raises
     ------
@@ -192,12 +192,12 @@ def _solve(network: Network, solver: str) -> Strategy:
 
 
 def _our_options(max_detour: float = DETOURS[0]) -> StrategyOptions:
-    """Without the default's slack, so that values can be compared: none is given up."""
+    """Without slack, so that values can be compared."""
     return StrategyOptions(max_detour=max_detour, risk_slack=0.0)
 
 
 def _paper_options(solver: str, length_weight: float = 0.0) -> StrategyOptions:
-    """The paper's linear programs know no length budget."""
+    """The paper's linear programs, without a length budget."""
     return StrategyOptions(solver, max_detour=np.inf, length_weight=length_weight)
 
 
@@ -218,13 +218,13 @@ def _spread(network: str, solver: str, strategy: Strategy) -> Spread:
 
 
 def distinct_routes(strategy: Strategy, draws: int) -> int:
-    """Number of different routes among ``draws`` drawn ones, always the same draws."""
+    """Number of different routes among ``draws`` routes drawn with a fixed seed."""
     rng = np.random.default_rng(DRAWS_SEED)
     return len({route.tobytes() for route in strategy.sample_routes(draws, rng)})
 
 
 def _planner_rows(raw: Strategy, named: Mapping[str, Strategy]) -> tuple[PlannerRow, ...]:
-    """The paper's planners from its own strategy's table, then the other strategies."""
+    """The paper's planners, followed by the other strategies."""
     measures = evaluate(raw)
     rows = {
         STOCHASTIC: measures['stochastic'],

@@ -1,4 +1,4 @@
-"""Slow, independent answers to what the audit computes, and departures to audit."""
+"""Slow, independent answers to what the audit computes."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from itertools import pairwise
 
 import networkx
 import numpy as np
-
-from ambush_planner.recordings.audit_departures import Driven, audit
 
 
 def routes_with_probabilities(strategy):
@@ -25,11 +23,3 @@ def routes_with_probabilities(strategy):
         for path in paths
     }
 
-
-def drawn(strategy, count, seed):
-    rng = np.random.default_rng(seed)
-    return [strategy.sample_route(rng) for _ in range(count)]
-
-
-def run(strategy, routes, rate=0.01):
-    return audit([Driven(strategy, route) for route in routes], rate)

@@ -1,4 +1,4 @@
-"""Commands run in this process, where a start of Python would add nothing."""
+"""Run commands and benchmarks in this process, which is faster than to start Python."""
 
 import re
 import runpy

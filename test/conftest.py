@@ -1,32 +1,26 @@
-"""What all tests share."""
+"""Settings and fixtures of all tests."""
 
 import gc
 import os
 import sys
-from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import watchdog
 from hypothesis import HealthCheck, settings
 
-# The paper's commands are not installed; at the end, so that an installed package comes first.
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-# How fast the machine is decides nothing; HUNT looks for new examples, as in games.py.
+ROOT = Path(__file__).resolve().parents[1]
+# `paper` is not installed; at the end of the path, so that an installed package takes precedence.
+sys.path.append(str(ROOT))
+# Slow machines must not fail tests; HUNT searches for new examples, as in games.py.
 settings.register_profile('suite', deadline=None, derandomize='HUNT' not in os.environ,
                           database=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile('suite')
-# The same examples, too, whatever modules a worker has imported: Hypothesis takes constants from
-# them, although it is derandomised.
-with suppress(ImportError, AttributeError):
-    from hypothesis.internal.conjecture import providers
-    providers._get_local_constants = lambda: providers._local_constants
-# Not by shared memory: there a process that is killed could crash others, and what a process
-# sends last is lost with it where the reader is slow. Demo and benchmarks set their own range.
+# Shared memory of DDS is off: a killed process could crash others through it, and its last messages
+# would be lost if the reader is slow. Demo and benchmarks set their own discovery range.
 os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'SYSTEM_DEFAULT'
-os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(
-    Path(__file__).resolve().parents[1] / 'config' / 'fastdds_udp.xml')
-# Tests run side by side: numpy, not loaded yet, would only get in its own way with more threads.
+os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(ROOT / 'config' / 'fastdds_udp.xml')
+# Tests run in parallel, so numpy, which is not imported yet, needs only one thread.
 os.environ.setdefault('OMP_NUM_THREADS', '1')
 
 
@@ -37,29 +31,30 @@ def pytest_addoption(parser):
 
 def pytest_configure(config):
     watchdog.pytest_configure(config)
-    config.option.loadscopereorder = False  # xdist's: the files of most tests first
+    # xdist would start with the files that have most tests; slow tests come first here.
+    config.option.loadscopereorder = False
 
 
 def pytest_collection_modifyitems(items):
-    """Files with slow tests first, so that in the end no worker waits for another."""
+    """Run files with slow tests first, so that no worker has a long one left at the end."""
     slow = {item.path for item in items if item.get_closest_marker('slow')}
     items.sort(key=lambda item: item.path not in slow)
 
 
 def pytest_collection_finish():
-    """All that is imported by now stays: garbage collections need not look at it again."""
+    """Exclude everything imported so far from garbage collection, which makes it faster."""
     gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    """Two workers more than there are cores: many tests wait for other processes."""
+    """Use two workers more than cores, because many tests wait for other processes."""
     return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.fixture
 def submitted(monkeypatch):
-    """The keys of solves that are submitted in this process from now on."""
+    """The keys of all solves that are submitted in this process."""
     from ambush_planner.worker.solve_queue import SolveQueue  # most tests need no worker
     keys, submit = [], SolveQueue.submit
 
@@ -70,12 +65,3 @@ def submitted(monkeypatch):
 
     monkeypatch.setattr(SolveQueue, 'submit', tell)
     return keys
-
-
-@pytest.fixture(scope='module')
-def fewer_draws():
-    """Audits compare with as many draws as of many strategies: p-values are exact with any."""
-    from ambush_planner.recordings import audit_departures as departures
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(departures, 'RESAMPLES', departures.RESAMPLES_OF_MANY)
-        yield

@@ -49,3 +49,12 @@ def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
     corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
     route = some_route(network, draw(st.integers(0, 99)))
     return corridors, route, risk_map, clearance, tube, clear_of_edge
+
+
+def distance_to(points, line):
+    """Distance (K,) of points from a polyline (L, 2)."""
+    line = line[np.append(np.hypot(*np.diff(line, axis=0).T) > 0.0, True)]
+    a, along = line[:-1], np.diff(line, axis=0)
+    t = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
+    foot = a + np.clip(t, 0.0, 1.0)[..., None] * along
+    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)

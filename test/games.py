@@ -1,4 +1,4 @@
-"""Random ambush games and slow, independent answers to them, for the suites of the core.
+"""Random ambush games and slow, independent oracles for them.
 
 The suites are deterministic. ``HUNT=20 pytest ...`` runs twenty times as many, random examples.
 """
@@ -61,7 +61,7 @@ def networks(draw, alphas=WITH_ZERO, max_nodes=9):
 
 
 def random_map(seed: int, cells: int = 12, obstacles: float = 0.15, yaw: float = 0.0) -> RiskMap:
-    """A smooth map of losses 1..10 with single obstacle cells strewn over it."""
+    """A smooth map of losses 1..10 with scattered single obstacle cells."""
     rng = np.random.default_rng(seed)
     v, u = np.mgrid[0:cells, 0:cells] / cells
     waves = rng.normal(size=(4, 3))
@@ -71,7 +71,7 @@ def random_map(seed: int, cells: int = 12, obstacles: float = 0.15, yaw: float =
 
 
 def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12) -> Network:
-    """A network over a random map; the first seed from ``seed`` on that has a route."""
+    """A network on a random map; tries further seeds until there is a route."""
     while True:
         risk_map = random_map(seed, cells, obstacles=0.08)
         free = np.argwhere(~risk_map.obstacles)
@@ -127,7 +127,7 @@ def paper_example() -> Network:
 
 
 def quiet_network(*args) -> Network:
-    """A network whose useless edges are dropped without a word."""
+    """A network without warnings about its useless edges."""
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', UserWarning)
         return Network(*args)
@@ -151,7 +151,7 @@ def exact_value(network: Network) -> Fraction:
 
 
 def geometric_hits(network: Network, radius: float) -> csr_matrix:
-    """(N, M): edges that come into the disc of a node from outside; none where it holds an end."""
+    """(N, M): edges that enter the disc of a node; none if it contains an end."""
     points, start = network.points, network.points[network.tails]
     along = points[network.heads] - start
     share = (points @ along.T - (start * along).sum(axis=1)) / (along**2).sum(axis=1)
@@ -166,7 +166,7 @@ def geometric_hits(network: Network, radius: float) -> csr_matrix:
 def program_value(
     network: Network, hits: csr_matrix | None = None, budget: float = np.inf, ambushers: int = 1
 ) -> float:
-    """Least value by one linear program over all edges; row j of ``hits`` is what site j hits.
+    """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
 
     Variables p (M,), t, s (N,): the k largest losses sum to at most k t + sum s.
     """
@@ -177,7 +177,7 @@ def program_value(
     # One ambusher's largest loss is t alone.
     slack = every[: n if ambushers > 1 else 0]
     width, budgets = m + 1 + len(slack), int(np.isfinite(budget))
-    # A row a site: its loss less t, less its own s; then the length as a part of the budget.
+    # One row per site: its loss minus t minus its own s; then the length over the budget.
     parts = (
         (hits.data * network.alpha[hits.row], hits.row, hits.col),
         (-np.ones(n), every, np.full(n, m)),
@@ -231,7 +231,7 @@ def least_weight(network: Network, weights: np.ndarray) -> float:
 
 
 def unbalanced(network: Network, p: np.ndarray) -> float:
-    """By how much p (M,) misses the conservation of one unit from source to target at worst."""
+    """Largest residual of the conservation of one unit of p (M,) from source to target."""
     balance = np.bincount(network.tails, weights=p, minlength=len(network.points))
     balance -= np.bincount(network.heads, weights=p, minlength=len(network.points))
     balance[[network.source, network.target]] -= (1.0, -1.0)

@@ -1,21 +1,59 @@
-"""A ROS interface built from its definition, as a ROS machine has it installed.
+"""ROS interfaces that PyPI lacks, built from their definitions and installed below ``sys.prefix``.
 
-PyPI has no ``nav2_msgs``. But rclpy's wheels bring rosidl's generators, and the headers and
-libraries that their code needs: with a C++ compiler that is all there has to be.
+rclpy's wheels bring rosidl's generators with the headers and libraries that their code needs; only
+a C++ compiler has to be there. Each interface is built once for a virtual environment.
 """
 
+import fcntl
 import json
 import shutil
 import subprocess
 import sys
 import sysconfig
-from importlib import import_module
+import tempfile
+from importlib import import_module, invalidate_caches
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+# As Jazzy and Nav2 for Jazzy define them; comments there make no difference.
+DEFINITIONS = {
+    'map_msgs': ('msg/OccupancyGridUpdate.msg', """
+std_msgs/Header header
+int32 x
+int32 y
+uint32 width
+uint32 height
+int8[] data
+"""),
+    'tf2_msgs': ('msg/TFMessage.msg', 'geometry_msgs/TransformStamped[] transforms\n'),
+    'nav2_msgs': ('action/ComputePathToPose.action', """
+geometry_msgs/PoseStamped goal
+geometry_msgs/PoseStamped start
+string planner_id
+bool use_start
+---
+uint16 NONE=0
+uint16 UNKNOWN=200
+uint16 INVALID_PLANNER=201
+uint16 TF_ERROR=202
+uint16 START_OUTSIDE_MAP=203
+uint16 GOAL_OUTSIDE_MAP=204
+uint16 START_OCCUPIED=205
+uint16 GOAL_OCCUPIED=206
+uint16 TIMEOUT=207
+uint16 NO_VALID_PATH=208
+nav_msgs/Path path
+builtin_interfaces/Duration planning_time
+uint16 error_code
+string error_msg
+---
+"""),
+}
 PREFIX = Path(sys.prefix)
+BUILT = PREFIX / 'built_interfaces'
 SHARE = PREFIX / 'share'
 C, PYTHON = 'rosidl_generator_c', 'rosidl_generator_py'
 DISPATCH, FAST_DDS, INTROSPECTION = (
@@ -30,21 +68,42 @@ for name in {names}:
 """
 
 
-def missing():
+def install(package):
+    """Make an interface's package importable in this process, or skip the test."""
+    if find_spec(package):
+        return
+    if why := _missing():
+        pytest.skip(why, allow_module_level=True)
+    folder = BUILT / package
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / 'lock').open('w') as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (folder / package).exists():
+            with tempfile.TemporaryDirectory() as scratch:
+                built = _build(Path(scratch), package, *DEFINITIONS[package])
+                shutil.copytree(built / package, folder / package)
+    sys.path.append(str(folder))
+    invalidate_caches()
+
+
+def uninstall(package):
+    """Undo ``install`` for the tests that follow in this process."""
+    sys.path[:] = [path for path in sys.path if path != str(BUILT / package)]
+    for name in [name for name in sys.modules if name.split('.')[0] == package]:
+        del sys.modules[name]
+
+
+def _missing():
     """What an interface cannot be built without, '' if all is there."""
-    for tool in ('rosidl_adapter', 'rosidl_generator_type_description', C, PYTHON, DISPATCH,
-                 FAST_DDS, INTROSPECTION):
-        if not find_spec(tool):
-            return f'no {tool}'
-    if not (SHARE / C / 'resource').is_dir():
-        return "rosidl's templates are not below sys.prefix"
+    if not all(map(find_spec, ('rosidl_adapter', C, PYTHON, DISPATCH))):
+        return 'no rosidl generators'
     if not all(map(shutil.which, ('gcc', 'g++'))):
         return 'no gcc and g++'
     return '' if Path(sysconfig.get_path('include'), 'Python.h').is_file() else 'no Python.h'
 
 
-def build_interface(folder, package, name, definition):
-    """Build an interface, like 'action/Name.action', and return what ``sys.path`` needs."""
+def _build(folder, package, name, definition):
+    """Build an interface and return the folder of its package."""
     source = folder / package / name
     source.parent.mkdir(parents=True)
     source.write_text(definition)
@@ -83,7 +142,7 @@ def _generate(folder, package, source):
     for generator in (C, FAST_DDS, INTROSPECTION):
         template = SHARE / generator / 'resource' / f'{generator}__visibility_control.h.in'
         header = folder / generator / package / 'msg' / template.stem
-        header.parent.mkdir(parents=True)
+        header.parent.mkdir(parents=True, exist_ok=True)
         header.write_text(template.read_text().replace('@PROJECT_NAME@', package).replace(
             '@PROJECT_NAME_UPPER@', package.upper()))
 

@@ -1,7 +1,6 @@
 """A departure with every kind of message, and independent readers to compare it with."""
 
 import array
-import io
 from functools import cache
 
 import numpy as np
@@ -21,12 +20,9 @@ from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ambush_planner.recordings import Attachment, RecordedMessage, type_name
-from ambush_planner.recordings.mcap_file import encode
-from ambush_planner.recordings.metadata import Link, chain_text, metadata_texts
-from ambush_planner.recordings.recorder import departure_content
+from ambush_planner.recordings import RecordedMessage, type_name
+from ambush_planner.recordings.recording_file import encode
 from ambush_planner.recordings.schemas import load_definition
-from ambush_planner.recordings.strategy_file import NUMBERS
 
 # Its parsers are slow, and the tests' files all hold the same definitions.
 for _parser in ('get_types_from_idl', 'get_types_from_msg'):
@@ -124,19 +120,7 @@ def small_departure(start_ns=START_NS):
             enumerate(rows)]
 
 
-def small_strategy():
-    """The attachment of a strategy: two places and one way."""
-    stream = io.BytesIO()
-    np.savez_compressed(
-        stream, points=np.array([[0.0, 0.0], [3.0, 4.0]]), alpha=np.zeros(2),
-        edges=np.array([[0, 1]]), source=0, target=1, legs=1, edge_probability=np.ones(1),
-        ambush_probability=np.array([1.0, 0.0]), reach=0.0, start=np.empty(0),
-        **dict.fromkeys(NUMBERS, 0.0),
-    )
-    return Attachment('strategy.npz', 'application/zip', stream.getvalue())
-
-
-STRATEGY = small_strategy()
+ATTACHMENTS = {'strategy.npz': b'not a strategy, but bytes'}
 
 
 def new_route_call(stamp_ns):
@@ -148,51 +132,27 @@ def new_route_call(stamp_ns):
     }
 
 
-def metadata_for(messages, strategy=STRATEGY, compression='zstd', **texts):
-    """All entries that a recorder is given with these messages; ``texts`` replace some."""
-    entries = metadata_texts(
-        inputs=INPUTS,
-        contents={
-            **{role: next(m.data for m in messages if m.topic == topic)
-               for role, topic in INPUTS.items()},
-            'strategy': strategy.data, 'map_changes': b'',
-        },
-        json_entries={
-            'parameters': {'seed': -1, 'recording.compression': compression},
-            'versions': {'python': '3.12.3'}, 'route': [0, 1],
-            'route_entropy_source': [2**255 + 1],
-            'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': [], 'tolerance': 0.0},
-            'ends': [[1.5, 2.5], [3.0, 4.0]],
-            'call': new_route_call(START_NS),
-        },
-        texts={
-            'planner_version': '0.1.0', 'service': 'new_route', 'departure': '1',
-            'departure_id': 'a5c0', 'frame': 'map',
-        },
-    )
-    return {**entries, **texts}
+def metadata_entries():
+    """All entries of the metadata record."""
+    return {
+        'departure_id': 'a5c0', 'departure': 1, 'frame': 'map',
+        'versions': {'ambush_planner': '0.1.0', 'python': '3.12.3'},
+        'parameters': {'seed': -1}, 'topics': INPUTS, 'route': [0, 1],
+        'route_entropy_source': [2**255 + 1],
+        'trip': {'start': [1.5, 2.5], 'goal': [3.0, 4.0], 'stops': []},
+        'ends': [[1.5, 2.5], [3.0, 4.0]],
+        'call': new_route_call(START_NS),
+    }
 
 
-def encoded_departure(*content):
-    """The bytes of a recording, whatever is in it."""
-    return encode(departure_content(*content))
-
-
-def file_of(messages, compression='zstd', **texts):
+def file_of(messages, compression='zstd'):
     """The bytes of a whole recording of these messages."""
-    entries = metadata_for(messages, compression=compression, **texts)
-    metadata = {'chain': chain_text(Link('x.mcap')), **entries}
-    return encoded_departure(messages, metadata, [STRATEGY], compression)
+    return encode(messages, metadata_entries(), ATTACHMENTS, compression)
 
 
 def record(recorder, messages):
-    """Record messages with the metadata of a whole departure; what is lacking is added."""
-    present = {message.topic for message in messages}
-    more = [each for each in small_departure(messages[0].stamp_ns) if each.topic in
-            set(INPUTS.values()) - present] if messages else []
-    return recorder.record_departure(
-        [*messages, *more], metadata_for([*messages, *more]) if messages else {}, [STRATEGY]
-    )
+    """Record messages with the metadata of a departure."""
+    return recorder.record_departure(messages, metadata_entries(), ATTACHMENTS)
 
 
 def message_of(recorded):

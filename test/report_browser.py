@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import select
@@ -120,11 +119,6 @@ class Browser:
         """Return what the browser has written to the page's console."""
         return [event['params']['entry']['text'] for event in self.events
                 if event['method'] == 'Log.entryAdded']
-
-    def screenshot(self, path):
-        """Save a picture (PNG) of the whole page."""
-        shot = self._ask('Page.captureScreenshot', format='png', captureBeyondViewport=True)
-        path.write_bytes(base64.b64decode(shot['data']))
 
     def _ask(self, method, **parameters):
         self._number += 1

@@ -1,6 +1,6 @@
-"""In place of ``ros2`` and of Nav2's map_server, not on PyPI: what the tutorial needs of them.
+"""Stand-in for ``ros2`` and Nav2's map_server, which are not on PyPI, for the tutorial's commands.
 
-Command lines as theirs; ``ros2 run ambush_planner`` starts the real programs.
+``ros2 run ambush_planner`` starts the real programs.
 """
 
 import os
@@ -10,20 +10,11 @@ from importlib import import_module
 from pathlib import Path
 
 ACTIVE = 'map_server/active'
-# The tutorial's audit takes 1 in 1000 honest nodes for suspect: one that is always the same is not.
-NODE = """
-import random, secrets, sys
-draws = random.Random(1)
-secrets.randbits = lambda count: draws.getrandbits(count) | 1 << count - 1
-from ambush_planner.ros.planner_node import main
-sys.exit(main())
-"""
-
-# What a command does not need is imported where it is needed: each one is a process.
+# Imports are inside functions, because each command is a process of its own.
 
 
 def serve_map(node, arguments):
-    """Publish the map latched, as map_server does once it is active, until the end."""
+    """Publish the latched map and serve ``ACTIVE`` until a signal ends the process."""
     from std_msgs.msg import Header
     from std_srvs.srv import Trigger
     from waiting import wait_until
@@ -37,7 +28,7 @@ def serve_map(node, arguments):
     header = Header(frame_id='map')
     message = occupancy_to_ros(grid.values, grid.resolution, grid.origin, header)
     publisher = node.create_publisher(type(message), options['map'], LATCHED)
-    # A latched message may take 3 s to a subscription that is found after it.
+    # A latched message takes up to 3 s to a subscription that is discovered after it.
     wait_until(publisher.get_subscription_count, f'a subscription of {options["map"]}')
     publisher.publish(message)
     assert publisher.wait_for_all_acked()
@@ -46,7 +37,7 @@ def serve_map(node, arguments):
 
 
 def wait_for_map(node):
-    """Return once the map has come through, as map_server is active then."""
+    """Wait until the map has been received."""
     from std_srvs.srv import Trigger
     from waiting import wait_until
 
@@ -67,7 +58,6 @@ def publish(node, topic, kind, text):
     publisher = node.create_publisher(type_of(kind), topic, QoSProfile(depth=1))
     wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
     publisher.publish(filled(type_of(kind)(), yaml.safe_load(text)))
-    # Until it has come through.
     assert publisher.wait_for_all_acked()
 
 
@@ -77,10 +67,10 @@ def call(node, name, kind):
 
     client = node.create_client(type_of(kind), name)
     wait_until(client.service_is_ready, name)
-    # Until the server knows the client its answers are lost; it answers clients made later last.
+    # Answers are lost until the server has discovered the client; it discovers them in order.
     later = node.create_client(GetParameters, f'{name.rpartition("/")[0]}/get_parameters')
     wait_until(later.service_is_ready, later.srv_name)
-    wait_until(lambda: answer_within(1.0, node, later), later.srv_name)
+    wait_until(lambda: answer_within(0.1, node, later), later.srv_name)
     print(answer_within(TIMEOUT, node, client))
 
 
@@ -94,14 +84,12 @@ def answer_within(seconds, node, client):
 
 def main(arguments):
     match arguments:
-        case ['run', 'ambush_planner', 'ambush_planner', *rest]:
-            os.execv(sys.executable, [sys.executable, '-c', NODE, *rest])
         case ['run', 'ambush_planner', name, *rest]:
             os.execvp(name, [name, *rest])
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    # With rclpy's own handlers, a signal is lost on `spin` now and then, and it never ends.
+    # With rclpy's own handlers, `spin` occasionally misses a signal and never ends.
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('standin')
     match arguments:

@@ -1,4 +1,4 @@
-"""A running planner node and a client beside it, apart from every other test and process."""
+"""A running planner node with a client, isolated from all other tests and processes."""
 
 import threading
 from contextlib import ExitStack, contextmanager
@@ -41,7 +41,7 @@ SMALL = {'network.spacing': 1.0}
 @contextmanager
 def free_domain():
     """A domain id that no other test on this machine uses at the same time."""
-    # Those over 50 are the demo's and the benchmarks' (tools/node_process.py).
+    # Those over 50 are the demo's and the benchmarks' (commands/node_process.py).
     for domain in range(1, 51):
         if (lock := lock_domain(domain)) is not None:
             with lock:
@@ -174,7 +174,7 @@ class Client:
 
 
 def whole_graph(node):
-    """Whether the graph has all that the planner's node has: it fills step by step."""
+    """Whether the graph has all topics and services of a node: discovery takes a while."""
     who = node.get_name(), node.get_namespace()
     topics = [{each.topic_name for each in made} for made in (node.publishers, node.subscriptions)]
     return all(
@@ -218,7 +218,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
     overrides = [Parameter(name, value=value) for name, value in values.items()]
     with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
-        stack.enter_context(mock.patch.object(dispatcher, '_LAST_RECORDINGS', TIMEOUT))
+        stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
         planner = PlannerNode(
             context=own, parameter_overrides=overrides, **planner_arguments
         )

@@ -5,7 +5,7 @@ import threading
 
 
 def steps(function, *arguments):
-    """Count the lines that a call runs in this thread, each turn of a loop anew.
+    """Count the lines that a call runs in this thread, including every turn of a loop.
 
     A loop over what an array holds counts as many as it has entries; numpy counts one.
     """

@@ -50,7 +50,7 @@ def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:
 
 @examples(50)
 @given(networks())
-def test_every_edge_of_a_forward_part_lies_on_a_route_and_none_on_a_cycle(network):
+def test_forward_parts_are_acyclic_and_every_edge_is_on_a_route(network):
     game = make_game(network, GameOptions())
     for potential in (order_potential(game), progress(game)):
         part = forward_part(game, rank_by(potential))
@@ -66,7 +66,7 @@ def test_every_edge_of_a_forward_part_lies_on_a_route_and_none_on_a_cycle(networ
 
 @pytest.mark.parametrize('method', ['uniform_delaunay', 'uniform_grid8', 'random_delaunay'])
 @pytest.mark.parametrize('seed', [1, 2, 3])
-def test_on_two_way_networks_the_harmonic_order_keeps_every_edge_one_way(method, seed):
+def test_the_harmonic_order_keeps_one_direction_of_every_two_way_edge(method, seed):
     """The voltage lies between its neighbours', so no node that can lie on a route is lost."""
     network = terrain_network(seed, method, 14)
     game = make_game(network, GameOptions())
@@ -122,7 +122,7 @@ def test_an_order_around_a_strategy_keeps_it(network, seed):
 
 @examples(50)
 @given(networks(), st.integers(0, 10**6))
-def test_without_cycles_the_same_trips_are_made_and_no_node_is_visited_more(network, seed):
+def test_cancelling_cycles_keeps_the_unit_flow(network, seed):
     p = mixed_walks(network, seed)
     less = without_cycles(network, p)
     assert is_acyclic(network, less)

@@ -1,4 +1,4 @@
-"""The records' arrays: copies that nobody can write to, sums by index."""
+"""Read-only copies of arrays, sums by index."""
 
 import numpy as np
 import pytest

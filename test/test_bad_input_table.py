@@ -1,10 +1,11 @@
-"""Each row of the documented table of bad input, tried on one node that lives through all."""
+"""Each row of the documented table of bad input, tried on one node, which survives them all."""
 
 import math
 import re
 from contextlib import ExitStack
 from pathlib import Path
 
+import interfaces
 import numpy as np
 import pytest
 from bad_maps import BAD_MAPS
@@ -28,22 +29,22 @@ from ros_harness import (
     stage_in,
     wait_until,
 )
-from standin_types import grid_update, message_type
 from std_srvs.srv import Trigger
 from test_conversions import turned
 from test_long_solves import NORTH, QUICK, solving, use
 
-from ambush_planner.ros import subscriptions
 from ambush_planner.ros.qos import REQUESTS
 
-UPDATE = message_type('map_msgs', 'OccupancyGridUpdate')
+interfaces.install('map_msgs')
+from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
+
 REFERENCE = Path(__file__).resolve().parent.parent / 'docs/ros_interface.md'
 START, GOAL, BLOCK = (1.5, 5.5), (8.5, 5.5), (5.0, 5.5)
 NAN = math.nan
 
 
 def table_of(heading):
-    """First cell of each row below a heading of the reference -> the other cells."""
+    """Return {first cell: other cells} of the table below a heading of the reference."""
     section = REFERENCE.read_text().split(f'\n## {heading}\n')[1].split('\n#')[0]
     lines = [line.strip('|').split('|') for line in section.splitlines() if line.startswith('|')]
     return {first.strip(): [cell.strip() for cell in cells] for first, *cells in lines[2:]}
@@ -60,7 +61,7 @@ def running():
 
 
 def refused_maps(*names):
-    """Publish each map; the last good one stays in force."""
+    """Publish each map; the last good one stays."""
     def attempt(running: Stage):
         for name in names:
             message, words = BAD_MAPS[name]
@@ -75,14 +76,15 @@ def refused_maps(*names):
 
 
 def plans(*trips):
-    """Ask for plans that cannot be made, and return the code that all of them have."""
+    """Request impossible plans (start, goal, words of the reason), and return their codes."""
     def attempt(running: Stage):
         codes = set()
-        for start, goal in trips:
+        for start, goal, words in trips:
             running.client.get_plan(pose(*START), pose(*GOAL))
             running.client.diagnostics(code='NONE')
             assert not running.client.get_plan(start, goal).poses
             codes.add(_error_code(running.client))
+            assert words in running.client.diagnostics()['message']
         return ' or '.join(sorted(codes, reverse=True))
     return attempt
 
@@ -147,15 +149,13 @@ def two_maps(running):
 
 def bad_updates(_):
     codes = set()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(subscriptions, 'OccupancyGridUpdate', UPDATE)
-        with stage() as fresh:
-            for x, code in ((0, 'NO_MAP'), (19, 'INVALID_MAP')):
-                fresh.client.publish(
-                    'alpha_map_updates', grid_update('map', x, 0, [[1, 2]]), UPDATE)
-                codes.add(fresh.client.diagnostics(code=code, level=b'\2')['code'])
-                fresh.give()
-                fresh.client.diagnostics(code='NONE')
+    with stage() as fresh:
+        for x, code in ((0, 'NO_MAP'), (19, 'INVALID_MAP')):
+            fresh.client.publish('alpha_map_updates', OccupancyGridUpdate(
+                header=header(), x=x, width=2, height=1, data=[1, 2]))
+            codes.add(fresh.client.diagnostics(code=code, level=b'\2')['code'])
+            fresh.give()
+            fresh.client.diagnostics(code='NONE')
     return ' or '.join(sorted(codes))
 
 
@@ -182,7 +182,7 @@ def new_goal_during_a_solve(_):
 
 
 def many_calls(_):
-    """As many as tell whether calls get lost; benchmarks/node_load.py makes the thousand."""
+    """Some of the thousand calls of benchmarks/node_load.py."""
     count = 200
     with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
         busy.give()
@@ -205,7 +205,7 @@ def many_calls(_):
 
 
 def refused_parameters(*changes):
-    """Parameters that are refused with a reason, and change nothing."""
+    """Set parameters that are refused with a reason."""
     def attempt(running: Stage):
         for values, reason in changes:
             result = running.planner.set_parameters_atomically(
@@ -238,18 +238,23 @@ ROWS = {
     'map without a frame': refused_maps('no frame'),
     'all cells unknown': all_unknown,
     'pose not finite': plans(
-        (pose(NAN, 1), pose(*GOAL)), (pose(*START), pose(1, math.inf))),
+        (pose(NAN, 1), pose(*GOAL), 'start: position (nan, 1.0, 0.0)'),
+        (pose(*START), pose(1, math.inf), 'goal: position (1.0, inf, 0.0)')),
     'orientation not a unit quaternion': plans(
-        (turned(w=0.0), pose(*GOAL)), (pose(*START), turned(w=1.0, z=1.0)),
-        (pose(*START), pose(*GOAL, NAN))),
+        (turned(w=0.0), pose(*GOAL), 'start: orientation'),
+        (pose(*START), pose(*GOAL, NAN), 'goal: orientation')),
     'start or goal outside the map': plans(
-        (pose(-1, 5), pose(*GOAL)), (pose(*START), pose(5, 11))),
+        (pose(-1, 5), pose(*GOAL), 'start (-1.000, 5.000) is outside the map, which is 10 m x'),
+        (pose(*START), pose(5, 11), 'goal (5.000, 11.000) is outside the map, which is 10 m x')),
     'start or goal in an obstacle': plans(
-        (pose(*BLOCK), pose(*GOAL)), (pose(*START), pose(*BLOCK))),
-    'start and goal at the same position': plans((pose(*START), pose(*START))),
-    'a stop outside the map, in an obstacle, or where the one before is': bad_stops,
-    'pose in another frame that TF does not know, or in none': plans(
-        (pose(*START, frame='nowhere'), pose(*GOAL)), (pose(*START), pose(*GOAL, frame=''))),
+        (pose(*BLOCK), pose(*GOAL), 'start (5.000, 5.500) lies in an obstacle'),
+        (pose(*START), pose(*BLOCK), 'goal (5.000, 5.500) lies in an obstacle')),
+    'start and goal at the same position': plans(
+        (pose(*START), pose(*START), 'the same position, (1.5, 5.5)')),
+    'a stop outside the map, in an obstacle, or at the previous stop': bad_stops,
+    'pose without a frame, or in one that TF does not know': plans(
+        (pose(*START, frame='odom'), pose(*GOAL), "in the frame 'odom', the map in 'map'"),
+        (pose(*START), pose(*GOAL, frame=''), "goal is given in the frame '', the map in 'map'")),
     'bytes that are not a message': unreadable,
     'parameters that contradict each other': refused_parameters(
         ({'map.alpha_min': 20.0, 'map.alpha_max': 10.0}, 'map.alpha_min'),
@@ -258,8 +263,8 @@ ROWS = {
         ({'strategy.max_detour': 0.5}, 'out of range'), ({'network.spacing': 'wide'}, 'type')),
     'an unknown parameter': unknown_parameter,
     'two maps in quick succession': two_maps,
-    'a map update that does not fit the map, or comes before one': bad_updates,
-    'more solves asked for than may wait': full_queue,
+    'a map update that does not fit the map, or arrives before it': bad_updates,
+    'more solves than may wait': full_queue,
     'another goal while a solve runs': new_goal_during_a_solve,
     '1000 calls at once from 4 clients': many_calls,
 }
@@ -273,4 +278,4 @@ def test_the_table_has_the_rows_that_are_tried():
 def test_row(running, name):
     code = TABLE[name][-1].strip('`')
     assert ROWS[name](running) == code
-    assert running.client.call('new_route').success, 'and the node goes on'
+    assert running.client.call('new_route').success

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from ros_harness import pose, risk_grid, stage, wait_until
 from std_srvs.srv import Trigger
 
-from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings import read_recording, recordings_in
 
 convert = pytest.importorskip('rosbags.convert.cli').main
 INPUTS = {'nav_msgs/msg/OccupancyGrid': OccupancyGrid, 'geometry_msgs/msg/PoseStamped': PoseStamped}
@@ -48,7 +48,7 @@ def play(files, client, rate):
     Stands in for rosbag2: publishers first, then each message when its log time is due, and no
     answer is waited for.
     """
-    messages = [each for file in files for each in read_departure(file).messages
+    messages = [each for file in files for each in read_recording(file).messages
                 if each.type in INPUTS or each.type in EVENTS]
     publishers = {
         each.topic: client.node.create_publisher(INPUTS[each.type], each.topic, _qos(each))
@@ -83,7 +83,7 @@ def files(tmp_path_factory):
 def test_mcap_ros2_reads_whole_files(files):
     for file in files:
         topics = [each.channel.topic for each in read_ros2_messages(str(file))]
-        assert topics == [each.topic for each in read_departure(file).messages]
+        assert topics == [each.topic for each in read_recording(file).messages]
         assert {'/alpha_map', '/start_pose', '/goal_pose', '/path', '/diagnostics'} <= set(topics)
 
 
@@ -102,15 +102,15 @@ def test_rosbags_converts_whole_files(files, tmp_path, suffix, monkeypatch):
 
 def test_a_player_drives_a_node_to_all_departures(tmp_path):
     files = record(tmp_path, **{'recording.service_events': True})
-    recorded = [read_departure(file) for file in files]
+    recorded = [read_recording(file) for file in files]
     assert all(sum(m.type in EVENTS for m in each.messages) == 2 for each in recorded)
     with stage() as running:
         client = running.client
         # As a player does before it starts: its publishers and clients find the node.
         assert all(each.wait_for_service(10.0) for each in client._services.values())
-        # Slower than it was, so that a busy machine is not late for half a second.
+        # Slower than recorded, so that a busy machine gets the inputs before the request.
         answers = play(files, client, rate=0.25)
         assert [answer.success if hasattr(answer, 'success') else bool(answer.plan.poses)
                 for answer in answers] == [True] * len(files)
         wait_until(lambda: len(client.received['path']) == len(files), 'paths')
-        assert _ends(client) == [each.metadata.ends[1] for each in recorded]
+        assert _ends(client) == [tuple(each.entries['ends'][1]) for each in recorded]

@@ -1,4 +1,4 @@
-"""The bottleneck report: which sites decide the value, and what securing the ends would leave."""
+"""The bottleneck report: the decisive sites, and the value with secured ends."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def corridor_network() -> Network:
     return Network(np.array(points, float), alpha, np.array(edges), 0, 13)
 
 
-def test_names_the_site_that_decides_and_where_it_is():
+def test_the_decisive_site_and_its_place_are_reported():
     report = find_bottleneck(solve(corridor_network()))
     assert report.sites.tolist() == [1]
     assert report.near_ends == 1
@@ -39,7 +39,7 @@ def test_names_the_site_that_decides_and_where_it_is():
 
 
 def detour_network() -> Network:
-    """As above, but the three sites abreast are 0, 3 and 4 m beside the straight road."""
+    """As above, but the three sites abreast are 0, 3 and 4 m off the straight road."""
     road = [[float(x), 0.0] for x in range(13)]
     points = [*road, [6, 3], [6, -4]]
     alpha = np.zeros(15)
@@ -51,7 +51,7 @@ def detour_network() -> Network:
 
 
 @pytest.mark.parametrize('detour', [1.0, 1.05, 1.2, 2.0])
-def test_the_secured_value_holds_for_the_budget_that_applies(detour):
+def test_the_secured_value_keeps_the_budget(detour):
     """It is what solving without the sites near the ends gives within the same budget."""
     network = detour_network()
     options = StrategyOptions(max_detour=detour, risk_slack=0.0)
@@ -62,7 +62,7 @@ def test_the_secured_value_holds_for_the_budget_that_applies(detour):
         assert report.secured_value == pytest.approx(1.0)
 
 
-def test_secured_value_is_what_a_secured_radius_gives():
+def test_the_secured_value_is_that_of_a_secured_radius():
     alpha = np.ones((20, 20))
     network = build_network(
         RiskMap(alpha, alpha > 1, 1.0), (0.5, 10.5), (19.5, 10.5), NetworkOptions(spacing=1.0)
@@ -86,7 +86,7 @@ def test_a_site_near_both_ends_counts_once():
     assert 0 < report.near_ends <= len(report.sites)
 
 
-def test_nothing_decides_a_game_of_value_zero():
+def test_a_game_of_value_zero_has_no_decisive_sites():
     points = np.array([[0, 0], [1, 0], [2, 0.0]])
     network = Network(points, np.zeros(3), np.array([[0, 1], [1, 2]]), 0, 2)
     report = find_bottleneck(solve(network))

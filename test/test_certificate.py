@@ -1,4 +1,4 @@
-"""The certificate judges: it believes no solver, refuses what is wrong, and holds at any scale."""
+"""The certificate: it refuses wrong strategies, and holds at any scale of the losses."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate import certify, lower_bound, upper_bound
+from ambush_planner.game.certificate import certify, hit_bound
 from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets
 
 SLACK = StrategyOptions().risk_slack
 
 
 def case(detour=1.2, network=None, **game):
-    """A solved game, ready to be judged again: game, p, q, budgets, prices."""
+    """The arguments of ``certify`` for a solved game: game, p, q, budgets, prices."""
     network = network or terrain_network(4, cells=10)
     options = StrategyOptions(max_detour=detour)
     found = solve(network, GameOptions(**game), options)
@@ -37,11 +38,10 @@ def case(detour=1.2, network=None, **game):
     return found.game, p, q, budgets, (found.length_price, found.exposure_price)
 
 
-def test_what_was_solved_is_believed():
+def test_solved_strategies_are_certified():
     for detour in (1.02, 1.2, np.inf):
-        given_ = case(detour)
-        judged = certify(*given_)
-        assert judged.bound <= judged.value <= judged.bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
+        found = certify(*case(detour))
+        assert found.bound <= found.value <= found.bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
 def wrong_ambushers(q):
@@ -90,25 +90,23 @@ def test_a_wrong_price_is_refused(price):
 
 
 def test_a_bound_above_the_value_is_refused(monkeypatch):
-    """Whatever lets it happen: it is never hidden."""
-    given_ = case()
-    monkeypatch.setattr(
-        'ambush_planner.game.certificate.lower_bound', lambda *_: 1.0001 * upper_bound(*given_[:2])
-    )
+    arguments = case()
+    wrong = 1.0001 * worst_loss(*arguments[:2])
+    monkeypatch.setattr('ambush_planner.game.certificate.lower_bound', lambda *_: wrong)
     with pytest.raises(SolverFailed, match='above the value'):
-        certify(*given_)
+        certify(*arguments)
 
 
 @examples(50)
 @given(networks(alphas=PLAIN), st.integers(0, 10**6), st.floats(0, 5), st.floats(1.0, 2.0))
-def test_no_route_within_the_budget_beats_the_bound_of_any_q_and_price(
+def test_weak_duality_holds_for_any_q_and_price(
     network, seed, price, detour
 ):
-    """Weak duality, by a Dijkstra of the suite's own."""
+    """Checked by an independent Dijkstra."""
     game = make_game(network, GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
     q = np.random.default_rng(seed).dirichlet(np.ones(game.node_count))
-    bound = lower_bound(game, q, budgets, (price, 0.0))
+    bound = hit_bound(game, q, budgets, (price, 0.0))
     weights = (q * network.alpha)[network.heads] + price * network.lengths
     expected = least_weight(network, weights) - price * budgets[0].limit
     assert bound == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-6)
@@ -141,7 +139,7 @@ def test_a_budget_below_the_best_route_is_infeasible():
 
 @examples(50)
 @given(networks())
-def test_excess_adds_up_to_what_a_route_costs_over_the_best(network):
+def test_excess_along_a_route_is_its_cost_over_the_best(network):
     game = make_game(network, GameOptions())
     length, exposure = make_budgets(game, StrategyOptions(max_detour=2.0, max_exposure=3.0))
     route = solve(network, options=StrategyOptions(max_detour=np.inf)).sample_route(

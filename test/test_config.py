@@ -8,7 +8,6 @@ import rclpy
 import yaml
 from rclpy.context import Context
 from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.node import Node
 from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from ros_harness import free_domain
 
@@ -111,16 +110,6 @@ def test_the_parser_of_param_load_reads_the_same():
     finite = {name: value for name, value in DEFAULTS.items() if value != math.inf}
     assert exact({name: values[name] for name in finite}) == exact(finite)
     assert values.keys() == DEFAULTS.keys()
-
-
-def test_the_parser_of_params_file_reads_the_same(started):
-    node = started(
-        lambda **options: Node('ambush_planner', **options), '--params-file', str(FILE),
-        automatically_declare_parameters_from_overrides=True)
-    values = {name: node.get_parameter(name).value for name in DEFAULTS}
-    assert exact(values) == exact(DEFAULTS)
-    assert set(node.get_parameters_by_prefix('')) - set(DEFAULTS) <= {
-        'use_sim_time', 'start_type_description_service'}
 
 
 def test_every_parameter_is_explained_as_it_is_declared():

@@ -1,8 +1,7 @@
-"""Networks over maps: where nodes lie, who is joined, what is refused, and repeatability."""
+"""Networks on maps: positions of nodes, joined pairs, and repeatability."""
 
 from __future__ import annotations
 
-import heapq
 import itertools
 
 import numpy as np
@@ -49,7 +48,7 @@ def lattice_pairs(network) -> set:
 
 @pytest.mark.parametrize('method', METHODS)
 @pytest.mark.parametrize('clearance', [0.0, 0.6])
-def test_the_expected_number_of_nodes_is_about_the_real_one(method, clearance):
+def test_expected_nodes_approximates_the_number_of_nodes(method, clearance):
     risk_map = random_map(3, 40, 0.05, 0.0)
     options = NetworkOptions(method, 0.4, clearance)
     places = np.stack(np.meshgrid(*[np.arange(40) + 0.5] * 2), axis=-1).reshape(-1, 2)
@@ -101,20 +100,12 @@ def test_laws(built):
 
 @examples(30)
 @given(random_networks())
-def test_equal_inputs_give_the_same_network_bit_for_bit(built):
+def test_same_inputs_give_the_same_network_bit_for_bit(built):
     risk_map, options, network, ends = built
     again = build_network(risk_map, *ends, options)
     assert network.points.tobytes() == again.points.tobytes()
     assert network.edges.tobytes() == again.edges.tobytes()
     assert network.alpha.tobytes() == again.alpha.tobytes()
-
-
-@pytest.mark.parametrize('method', METHODS[3:])
-def test_the_seed_decides_where_samples_lie(method):
-    risk_map = random_map(2, 12, 0.0)
-    one, two = (build(risk_map, (1, 1), (11, 11), method, spacing=1.0, seed=k) for k in (1, 2))
-    assert one.points.shape == two.points.shape == (144, 2)
-    assert not np.array_equal(one.points, two.points)
 
 
 @pytest.mark.parametrize('method', METHODS[1:3])
@@ -126,7 +117,7 @@ def test_lattice_nodes_lie_at_half_spacings_and_ends_replace_the_nearest(method)
     assert network.points[-2:].tolist() == [[0.6, 0.7], [7.2, 5.9]]
 
 
-def test_a_rotated_map_gives_the_same_network_turned():
+def test_a_rotated_map_gives_a_rotated_network():
     plain = build(open_map(), (0.6, 0.7), (7.2, 5.9), spacing=1.0)
     turned_map = open_map(origin=(10.0, -4.0, 2.1))
     turned = build(turned_map, (0.6, 0.7), (7.2, 5.9), spacing=1.0)
@@ -192,7 +183,7 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
 
 @pytest.mark.parametrize('method', METHODS[3:])
 @pytest.mark.parametrize('obstacles', [0.0, 0.03, 0.1])
-def test_triangulating_part_by_part_gives_the_same_network(monkeypatch, method, obstacles):
+def test_triangulation_by_parts_gives_the_same_network(monkeypatch, method, obstacles):
     for seed in range(5):
         risk_map = random_map(seed, 26, obstacles)
         free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
@@ -232,59 +223,8 @@ def empty_chords(points, i, ends) -> np.ndarray:
     return np.where((on_line & (power < -1e-12)).any(axis=1), -np.inf, above - below)
 
 
-MOVING_AI = """
-..........@.....
-.@@@@@....@..@..
-.....@....@..@..
-.....@.......@..
-..@..@@@@@@..@..
-..@.............
-..@@@@@.@@@.@@@.
-........@.......
-.@@..@..@..@@@@.
-.....@.....@....
-"""
-
-
-def octile_lengths(free, start) -> dict:
-    """Dijkstra on cells: straight 1, diagonal sqrt(2), both flanking cells of a diagonal free."""
-    queue, done = [(0.0, start)], {}
-    while queue:
-        length, (row, column) = heapq.heappop(queue)
-        if (row, column) in done:
-            continue
-        done[row, column] = length
-        for dr, dc in itertools.product((-1, 0, 1), repeat=2):
-            r, c = row + dr, column + dc
-            if 0 <= r < free.shape[0] and 0 <= c < free.shape[1] and (dr or dc):
-                if free[r, c] and free[row, c] and free[r, column]:
-                    heapq.heappush(queue, (length + np.hypot(dr, dc), (r, c)))
-    return done
-
-
-@pytest.mark.parametrize('resolution', [1.0, 0.05, 0.1, 1 / 3])
-def test_grid8_meets_octile_lengths_without_corner_cutting(resolution):
-    free = np.array([list(line) for line in MOVING_AI.split()])[::-1] == '.'
-    risk_map = RiskMap(np.ones(free.shape), ~free, resolution, (0.1, 0.2, 0.3))
-    start = (0, 0)
-    lengths = octile_lengths(free, start)
-    assert len(lengths) > 100
-    for goal in list(lengths)[1::9]:
-        ends = (np.array([start, goal])[:, ::-1] + 0.5) * resolution
-        network = build(risk_map, *ends, 'uniform_grid8', spacing=resolution)
-        assert shortest(network) == pytest.approx(lengths[goal] * resolution, rel=1e-12)
-
-
-def shortest(network) -> float:
-    best = np.full(len(network.points), np.inf)
-    best[network.source] = 0.0
-    for _ in range(len(best)):  # Bellman and Ford
-        np.minimum.at(best, network.heads, best[network.tails] + network.lengths)
-    return best[network.target]
-
-
 @pytest.mark.parametrize('method, worst', [('uniform_delaunay', 1.11), ('uniform_grid8', 1.09)])
-def test_no_direction_is_much_longer_than_the_straight_line(method, worst):
+def test_routes_are_nearly_straight_in_all_directions(method, worst):
     side = 61
     risk_map = RiskMap(np.ones((side, side)), np.zeros((side, side), bool), 1.0)
     for start in 26.0 + 9.0 * np.random.default_rng(5).random((8, 2)):
@@ -295,50 +235,6 @@ def test_no_direction_is_much_longer_than_the_straight_line(method, worst):
         straight = np.hypot(*(network.points - network.points[network.source]).T)
         far = (straight > 18) & (straight < 24)
         assert (lengths[far] / straight[far]).max() <= worst
-
-
-@examples(30)
-@given(st.integers(0, 10**6), st.sampled_from((0.0, 0.05, 0.2)))
-def test_the_default_network_is_planar_without_slivers(seed, obstacles):
-    risk_map = random_map(seed, 9, obstacles)
-    free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
-    try:
-        network = build(risk_map, *free, spacing=0.8)
-    except (NoRoute, InvalidNetwork):
-        assume(False)
-    pairs = np.array(sorted(joined(network)))
-    a, b = network.points[pairs[:, 0]], network.points[pairs[:, 1]]
-    for k in range(len(pairs)):
-        assert not crosses(a[k], b[k], a[k + 1 :], b[k + 1 :]).any()
-    lattice = ~np.isin(pairs, (network.source, network.target)).any(axis=1)
-    if obstacles == 0.0:
-        assert np.hypot(*(a - b)[lattice].T).max() < 2.0 * 0.8
-        assert smallest_angle(network) > 15.0
-
-
-def crosses(a, b, c, d):
-    """Whether segment a -> b crosses the inside of each of the segments c -> d (K, 2)."""
-    def side(p, q, r):
-        return np.sign((q - p)[..., 0] * (r - p)[..., 1] - (q - p)[..., 1] * (r - p)[..., 0])
-    return (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
-
-
-def smallest_angle(network) -> float:
-    """Between two edges at one lattice node that are sides of one triangle [degrees]."""
-    near = {}
-    for i, j in joined(network):
-        near.setdefault(i, set()).add(j)
-        near.setdefault(j, set()).add(i)
-    best = np.inf
-    for i, around in near.items():
-        if i in (network.source, network.target):
-            continue
-        for j, k in itertools.combinations(sorted(around), 2):
-            if k in near[j] and not {j, k} & {network.source, network.target}:
-                u, v = network.points[[j, k]] - network.points[i]
-                cosine = u @ v / np.hypot(*u) / np.hypot(*v)
-                best = min(best, np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-    return best
 
 
 @pytest.mark.parametrize('method', METHODS)
@@ -358,7 +254,7 @@ def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
 
 @pytest.mark.parametrize('spacing', [1.3, 0.7])
 @pytest.mark.parametrize('ends', [((0.5, 0.1), (13.5, 0.1)), ((0.2, 0.2), (0.2, 13.9))])
-def test_no_edge_runs_along_the_border_past_every_site(ends, spacing):
+def test_no_long_edge_runs_along_the_border(ends, spacing):
     network = build(open_map(14, 14), *ends, spacing=spacing)
     assert network.lengths.max() < 3 * spacing
 
@@ -370,13 +266,7 @@ def test_start_and_goal_in_one_lattice_cell(method):
 
 
 @pytest.mark.parametrize('method', METHODS)
-def test_a_map_of_one_cell(method):
-    network = build(open_map(1, 1), (0.1, 0.1), (0.9, 0.8), method, spacing=1.0)
-    assert len(network.points) == 2 and network.edges.tolist() == [[0, 1]]
-
-
-@pytest.mark.parametrize('method', METHODS)
-@pytest.mark.parametrize('shape', [(1, 9), (9, 1), (2, 9)])
+@pytest.mark.parametrize('shape', [(1, 2), (1, 9), (9, 1), (2, 9)])
 def test_narrow_maps(method, shape):
     far = (shape[1] - 0.5, shape[0] - 0.5)
     network = build(open_map(*shape), (0.5, 0.5), far, method, spacing=1.0)

@@ -1,4 +1,4 @@
-"""What ``build_network`` refuses: ends that cannot be, no route, options out of range."""
+"""Inputs that ``build_network`` rejects: invalid ends, no route, options out of range."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def test_no_route_names_both_ends_and_the_spacing(method):
         ((101, 51), (101, 51), InvalidNetwork, 'same position'),
     ],
 )
-def test_ends_that_cannot_be(start, goal, error, words):
+def test_rejects_invalid_ends(start, goal, error, words):
     with pytest.raises(error, match=words):
         build_network(blocked_map(), start, goal, NetworkOptions(spacing=2.0))
 
 
-def test_the_clearance_counts_for_the_ends():
+def test_ends_must_keep_the_clearance():
     options = NetworkOptions('uniform_grid8', spacing=2.0, clearance=1.0)
     with pytest.raises(StartBlocked, match=r'clearance 1 m'):
         build_network(blocked_map(), (103.5, 51), (101, 59), options)
@@ -71,14 +71,14 @@ def test_the_clearance_counts_for_the_ends():
         {'target_nodes': 1},
     ],
 )
-def test_options_out_of_range_are_named(options):
+def test_rejects_options_out_of_range(options):
     (name, value), = options.items()
     with pytest.raises(InvalidOption, match=name) as caught:
         NetworkOptions(**options)
     assert str(value) in str(caught.value)
 
 
-def test_a_spacing_far_too_small_is_refused_before_it_fills_the_memory():
+def test_rejects_a_spacing_that_would_exhaust_memory():
     with pytest.raises(InvalidOption, match=r'spacing 1e-05 m on a map of 8 m x 6 m'):
         build_network(
             RiskMap(np.ones((6, 8)), np.zeros((6, 8), bool), 1.0),

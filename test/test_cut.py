@@ -109,14 +109,14 @@ def test_a_tiny_flow_needs_several_rounds_of_integers():
     assert found.value == pytest.approx(1.0 / (1.0 / alphas).sum(), rel=1e-12)
 
 
-def test_only_the_plain_game_is_taken():
+def test_other_games_than_the_plain_one_are_refused():
     network = line([0, 1, 1, 1, 0])
     for options in (GameOptions(ambush_radius=1.0), GameOptions(ambushers=2)):
         with pytest.raises(SolverFailed, match='one ambusher without a reach'):
             solve_by_min_cut(make_game(network, options))
 
 
-def test_where_nothing_costs_anything_q_is_spread_evenly():
+def test_the_uniform_ambusher_covers_all_sites():
     game = make_game(line([0, 1, 2, 0]), GameOptions())
     assert uniform_ambusher(game).tolist() == [0.0, 0.5, 0.5, 0.0]
     two = make_game(line([0, 1, 0]), GameOptions(ambushers=2))

@@ -1,4 +1,4 @@
-"""Edges that enter discs, against geometry that shares no code: points along the drawn line."""
+"""Edges that enter discs, against independent geometry: points along the drawn line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ambush_planner import GameOptions, Network, solve
 from ambush_planner.game.discs import entering_edges
 from ambush_planner.game.game import make_game
 
-# Points along each edge; what comes nearer to the circle than NEAR radii is not told apart.
+# Points along each edge; distances within NEAR radii of the circle are ambiguous.
 DENSE, NEAR = 2000, 1e-6
 
 
@@ -37,7 +37,7 @@ def drawn(points: np.ndarray) -> np.ndarray:
 
 
 def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tuple[int, int]:
-    """Least and largest number of times that a polyline comes into a disc, by points along it."""
+    """Least and largest number of entries of a polyline into a disc, by points along it."""
     distance = np.sqrt(((drawn(points) - centre) ** 2).sum(axis=1))
 
     def runs(inside) -> int:
@@ -49,7 +49,7 @@ def visits_to_disc(points: np.ndarray, centre: np.ndarray, radius: float) -> tup
 
 @pytest.mark.parametrize('seed', range(4))
 def test_straight_corridors_with_nodes_on_the_circle_enter_once(seed):
-    """A thousand a seed: the disc is as large as some nodes are far, to the last digit or so."""
+    """A thousand per seed: some nodes are on the circle up to rounding."""
     rng = np.random.default_rng(seed)
     for _ in range(1000):
         angle, step = rng.uniform(0, 2 * np.pi), rng.uniform(0.1, 9.0)
@@ -61,7 +61,7 @@ def test_straight_corridors_with_nodes_on_the_circle_enter_once(seed):
 
 
 def test_a_corridor_through_a_disc_costs_its_loss():
-    """The game of value 3 that once had value 0."""
+    """Regression: the value of this game is 3, not 0."""
     rng = np.random.default_rng(1)
     for _ in range(40):
         angle = rng.uniform(0, 2 * np.pi)
@@ -73,7 +73,7 @@ def test_a_corridor_through_a_disc_costs_its_loss():
 
 @examples(50)
 @given(st.integers(0, 10**9))
-def test_entries_of_any_polyline_are_those_of_its_points(seed):
+def test_entries_of_any_polyline_match_its_sampled_points(seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-10, 10, (rng.integers(3, 7), 2))
     site = int(rng.integers(1, len(points)))
@@ -87,8 +87,8 @@ def test_entries_of_any_polyline_are_those_of_its_points(seed):
 
 
 @pytest.mark.parametrize('radius', [1.0, np.sqrt(2.0), 2.0, np.sqrt(5.0), 5.0])
-def test_no_walk_on_a_turned_lattice_comes_into_a_disc_unseen(radius):
-    """Nodes exactly at the reach on a lattice turned by 1.1 rad; decided by whole numbers."""
+def test_every_walk_into_a_disc_on_a_rotated_lattice_is_counted(radius):
+    """Nodes exactly at the reach on a lattice rotated by 1.1 rad; integers decide."""
     side = 15
     grid = np.stack(np.divmod(np.arange(side * side), side), axis=1)
     turn = np.array([[np.cos(1.1), -np.sin(1.1)], [np.sin(1.1), np.cos(1.1)]])
@@ -101,10 +101,10 @@ def test_no_walk_on_a_turned_lattice_comes_into_a_disc_unseen(radius):
     row = entries(network, centre, radius)
     tail, head = (((grid[k] - grid[centre]) ** 2).sum(axis=1) for k in edges.T)
     squared = round(radius**2)
-    # Out of the disc and into it: seen by its own edge, or before where the tail is on the circle.
+    # An edge from outside into the disc counts; one from inside never does.
     assert (row[(tail > squared) & (head < squared)] == 1.0).all()
     assert (row[(tail < squared)] == 0.0).all()
-    # Whether a node on the circle is inside is decided once: in by its edges in, or by those out.
+    # A node on the circle is inside for all of its edges, or for none.
     for node in np.flatnonzero(((grid - grid[centre]) ** 2).sum(axis=1) == squared):
         into = row[(edges[:, 1] == node) & (tail > squared)]
         out = row[(edges[:, 0] == node) & (head < squared)]
@@ -114,7 +114,7 @@ def test_no_walk_on_a_turned_lattice_comes_into_a_disc_unseen(radius):
 
 
 def test_edges_that_enter_a_disc_count_once():
-    # A row of nodes one metre apart; discs of 1.2 m. s and t and their neighbours are no sites.
+    # A row of nodes one metre apart; discs of 1.2 m. Ends and their neighbours are not sites.
     network = corridor(np.column_stack((np.arange(7.0), np.zeros(7))))
     game = make_game(network, GameOptions(ambush_radius=1.2))
     assert game.sites.tolist() == [2, 3, 4]
@@ -132,6 +132,6 @@ def test_an_edge_that_only_passes_through_a_disc_hits():
     assert solve(network, GameOptions(ambush_radius=0.5)).value == 0.0
 
 
-def test_no_sites_are_no_rows():
+def test_without_sites_there_are_no_rows():
     network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
     assert entering_edges(network, np.empty(0, np.int64), 1.0).shape == (0, 2)

@@ -1,4 +1,4 @@
-"""The value holds for what is driven: drawn, driven and hit, by geometry alone."""
+"""The value bounds the mean loss of driven paths, measured by geometry alone."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def dense(line, step):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('ground', 'tube'), [(hills, None), (strewn, 1.0), (gates, None)])
-def test_with_a_reach_no_place_is_hit_more_often_than_the_value_says(ground, tube):
+def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube):
     a_plan = planned(ground, REACH, tube)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
     mean, error = losses(a_plan, [path[:, :2] for path in paths], REACH)
@@ -98,7 +98,7 @@ def test_with_a_reach_no_place_is_hit_more_often_than_the_value_says(ground, tub
 
 @pytest.mark.slow
 @pytest.mark.parametrize('ground', [hills, strewn, gates])
-def test_without_a_reach_no_node_is_passed_more_often_than_the_value_says(ground):
+def test_without_a_reach_no_ambush_costs_more_than_the_value(ground):
     a_plan, near = planned(ground, 0.0, None), PASSES * SPACING
     paths = departure_paths(a_plan, DRAWS_WITHOUT, 0.5, np.random.default_rng(1))
     mean, error = losses(a_plan, [dense(path[:, :2], near / 2) for path in paths], near)

@@ -1,4 +1,4 @@
-"""What is driven: in the corridors, clear of obstacles, as short as can be, and smooth."""
+"""Driven paths: within the corridors, clear of obstacles, short and smooth."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drive_samples import drives, some_route
+from drive_samples import distance_to, drives, some_route
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +16,7 @@ from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import (
-    MOST,
+    MAX_MARGIN,
     different_paths,
     driven_path,
     driven_paths,
@@ -24,15 +24,6 @@ from ambush_planner.routes.driven_path import (
     turn_radii,
 )
 from ambush_planner.routes.taut_string import portals_along
-
-
-def distance_to(points, line):
-    """Distance (K,) of points from a polyline, by all its segments."""
-    line = line[np.append(np.hypot(*np.diff(line, axis=0).T) > 0.0, True)]
-    a, along = line[:-1], np.diff(line, axis=0)
-    t = ((points[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1)
-    foot = a + np.clip(t, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)
 
 
 def dense(poses, parts=20):
@@ -44,7 +35,7 @@ def dense(poses, parts=20):
 
 @examples(60)
 @given(drives())
-def test_the_path_keeps_clear_and_in_its_tube(drive):
+def test_the_path_stays_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
     poses = driven_path(corridors, route, 0.2)
@@ -105,7 +96,7 @@ def test_a_staircase_becomes_a_straight_line():
     assert drawn > 1.02 * straight and driven < 1.01 * straight
 
 
-def test_a_tube_of_nothing_is_the_drawn_route():
+def test_a_tube_of_zero_gives_the_drawn_route():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=0.0)
     route = some_route(corridors.network, 3)
     poses = driven_path(corridors, route, 0.5)
@@ -116,7 +107,7 @@ def test_a_tube_of_nothing_is_the_drawn_route():
 
 
 @pytest.mark.parametrize('radius', [0.2, 0.5, 1.0])
-def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
+def test_turns_have_the_requested_radius_if_the_tube_allows_it(radius):
     """A right angle between two legs of 10 m in a tube of 2 m allows turns of more than 1 m."""
     corridors = corridors_on(open_map(), (2.5, 2.5), (17.5, 17.5), spacing=10.0, tube=2.0)
     network = corridors.network
@@ -133,7 +124,7 @@ def test_turns_are_as_wide_as_asked_where_the_tube_allows(radius):
     assert tight_turns(poses, radius) == 0 and tight_turns(poses, 20.0) > 0
 
 
-def test_radii_of_a_circle_of_a_turn_on_the_spot_and_of_a_line():
+def test_turn_radii_of_a_circle_a_line_and_a_turn_on_the_spot():
     angle = np.linspace(0.0, 2.0, 12)
     circle = np.stack((3 * np.sin(angle), 3 - 3 * np.cos(angle), angle), axis=1)
     assert turn_radii(circle) == pytest.approx(3.0)
@@ -150,7 +141,7 @@ def test_no_path_is_much_longer_than_its_route(drive):
     poses = driven_path(corridors, route, 0.2)
     portals = portals_along(corridors, [route])
     # Where a portal is all on one side of the node, the path keeps a margin from the node.
-    detour = MOST * portals.width
+    detour = MAX_MARGIN * portals.width
     drawn = np.hypot(*np.diff(corridors.network.points[route], axis=0).T).sum()
     assert np.hypot(*np.diff(poses[:, :2], axis=0).T).sum() <= drawn + 2 * detour.sum() + 1e-9
 
@@ -184,27 +175,7 @@ def test_a_route_of_one_edge_is_a_straight_line():
     assert poses[:, 2] == pytest.approx(np.pi / 4)
 
 
-def test_a_turned_map_gives_the_turned_path():
-    plain = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    turned_map = open_map(yaw=0.7)
-    turned = corridors_on(turned_map, (1.2, 1.3), (18.7, 18.4))
-    route = some_route(plain.network, 1)
-    a, b = driven_path(plain, route, 0.3), driven_path(turned, route, 0.3)
-    uv = open_map().to_map_axes(a[:, :2])
-    np.testing.assert_allclose(b[:, :2], turned_map.to_world(uv), atol=1e-6)
-    np.testing.assert_allclose(between(b[:, 2], a[:, 2]), 0.7, atol=1e-6)
-
-
-def test_many_paths_are_as_one_by_one_and_counted():
-    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    routes = [some_route(corridors.network, seed) for seed in (1, 2, 1, 3, 2)]
-    paths = driven_paths(corridors, routes, 0.3)
-    for path, route in zip(paths, routes, strict=True):
-        assert np.array_equal(path, driven_path(corridors, route, 0.3))
-    assert different_paths(corridors, routes) == 3
-
-
-def test_routes_that_are_shortened_alike_are_one_path():
+def test_routes_with_the_same_shortened_nodes_share_a_path():
     corridors = corridors_on(open_map(), (1.2, 1.3), (8.7, 8.4))
     routes = [some_route(corridors.network, seed) for seed in range(300)]
     once = list({route.tobytes(): route for route in routes}.values())
@@ -217,7 +188,7 @@ def test_routes_that_are_shortened_alike_are_one_path():
 
 @examples(30)
 @given(drives(), st.sampled_from((0.0, 0.6)))
-def test_many_paths_at_once_are_those_one_by_one(drive, radius):
+def test_paths_made_together_match_single_ones(drive, radius):
     corridors, route = drive[:2]
     routes = [route, *(some_route(corridors.network, seed) for seed in range(100, 104))]
     paths = driven_paths(corridors, routes, 0.3, radius)
@@ -226,19 +197,19 @@ def test_many_paths_at_once_are_those_one_by_one(drive, radius):
 
 
 @pytest.mark.parametrize('spacing', [1e-5, 1e-30, 5e-324])
-def test_too_many_poses_are_refused(spacing):
+def test_rejects_too_many_poses(spacing):
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* 20000 are the most'):
+    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* at most 20000 are allowed'):
         driven_path(corridors, some_route(corridors.network, 1), spacing)
 
 
 @pytest.mark.parametrize('tube', [-0.1, np.nan, np.inf])
-def test_a_tube_that_cannot_be_is_refused(tube):
+def test_rejects_an_invalid_tube(tube):
     with pytest.raises(InvalidOption, match='tube'):
         corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4), tube=tube)
 
 
-def test_nodes_that_need_not_be_visited_are_left_out_only_without_a_tube():
+def test_unneeded_nodes_are_skipped_only_without_a_tube():
     corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
     network = corridors.network
     links = {tuple(link) for link in corridors.links.tolist()}

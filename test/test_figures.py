@@ -1,4 +1,4 @@
-"""Pictures: what the layers show, and that both figures of the demo are drawn."""
+"""Pictures: the layers, and the figure of the demo."""
 
 import math
 
@@ -42,33 +42,33 @@ def turned_map(yaw: float) -> RiskMap:
     return RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 2.0, (100.0, 50.0, yaw))
 
 
-def test_frame_holds_a_turned_map(axes):
+def test_frame_contains_a_rotated_map(axes):
     figures.frame(axes, turned_map(math.pi / 2), 'turned')
     np.testing.assert_allclose(axes.get_xlim(), (94.0, 100.0))
     np.testing.assert_allclose(axes.get_ylim(), (50.0, 60.0))
     assert axes.get_xlabel() == 'x [m]'
 
 
-def test_large_maps_are_labelled_in_kilometres(axes):
+def test_large_maps_have_ticks_in_kilometres(axes):
     figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), 'large')
     assert axes.get_xlabel() == 'x [km]'
     assert axes.xaxis.get_major_formatter()(2500.0) == '2.5'
 
 
-def test_the_map_lies_where_its_origin_says(axes):
+def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
     image = figures.draw_risk_map(axes, risk_map)
     shown = (image.get_transform() - axes.transData).transform([(0.0, 0.0), (10.0, 6.0)])
     np.testing.assert_allclose(shown, risk_map.to_world([(0.0, 0.0), (10.0, 6.0)]))
 
 
-def test_obstacles_are_no_shade_of_grey(axes):
+def test_obstacles_are_masked(axes):
     obstacles = np.array([[True, False]])
     image = figures.draw_risk_map(axes, RiskMap(np.ones((1, 2)), obstacles, 1.0))
     np.testing.assert_array_equal(image.get_array().mask, obstacles)
 
 
-def test_edges_hardly_driven_are_left_out_and_the_likeliest_lie_on_top(axes, small_plan):
+def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
     network = small_plan.network
     p = np.zeros(len(network.edges))
     p[:4] = 0.2, 0.9, 0.5 * figures.LEAST_PROBABILITY, 0.1
@@ -79,7 +79,7 @@ def test_edges_hardly_driven_are_left_out_and_the_likeliest_lie_on_top(axes, sma
 
 
 @pytest.mark.parametrize('largest', [0.0, 1e-9, 0.3, 1.0])
-def test_the_scale_of_probabilities_is_never_empty(largest):
+def test_probability_scale_is_never_empty(largest):
     scale = figures.probability_scale(np.array([0.0, largest]))
     assert scale.vmin == figures.LEAST_PROBABILITY < scale.vmax
     assert np.isfinite(scale(largest))
@@ -94,16 +94,11 @@ def test_binned_directions_are_weighted_means():
     np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
     np.testing.assert_allclose(mean, [[0.75, 0.25], [0.6, 0.8]])
     np.testing.assert_allclose(share, [1.0, 0.5])
-
-
-def test_binned_directions_of_nothing():
-    places, mean, share = binned_directions(
-        np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), 1.0
-    )
+    places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
 
 
-def test_bins_hold_the_whole_weight(small_plan):
+def test_one_bin_has_the_mean_of_all(small_plan):
     strategy = small_plan.strategy
     _, mean, share = binned_directions(
         small_plan.network.points, strategy.mean_direction(), strategy.visit_probability, 1e9
@@ -113,7 +108,7 @@ def test_bins_hold_the_whole_weight(small_plan):
     np.testing.assert_allclose(mean[0], x @ strategy.mean_direction() / x.sum())
 
 
-def test_markers_show_where_the_ambusher_may_be(axes, small_plan):
+def test_markers_show_ambush_sites_by_probability(axes, small_plan):
     q = small_plan.strategy.ambush_probability
     figures.draw_ambush_sites(axes, small_plan.network, q)
     (markers,) = axes.collections
@@ -123,20 +118,19 @@ def test_markers_show_where_the_ambusher_may_be(axes, small_plan):
                                   np.argsort(shown, kind='stable'))
 
 
-def test_an_ambusher_who_is_nowhere_has_no_marker(axes, small_plan):
+def test_no_ambush_sites_no_markers(axes, small_plan):
     figures.draw_ambush_sites(axes, small_plan.network, np.zeros(len(small_plan.network.points)))
     assert len(axes.collections[0].get_offsets()) == 0
 
 
-@pytest.mark.parametrize('secured', [0.0, 15.0])
-def test_the_figure_of_the_demo_is_drawn(tmp_path, small_map, small_plan, secured):
+def test_figure_of_the_demo(tmp_path, small_map, small_plan):
     rng = np.random.default_rng(3)
     routes = [depart(small_plan, rng).points for _ in range(8)]
     fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(('a', 'b'))]
-    figure = routes_figure(small_map, small_plan.strategy, routes, fixed, secured)
+    figure = routes_figure(small_map, small_plan.strategy, routes, fixed, 15.0)
     (tmp_path / 'routes.png').write_bytes(figures.as_png(figure))
-    height, width, _ = imread(tmp_path / 'routes.png').shape
-    assert width > 1500 and height > 900
-    assert np.std(imread(tmp_path / 'routes.png')) > 0.05
-    legend = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert ('secured' in ' '.join(legend)) == (secured > 0.0)
+    picture = imread(tmp_path / 'routes.png')
+    assert picture.shape[0] > 900 and picture.shape[1] > 1500
+    assert np.std(picture) > 0.05
+    labels = ' '.join(text.get_text() for text in figure.legends[0].get_texts())
+    assert 'secured' in labels and 'obstacle' in labels

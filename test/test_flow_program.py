@@ -57,7 +57,7 @@ def test_conservation_leaves_out_the_target():
 
 @examples(90)
 @given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
-def test_at_most_one(masses, count):
+def test_capped_probabilities_keep_their_sum(masses, count):
     if sum(masses) < 1e-3:
         return
     q = capped_at_one(np.array(masses) * count / sum(masses), count)

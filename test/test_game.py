@@ -1,4 +1,4 @@
-"""What the options do to the game: forbidden nodes, secured ground, and what is out of range."""
+"""The options of the game: forbidden nodes, secured ground, sites off the road, ranges."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ambush_planner.game.game import make_game
 
 
 def value(network, **options) -> float:
-    """Exact value; inf where no route is left."""
+    """Exact value; inf without a route."""
     try:
         return solve_by_min_cut(make_game(network, GameOptions(**options))).value
     except NoRoute:
@@ -50,7 +50,7 @@ def test_nodes_over_the_threshold_are_never_driven_through(network, limit):
 
 @examples(50)
 @given(networks(), st.floats(0, 8))
-def test_nobody_waits_on_secured_ground(network, radius):
+def test_the_ambusher_never_waits_on_secured_ground(network, radius):
     game = make_game(network, GameOptions(secured_radius=radius))
     ends = network.points[[network.source, network.target]]
     near = np.linalg.norm(network.points[:, None] - ends, axis=2).min(axis=1) <= radius
@@ -61,7 +61,7 @@ def test_nobody_waits_on_secured_ground(network, radius):
 
 
 def test_an_ambush_at_the_place_of_the_source_counts_unless_it_is_secured():
-    # A network whose points do not matter: all at one place.
+    # All nodes are at the same place.
     network = Network(np.zeros((3, 2)), [0, 5, 0], [(0, 1), (1, 2)], 0, 2)
     assert solve(network).value == 5.0
 
@@ -76,31 +76,31 @@ def test_no_route_says_what_the_threshold_discards():
 
 
 def road(alpha=(0, 1, 1, 1, 0), beside=(9.0,)) -> Network:
-    """A road of nodes 1 m apart and, 1 m beside its middle, nodes that no edge leads to."""
+    """A road of nodes 1 m apart and, from 1 m next to its middle, nodes without edges."""
     points = [[k, 0] for k in range(5)] + [[2, 1 + k] for k in range(len(beside))]
     edges = [(k, k + 1) for k in range(4)]
     return Network(points, [*alpha, *beside], edges, 0, 4)
 
 
 def losses_at(network, **options) -> dict[int, float]:
-    """Site -> what an ambush there costs who drives the only route."""
+    """Loss of an ambush on the only route, by site."""
     game = make_game(network, GameOptions(**options))
     losses = game.site_losses(np.where(game.playable, 1.0, 0.0))
     return dict(zip(game.sites.tolist(), losses.tolist(), strict=True))
 
 
-def test_without_a_reach_nobody_waits_where_nobody_drives():
+def test_without_a_reach_sites_are_on_the_road():
     assert losses_at(road()) == {1: 1.0, 2: 1.0, 3: 1.0}
 
 
-def test_with_a_reach_he_waits_in_a_pocket():
+def test_with_a_reach_sites_may_be_off_the_road():
     assert losses_at(road(), ambush_radius=1.1) == {2: 1.0, 5: 9.0}
     assert solve(road(), GameOptions(ambush_radius=1.1)).value == pytest.approx(9.0)
-    # From where he does not reach the road he does no harm.
+    # An ambush out of reach of the road causes no loss.
     assert losses_at(road(beside=(1.0, 9.0)), ambush_radius=1.1) == {2: 1.0, 5: 1.0, 6: 0.0}
 
 
-def test_with_a_reach_he_waits_on_forbidden_ground():
+def test_with_a_reach_sites_may_be_on_forbidden_ground():
     network = road(beside=(12.0,))
     two_way = np.vstack((network.edges, [(2, 5), (5, 2)]))
     network = Network(network.points, network.alpha, two_way, 0, 4)
@@ -110,7 +110,7 @@ def test_with_a_reach_he_waits_on_forbidden_ground():
     assert strategy.visit_probability[5] == 0.0
 
 
-def test_a_disc_that_holds_an_end_is_no_site_and_one_that_touches_it_holds_it():
+def test_a_disc_that_contains_or_touches_an_end_is_not_a_site():
     assert losses_at(road(beside=()), ambush_radius=2.0) == {}
     assert losses_at(road(beside=()), ambush_radius=1.9) == {2: 1.0}
 
@@ -125,7 +125,7 @@ def test_more_ambushers_than_nodes_are_refused():
 
 @examples(35)
 @given(networks(), st.floats(0.1, 3.0))
-def test_a_part_of_the_game_keeps_only_whole_routes(network, radius):
+def test_a_restricted_game_keeps_only_whole_routes(network, radius):
     game = make_game(network, GameOptions(ambush_radius=radius))
     rng = np.random.default_rng(len(network.edges))
     part = game.restricted_to(rng.random(len(network.edges)) < 0.7)

@@ -6,11 +6,9 @@ from nav_msgs.srv import GetPlan
 from ros_harness import pose, risk_grid, stage
 
 from ambush_planner import GameOptions, StrategyOptions, TimeLimit, solve
-from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning import plan as planner
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.recordings.recorded_case import Case
 from ambush_planner.worker.process import WorkerProcess
 
 OPEN = np.full((40, 40), 10, dtype=np.int8)
@@ -25,10 +23,9 @@ def departures(folder, parameters, count=4):
         for _ in range(count):
             assert client.get_plan(START, GOAL).poses
         report = client.diagnostics(departures=str(count))
-    cases = [Case(read_departure(path)) for path in recordings_in(folder)]
     found = [
-        (path_from_ros(case.message('path')), case.metadata.route, case.strategy())
-        for case in cases
+        (each.path_poses, each.route.tolist(), each.strategy)
+        for each in map(read_departure, recordings_in(folder))
     ]
     return found, report
 
@@ -105,7 +102,7 @@ def test_what_was_reached_in_time_departs_with_a_warning_or_not_at_all(monkeypat
         else:
             assert not path.poses
             report = client.diagnostics(departures='0', code='TIMEOUT', level=b'\2')
-            assert 'more than max_gap, 0.01' in report['message']
+            assert 'more than max_gap 0.01' in report['message']
 
 
 START_NEAR, GOAL_NEAR = pose(1.5, 5.5), pose(8.5, 5.5)

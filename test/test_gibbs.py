@@ -48,7 +48,7 @@ def routes_of(network, acyclic) -> list[list[int]]:
 
 @examples(50)
 @given(networks(), st.integers(0, 10**6), st.sampled_from((0.1, 1.0, 30.0)))
-def test_every_route_is_as_likely_as_its_weight_says(network, seed, size):
+def test_every_route_has_the_probability_of_its_weight(network, seed, size):
     case = forward(network)
     if case is None:
         return
@@ -74,7 +74,7 @@ def rows_of(part, acyclic, budget=1.3) -> csr_matrix:
 
 @examples(40)
 @given(st.integers(0, 10**6), st.floats(0.0, 3.0))
-def test_p_is_a_flow_and_its_entropy_is_log_z_and_the_prices(seed, size):
+def test_the_entropy_of_p_is_the_dual_value(seed, size):
     network = terrain_network(seed, cells=8)
     part, acyclic = forward(network)
     rows = rows_of(part, acyclic)
@@ -86,7 +86,7 @@ def test_p_is_a_flow_and_its_entropy_is_log_z_and_the_prices(seed, size):
 
 
 @pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
-def test_the_optimum_is_clarabels(cells, reach):
+def test_the_optimum_agrees_with_clarabel(cells, reach):
     network = terrain_network(3, cells=cells)
     part, acyclic = forward(network)
     game = make_game(network, GameOptions(ambush_radius=reach))
@@ -121,7 +121,7 @@ def shortest(network, acyclic) -> float:
 
 @examples(35)
 @given(networks(alphas=PLAIN), st.floats(0.2, 0.99))
-def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
+def test_infeasible_limits_are_proved_infeasible(network, tightness):
     """All of the source's edges together may be used less than once."""
     case = forward(network)
     if case is None:
@@ -135,7 +135,7 @@ def test_limits_that_nobody_can_keep_are_proved_so(network, tightness):
     assert not kept.infeasible and kept.excess <= 1e-9
 
 
-def test_no_limits_is_the_walk_by_numbers_of_routes():
+def test_without_limits_all_routes_are_equally_likely():
     network = terrain_network(1, cells=7)
     _, acyclic = forward(network)
     found = maximize_entropy(acyclic, csr_matrix((0, len(acyclic.edge))), np.empty(0), 0.0, NEVER)
@@ -185,7 +185,7 @@ def test_weights_far_apart_leave_the_best_route():
     assert unbalanced(network, on_all(network, acyclic, p)) < 1e-9
 
 
-def test_a_soft_search_has_a_minimum_where_the_limits_cannot_be_kept():
+def test_a_soft_search_has_a_minimum_under_infeasible_limits():
     network = terrain_network(6, cells=8)
     part, acyclic = forward(network)
     rows = csr_matrix(8.0 * part.hits[:, acyclic.edge])

@@ -1,4 +1,4 @@
-"""Who may read routes: the SROS2 policy held against a running node, and routes not published."""
+"""Who may read routes: the SROS2 policy compared with a running node, and unpublished routes."""
 
 import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
@@ -16,12 +16,12 @@ from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
 from waiting import TIMEOUT, unstamped
 
-from ambush_planner.recordings import read_departure, recordings_in
+from ambush_planner.recordings import read_recording, recordings_in
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.worker.process import WorkerProcess
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
-# Each node has them, and neither tells of routes.
+# Topics of every node, which contain no routes.
 EVERYBODYS = {'/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static', '/clock'}
 INPUTS = ('alpha_map', 'start_pose', 'goal_pose', 'initialpose', 'via_poses')
 START, GOAL = (1.5, 5.5), (8.5, 5.5)
@@ -127,7 +127,7 @@ def test_everybody_else_may_not(names):
 
 
 def spy_on_everything(running):
-    """Subscribe all topics of the graph, late joiners' way, and return the bytes that come."""
+    """Subscribe to all topics of the graph, and return the bytes that arrive on each."""
     node, found = running.client.node, {}
     for topic in ('path', 'diagnostics', *MARKER_TOPICS):
         wait_until(lambda name=f'/{topic}': node.get_publishers_info_by_topic(name), topic)
@@ -166,7 +166,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
     # /rosout says what standard error does; one process with several nodes may have none.
     said = unstamped(''.join(capfd.readouterr()))
     for path in paths:
-        # Coordinates between the ends, which are the route's own, in each way they could be told.
+        # Coordinates between the ends belong to the route; they must not occur in any form.
         places = [(each.pose.position.x, each.pose.position.y) for each in path.poses[1:-1]]
         own = [xy for xy in places if not _of_the_network(xy, heard)]
         assert own
@@ -188,13 +188,12 @@ def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
         answered = running.give().get_plan(pose(*START), pose(*GOAL))
         wait_until(lambda: list(tmp_path.glob('*/*.mcap')), 'a recording')
     (file,) = recordings_in(tmp_path)
-    recorded = read_departure(file)
+    recorded = read_recording(file)
     assert '/path' not in {each.topic for each in recorded.messages}
-    kept = recorded.recorded('path')
+    kept = recorded.in_role('path')
     assert kept.topic == '/ambush_planner/get_plan/path'
     assert deserialize_message(kept.data, PathMessage) == answered
-    with Verifier() as verifier:
-        assert verifier.verify(file).holds
+    assert Verifier().verify(file).holds
 
 
 def test_what_was_published_is_withdrawn_when_publishing_ends():
@@ -223,7 +222,7 @@ def test_a_route_that_is_waited_for_when_publishing_ends_is_not_published(monkey
         call = GetPlan.Request(start=pose(*START), goal=pose(*GOAL))
         waiting = client.send('new_route'), client.send('get_plan', call)
         assert begun.wait(TIMEOUT)
-        queue = running.planner._dispatcher._plans._solves
+        queue = running.planner._dispatcher._plans._queue
         wait_until(lambda: queue._running.waiters == 2, 'both requests')
         running.planner.set_parameters([Parameter('path.publish', value=False)])
         go_on.set()

@@ -1,10 +1,9 @@
-"""The launch file: what it starts, with which names and parameters; run here without ``ros2``."""
+"""The launch file and the commands of docs/nav2.md, run without ``ros2``."""
 
 import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -39,7 +38,7 @@ TREE = ElementTree.parse(FILE).getroot()
 DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
 OWN_NAMES = {name: f'ambush/{name}' for name in ('goal_pose', 'start_pose', 'initialpose')}
 COMMANDS = re.findall(r'(?ms)^```sh\n(.*?)^```', DOCUMENT)
-# Why they are not run; docs/nav2.md says so, too.
+# Commands that are not run, as docs/nav2.md says.
 NOT_RUN = ('rviz2', 'ros2 run nav2_map_server', 'ros2 run nav2_util',
            'ros2 run nav2_lifecycle_manager')
 BY_HAND = ('ros2 lifecycle set /ambush_planner ',)  # test_lifecycle calls the same service
@@ -55,7 +54,7 @@ def arguments(**given):
 
 
 def substituted(text, values):
-    """What a launch file means by its text."""
+    """Return a text of the launch file with its substitutions."""
     text = text.replace('$(find-pkg-share ambush_planner)', str(ROOT))
     text = re.sub(r'\$\(var (\w+)\)', lambda found: values[found[1]], text)
     assert '$(' not in text, text
@@ -109,7 +108,7 @@ def parameters(node, planner, *names):
     return answer_of(client, GetParameters.Request(names=names)).values
 
 
-def test_everything_that_the_file_names_is_there():
+def test_every_name_in_the_file_exists():
     declared = {each.get('name') for each in TREE.findall('arg')}
     used = set(re.findall(r'\$\(var (\w+)\)', FILE.read_text()))
     assert used == declared
@@ -121,11 +120,7 @@ def test_everything_that_the_file_names_is_there():
     assert [each.get('if') for each in TREE.findall('node')] == [None, '$(var use_rviz)']
 
 
-def test_it_is_installed():
-    assert "glob('launch/*')" in (ROOT / 'setup.py').read_text()
-
-
-def test_start_and_goal_have_names_that_nav2_does_not_listen_to():
+def test_nav2_does_not_listen_to_start_and_goal():
     for executable, slash in (('ambush_planner', ''), ('rviz2', '/')):
         remaps = {each.get('from'): each.get('to')
                   for each in node_of(executable).findall('remap')}
@@ -133,7 +128,7 @@ def test_start_and_goal_have_names_that_nav2_does_not_listen_to():
             name.removeprefix(slash): to for name, to in remaps.items()}.items()
 
 
-def test_rviz_finds_the_planner_by_the_names_that_its_configuration_has():
+def test_every_topic_of_the_rviz_configuration_is_remapped():
     shown = set(re.findall(r'Value: (/\w+)', RVIZ.read_text()))
     remapped = {each.get('from') for each in node_of('rviz2').findall('remap')}
     assert shown <= remapped
@@ -165,7 +160,7 @@ def test_arguments_reach_the_node(tmp_path):
         assert not node.count_subscribers('/risk')
 
 
-def test_paths_beside_nav2_have_poses_enough_for_mppi():
+def test_paths_for_nav2_are_dense_enough_for_mppi():
     values = {name: value for name, value in flat(NAV2) if name != 'robot_base_frame'}
     grid = risk_grid()
     grid.data[0] = 99
@@ -197,7 +192,7 @@ def commands():
             yield shlex.split(text, comments=True)
 
 
-def test_each_command_of_the_document_is_run_or_is_said_not_to_be():
+def test_each_command_of_the_document_is_run_or_listed_as_not_run():
     for words in commands():
         known = ' '.join(words).startswith
         if known('ros2 launch ambush_planner ambush_planner.launch.xml'):
@@ -205,13 +200,13 @@ def test_each_command_of_the_document_is_run_or_is_said_not_to_be():
             assert Path(arguments(**given)['params_file']) == NAV2
         else:
             assert any(known(each) for each in (*NOT_RUN, *BY_HAND)), words
-    told = DOCUMENT.split('## What has been run')[1]
+    listed = DOCUMENT.split('## What has been run')[1]
     for each in NOT_RUN:
-        assert f'`{each.removeprefix("ros2 run ")}`' in told
+        assert f'`{each.removeprefix("ros2 run ")}`' in listed
 
 
 @pytest.mark.parametrize('text', [DOCUMENT, RVIZ.read_text()], ids=['document', 'rviz'])
-def test_an_rviz_that_is_started_by_hand_is_told_the_same_names(text):
+def test_rviz_by_hand_has_the_same_remappings(text):
     assert dict(re.findall(r'-r /(\w+):=/(\S+)', text)) == OWN_NAMES
 
 
@@ -221,21 +216,7 @@ def test_the_documents_table_has_the_arguments():
     assert set(re.findall(r'`(\w+)`', ' '.join(cells))) == set(arguments())
 
 
-def test_ros2s_own_parser_reads_the_file():
-    pytest.importorskip('launch_xml', reason='ROS 2 launch is not on PyPI')
-    root, parser = pytest.importorskip('launch.frontend').Parser.load(str(FILE))
-    description = parser.parse_description(root)
-    assert {each.name for each in description.get_launch_arguments()} == set(arguments())
-
-
-@pytest.mark.skipif(not shutil.which('ros2'), reason='ros2cli is not on PyPI')
-def test_ros2_launch_shows_the_arguments():
-    done = subprocess.run(['ros2', 'launch', str(FILE), '--show-args'], capture_output=True,
-                          text=True, timeout=TIMEOUT, check=True)
-    assert all(f"'{name}'" in done.stdout for name in arguments())
-
-
-# Stands in for Nav2's of this name: the names, answers and results that the document uses.
+# A substitute for nav2_simple_commander, with the names that the document uses.
 COMMANDER = """
 from enum import Enum
 from types import SimpleNamespace
@@ -250,7 +231,7 @@ class BasicNavigator(Node):
         self.looks = 0
     def followPath(self, path):
         print(len(path.poses), 'poses in', path.header.frame_id)
-        return TAKEN
+        return True
     def isTaskComplete(self):
         self.looks += 1
         return self.looks > 2
@@ -261,31 +242,20 @@ class BasicNavigator(Node):
 """
 
 
-@pytest.mark.parametrize('taken, result, last', [
-    (True, 'SUCCEEDED', 'arrived'),
-    (True, 'FAILED', 'the drive has ended early: FAILED'),
-    (False, 'SUCCEEDED', 'the controller did not take the path'),
+@pytest.mark.parametrize('result, last', [
+    ('SUCCEEDED', 'arrived'), ('FAILED', 'the drive has ended early: FAILED'),
 ])
-def test_the_documents_program_tells_how_the_drive_went(taken, result, last, tmp_path):
+def test_the_documents_program_reports_the_drive(result, last, tmp_path):
     with stage() as running:
         running.give()
-        done = follow_path(running, tmp_path, taken, result, "'map'")
+        done = follow_path(running, tmp_path, result, "'map'")
     assert (done.stdout + done.stderr).splitlines()[-1] == last
     assert done.returncode == (last != 'arrived')
     assert re.search(r'^\d+ poses in map', done.stdout)
-    assert ('3.2 m to go' in done.stdout) == taken
+    assert '3.2 m to go' in done.stdout
 
 
-def test_the_documents_program_tells_that_there_is_no_route(tmp_path):
-    """As it stands, from base_link: nothing tells where the robot is."""
-    with stage() as running:
-        running.give()
-        done = follow_path(running, tmp_path, True, 'SUCCEEDED', "'base_link'")
-    assert done.returncode == 1
-    assert done.stderr.strip() == 'there is no route: /diagnostics says why'
-
-
-def follow_path(running, tmp_path, taken, result, frame):
+def follow_path(running, tmp_path, result, frame):
     """Run the document's program, from (1.5, 5.5) of a frame."""
     (program,) = re.findall(r'(?ms)^```python\n(.*?)^```', DOCUMENT)
     assert program.count("'base_link'") == 1
@@ -295,7 +265,7 @@ def follow_path(running, tmp_path, taken, result, frame):
         'request.start.pose.orientation')
     (tmp_path / 'nav2_simple_commander').mkdir()
     (tmp_path / 'nav2_simple_commander' / 'robot_navigator.py').write_text(
-        COMMANDER.replace('TAKEN', str(taken)).replace('RESULT', result))
+        COMMANDER.replace('RESULT', result))
     domain = running.planner.context.get_domain_id()
     return subprocess.run(
         [sys.executable, '-c', program], capture_output=True, text=True, timeout=TIMEOUT,

@@ -84,7 +84,7 @@ def test_a_thousand_nodes_with_budget_and_reach():
 
 
 def parallel(alphas) -> Network:
-    """One node a way, all ways equally long."""
+    """Parallel ways of one node each, all equally long."""
     n = len(alphas)
     points = [[0, 0], *([1, 0.0] for _ in alphas), [2, 0]]
     edges = [(0, k + 1) for k in range(n)] + [(k + 1, n + 1) for k in range(n)]
@@ -92,19 +92,19 @@ def parallel(alphas) -> Network:
 
 
 def test_several_ambushers_by_hand():
-    # Three like nodes abreast, two ambushers: each way 1/3, two of them held.
+    # Three equal parallel nodes, two ambushers: each way has 1/3, and two of them are held.
     assert solved(parallel([3, 3, 3]), ambushers=2)[2].value == pytest.approx(2.0)
-    # As many ambushers as ways: no way out.
+    # As many ambushers as ways.
     assert solved(parallel([3, 3]), ambushers=2)[2].value == pytest.approx(3.0)
-    # A node of loss 1 beside two of 10: k q_j <= 1 fails for the cheap one. All through it costs
-    # 1 in all; any share x elsewhere costs more: 1 - x + 10 x / 2.
+    # Losses 1, 10, 10: k q_j <= 1 fails for the cheap one. All routes through it cost 1 in
+    # total; any share x elsewhere costs more: 1 - x + 10 x / 2.
     risk = solved(parallel([1, 10, 10]), ambushers=2)[2]
     assert risk.value == pytest.approx(1.0, rel=1e-6)
     assert risk.q[1] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_more_ambushers_than_sites_with_a_budget():
-    # One site on the short way; the budget lets 3 / 4 pass it, the second ambusher has no use.
+    # One site on the short way; the budget lets 3 / 4 pass it; the second ambusher is idle.
     height = np.sqrt(3.0)
     points = [[0, 0], [1, 0], [1, height], [2, 0]]
     network = Network(points, [0, 4, 0, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
@@ -121,8 +121,8 @@ def test_a_corridor_is_held_once_by_each_ambusher():
 
 @examples(40)
 @given(st.lists(st.sampled_from(PLAIN), min_size=2, max_size=6), st.integers(1, 4))
-def test_ways_abreast_against_all_sets_of_ambushers(alphas, count):
-    """The value is the largest over sets: m ways shared out, the least costly left open."""
+def test_parallel_ways_against_all_sets_of_ambushers(alphas, count):
+    """The value is the largest mean loss over all sets of sites."""
     network, count = parallel(alphas), min(count, len(alphas))
     risk = solved(network, ambushers=count)[2]
     x = np.array([risk.p[k] for k in range(len(alphas))])
@@ -133,7 +133,7 @@ def test_ways_abreast_against_all_sets_of_ambushers(alphas, count):
 
 
 def test_an_exposure_budget_binds():
-    # Straight through loss 4 next to nothing, or round through 1: 2 m x 4 against 4 m x 1.
+    # Straight past loss 4, 2 m; or a detour past loss 1, 4 m.
     points = [[0, 0], [1, 0], [1, np.sqrt(3)], [2, 0]]
     network = Network(points, [0, 4, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     free, tight = (solved(network, exposure=e)[2] for e in (np.inf, 1.1))
@@ -151,7 +151,7 @@ def test_budgets_that_contradict_each_other_are_named():
 
 @examples(20)
 @given(networks(), st.integers(1, 3), st.sampled_from((1.0, 1.2, np.inf)))
-def test_a_cut_tells_the_value_where_it_can_and_the_least_value_is_the_programs(
+def test_cut_and_least_value_agree_with_the_linear_program(
     network, count, detour
 ):
     game = make_game(network, GameOptions(ambushers=min(count, len(network.points))))
@@ -170,7 +170,7 @@ def test_a_cut_tells_the_value_where_it_can_and_the_least_value_is_the_programs(
     assert loosely * (1 - 2e-3) - 1e-9 <= least <= tightly * (1 + OPTIMAL) + 1e-9
 
 
-def test_out_of_time_the_least_value_is_the_cuts():
+def test_at_the_deadline_the_least_value_is_the_cut():
     game = make_game(terrain_network(1, cells=10), GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=1.0))
     past = time.monotonic() - 1.0

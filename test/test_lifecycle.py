@@ -1,6 +1,5 @@
-"""The node's states, changed by the services that Nav2's lifecycle manager calls."""
+"""The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
-import gc
 import threading
 import time
 
@@ -9,18 +8,8 @@ from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_harness import (
-    LATCHED,
-    free_domain,
-    pose,
-    risk_grid,
-    ros_context,
-    stage,
-    stage_in,
-    wait_until,
-)
+from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
 from test_node_life import threads
 from waiting import answer_of
 
@@ -34,7 +23,7 @@ LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_rad
 
 
 class Manager:
-    """Changes the node's state as Nav2's lifecycle manager does: by id, with no label."""
+    """Changes the state as Nav2's lifecycle manager does: by id, without a label."""
 
     def __init__(self, client):
         self.client = client
@@ -51,7 +40,7 @@ class Manager:
         return asked.result()
 
     def change(self, name):
-        """Return whether the transition came about."""
+        """Return whether the transition succeeded."""
         number = getattr(Transition, f'TRANSITION_{name.upper()}')
         request = ChangeState.Request(transition=Transition(id=number))
         return self.call(self._change, request).success
@@ -61,11 +50,10 @@ class Manager:
         return self.call(self._state, GetState.Request()).current_state.label
 
     def go(self, **states):
-        """Take transitions, and check the state that each leads to."""
+        """Make transitions, and check the state after each."""
         for transition, state in states.items():
             assert self.change(transition), transition
             assert self.state == state
-            # The diagnostics know better what an active node does.
             if state != 'active':
                 self.client.diagnostics(state=state)
 
@@ -100,27 +88,26 @@ def test_without_autostart_it_waits_and_refuses_in_each_state():
         assert not client.get_plan(START, GOAL).poses
         client.diagnostics(state='inactive', code='INACTIVE')
         assert not client.received['path']
-        # What has come meanwhile counts.
         manager.go(activate='active')
         client.call_until('new_route', lambda answer: answer.success)
         client.diagnostics(state='ready', code='NONE')
 
 
-def test_what_was_planned_is_kept_while_it_is_inactive():
+def test_plans_are_kept_while_it_is_inactive():
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
-        held = running.planner._dispatcher._in_force.held
+        cached = running.planner._dispatcher._displayed.cached
         manager.go(deactivate='inactive')
         assert 'inactive' in client.call('new_route').message
         manager.go(activate='active')
         assert client.call('new_route').success
-        assert running.planner._dispatcher._in_force.held is held
+        assert running.planner._dispatcher._displayed.cached is cached
         client.last('path', 2)
         client.diagnostics(departures='2')
 
 
-def test_whoever_waits_is_told_when_it_is_deactivated():
+def test_deactivation_answers_waiting_requests():
     with stage(parameters=LONG) as running:
         client, manager = running.give(), Manager(running.client)
         waiting = [client.send('new_route'), client.send('replan')]
@@ -134,7 +121,7 @@ def test_whoever_waits_is_told_when_it_is_deactivated():
         assert not client.received['path']
 
 
-def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
+def test_a_map_that_changed_while_inactive_is_planned_on_activation():
     with stage() as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
@@ -145,11 +132,11 @@ def test_a_map_that_changes_meanwhile_is_seen_when_it_is_active_again():
         wait_until(lambda: running.planner._inputs.current_map().values[4, 5] == 100, 'the map')
         assert not running.planner._dispatcher.solving
         manager.go(activate='active')
-        wait_until(lambda: running.planner._dispatcher._in_force.held.trip.map
+        wait_until(lambda: running.planner._dispatcher._displayed.cached.trip.map
                    is running.planner._inputs.current_map(), 'a new plan')
 
 
-def test_cleaned_up_it_forgets_all_but_its_parameters(tmp_path):
+def test_cleanup_forgets_everything_except_the_parameters(tmp_path):
     with stage(tmp_path) as running:
         client, manager = running.give(), Manager(running.client)
         assert client.call('new_route').success
@@ -158,7 +145,7 @@ def test_cleaned_up_it_forgets_all_but_its_parameters(tmp_path):
         manager.go(deactivate='inactive', cleanup='unconfigured')
         assert not set(threads()) & set(others), 'of the worker, the recordings, TF'
         assert len(list(tmp_path.rglob('*.mcap'))) == 1
-        # Who comes now gets no path of the life before, and the planner no map but the latched one.
+        # A late subscriber gets no earlier path; the planner gets the latched map.
         late = []
         client.node.create_subscription(Path, 'path', late.append, LATCHED)
         manager.go(configure='inactive', activate='active')
@@ -176,7 +163,7 @@ def test_cleaned_up_it_forgets_all_but_its_parameters(tmp_path):
     (('configure',), 'inactive_shutdown'),
     (('configure', 'activate'), 'active_shutdown'),
 ])
-def test_shut_down_it_refuses_for_good(steps, transition):
+def test_after_shutdown_it_refuses_requests(steps, transition):
     with stage(parameters=WAITING) as running:
         manager = Manager(running.client)
         assert all(map(manager.change, steps))
@@ -186,7 +173,7 @@ def test_shut_down_it_refuses_for_good(steps, transition):
         assert manager.state == 'finalized'
 
 
-def test_a_transition_that_the_state_does_not_have_is_refused():
+def test_an_impossible_transition_is_refused():
     with stage(parameters=WAITING) as running:
         manager = Manager(running.client)
         for name in ('activate', 'deactivate', 'cleanup', 'active_shutdown'):
@@ -196,7 +183,7 @@ def test_a_transition_that_the_state_does_not_have_is_refused():
         assert manager.state == 'active'
 
 
-def test_what_cannot_be_configured_stays_unconfigured_and_says_why(monkeypatch):
+def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
     def broken(*_):
         raise AmbushPlannerError('no room')
 
@@ -214,15 +201,13 @@ def test_what_cannot_be_configured_stays_unconfigured_and_says_why(monkeypatch):
 
 
 @pytest.mark.slow
-def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path):
-    """Three lives of the node, with requests under way through all of them."""
+def test_it_is_cleaned_up_and_configured_under_load(tmp_path):
     with stage(tmp_path, WAITING) as running:
         client, manager, stop = running.client, Manager(running.client), threading.Event()
         asked = []
 
         def ask():
             while not stop.is_set():
-                # Not more than a busy machine records: the last answer is waited for below.
                 if sum(not each.done() for each in asked) < 10:
                     asked.append(client.send('new_route'))
                 client.publish('goal_pose', GOAL)
@@ -246,25 +231,3 @@ def test_it_is_configured_and_cleaned_up_while_others_call_and_publish(tmp_path)
         answered = [each.result().success for each in asked]
         assert any(answered) and not all(answered)
         assert client.call('new_route').success
-
-
-def test_it_is_found_by_the_manager_below_a_namespace():
-    with stage(parameters=WAITING, namespace='/convoy') as running:
-        assert running.client.name == 'convoy/ambush_planner'
-        start(running)
-        assert running.give().call('new_route').success
-
-
-def test_a_destroyed_node_leaves_the_graph_at_once():
-    """Not only when Python looks for cycles."""
-    with free_domain() as domain, ros_context(domain) as own:
-        looker = Node('looker', context=own)
-        gc.disable()
-        try:
-            name = 'ambush_planner', '/leaving'
-            with stage_in(domain, namespace=name[1]):
-                wait_until(lambda: name in looker.get_node_names_and_namespaces(), 'the planner')
-            wait_until(lambda: name not in looker.get_node_names_and_namespaces(), 'its end')
-        finally:
-            gc.enable()
-            looker.destroy_node()

@@ -60,7 +60,7 @@ def test_simplex_has_less_edge_entropy_than_interior_point(method, seed):
     )
 
 
-def test_the_interior_point_solution_wanders_and_ours_does_not():
+def test_the_interior_point_solution_has_cycles_and_the_default_has_none():
     network = terrain_network(5, 'uniform_delaunay', 20)
     raw, ours = solved(network, 'interior_point'), solved(network, 'max_entropy')
     assert not is_acyclic(network, raw.edge_probability)

@@ -1,4 +1,4 @@
-"""What goes on while a solve takes minutes: everything else, and how to end it."""
+"""Long solves: the node keeps answering, and requests can be cancelled."""
 
 import os
 import signal
@@ -38,19 +38,19 @@ def use(running, parameters):
 def solving(parameters=SLOW, halted=True):
     """A node in the middle of a long solve, and the future of the answer that waits for it.
 
-    The worker is halted where ``halted``: nothing here waits for what it works out.
+    The worker is halted if ``halted``, to save processor time.
     """
     with stage(parameters=QUICK) as running:
         running.give(field(), (5.0, 50.0), (95.0, 50.0))
         assert running.client.call('new_route').success
-        # Or what is still to come of the first solve would be taken for the second.
+        # Wait for all output of the first solve.
         running.client.diagnostics(departures='1', state='ready')
         use(running, parameters)
         begun, solve = threading.Event(), WorkerProcess.solve
         with mock.patch.object(
                 WorkerProcess, 'solve', lambda *given: (begun.set(), solve(*given))[1]):
             future = running.client.send('new_route')
-            # The diagnostics tell of a solve before a worker has it.
+            # The diagnostics report a solve before a worker has it.
             wait_until(begun.is_set, 'a worker to begin')
         if halted:
             halt_workers()
@@ -73,7 +73,7 @@ def answer(future):
     return future.result()
 
 
-def test_everything_else_answers_meanwhile(submitted):
+def test_everything_else_answers_during_a_solve(submitted):
     with solving(halted=False) as (running, future):
         client, before = running.client, len(submitted)
         waiting = [future, *(client.send('new_route') for _ in range(50))]
@@ -82,14 +82,14 @@ def test_everything_else_answers_meanwhile(submitted):
         client.publish('alpha_map', risk_grid(np.array([[101]])))
         client.diagnostics(code='INVALID_MAP', state='solving')
         use(running, QUICK)
-        assert client.get_plan(START, GOAL).poses, 'its strategy is there already'
+        assert client.get_plan(START, GOAL).poses, 'its strategy is cached'
         client.diagnostics(departures='2', state='solving')
         assert not any(each.done() for each in waiting)
         assert client.call('cancel').success
         assert {answer(each).message for each in waiting} == {'the solve was cancelled'}
 
 
-def test_cancel_ends_it_and_says_so():
+def test_cancel_ends_the_solve_and_reports_it():
     with solving() as (running, future):
         client = running.client
         cancelled = client.call('cancel')
@@ -103,7 +103,7 @@ def test_cancel_ends_it_and_says_so():
         client.diagnostics(code='NONE')
 
 
-def test_the_time_is_up():
+def test_the_time_limit_ends_a_solve():
     with solving({**SLOW, 'max_planning_time': 1.0}, halted=False) as (running, future):
         assert answer(future).message.startswith('no plan after max_planning_time, 1 s')
         running.client.diagnostics(code='TIMEOUT', state='ready')
@@ -111,7 +111,7 @@ def test_the_time_is_up():
 
 @pytest.fixture
 def solves(monkeypatch):
-    """The requests that the worker has been given."""
+    """The requests given to the worker."""
     given, solve = [], WorkerProcess.solve
 
     def tell(worker, request):
@@ -122,17 +122,17 @@ def solves(monkeypatch):
     return given
 
 
-def test_one_solve_for_all_who_ask_for_the_same(submitted, solves):
+def test_equal_requests_share_one_solve(submitted, solves):
     with solving() as (running, future):
         futures = [future, *(running.client.send('new_route') for _ in range(5))]
-        # With the quick one before.
+        # Including the quick one before.
         wait_until(lambda: len(submitted) == 1 + 6, 'the requests')
         assert running.client.call('cancel').message == 'the solve was cancelled'
         assert {answer(each).message for each in futures} == {'the solve was cancelled'}
         assert len(solves) == 1 + 1
 
 
-def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
+def test_starts_that_differ_little_share_a_solve(submitted, solves):
     with stage(parameters=QUICK) as running:
         client = running.give(field(), (5.0, 50.0), (95.0, 50.0))
         starts = [pose(5.0 + jitter, 50.0) for jitter in (0.0, 0.0001, 0.3, 2.4)]
@@ -145,7 +145,7 @@ def test_starts_that_differ_by_little_share_a_solve(submitted, solves):
         assert len(solves) == 2
 
 
-def test_who_allows_another_time_waits_for_another_solve(submitted):
+def test_another_time_limit_needs_another_solve(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
         use(running, {'max_planning_time': 1.0})
@@ -156,7 +156,7 @@ def test_who_allows_another_time_waits_for_another_solve(submitted):
         assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
 
 
-def test_cancel_ends_all_that_wait_in_one_call(submitted):
+def test_one_cancel_ends_all_waiting_solves(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
         futures = [future]
@@ -170,7 +170,7 @@ def test_cancel_ends_all_that_wait_in_one_call(submitted):
         assert report['level'] == b'\1', 'nothing has failed'
 
 
-def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
+def test_a_full_queue_answers_at_once_with_the_reason(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
         use(running, {'queue.size': 2})
@@ -183,7 +183,7 @@ def test_a_full_queue_answers_at_once_with_what_is_busy(submitted):
         assert client.call('cancel').success
 
 
-def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_asked_for(submitted):
+def test_a_queued_request_keeps_the_goal_at_the_time_of_the_request(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)
         use(running, {**QUICK, 'network.spacing': 4.0})
@@ -199,7 +199,7 @@ def test_other_inputs_queue_and_a_route_is_for_the_goal_that_held_when_it_was_as
             'new_route', lambda _: client.last('path').poses[-1].pose == NORTH.pose)
 
 
-def test_a_worker_that_is_killed_is_an_error_answer_and_a_fresh_worker():
+def test_a_killed_worker_fails_the_request_and_is_replaced():
     with solving() as (running, future):
         client = running.client
         kill_workers()
@@ -209,7 +209,7 @@ def test_a_worker_that_is_killed_is_an_error_answer_and_a_fresh_worker():
         assert client.call('new_route').success
 
 
-def test_a_node_that_is_closed_answers_who_waits():
+def test_a_closing_node_answers_waiting_requests():
     with solving() as (running, future):
         running.planner.stop_solving()
         assert 'shutting down' in answer(future).message

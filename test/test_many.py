@@ -1,4 +1,4 @@
-"""Many games over executors: order, errors, progress, cancellation, and how often a map travels."""
+"""Many games on executors: order, errors, progress, cancellation, and copies of maps sent."""
 
 import multiprocessing
 import os
@@ -96,11 +96,11 @@ def test_an_error_replaces_only_its_own_result(executor):
 
 
 def test_on_result_gets_each_result_once(executor):
-    told = []
+    finished = []
     results = solve_many(
-        (problem(field(), k) for k in range(7)), executor, answer=numbers, on_result=told.append
+        (problem(field(), k) for k in range(7)), executor, answer=numbers, on_result=finished.append
     )
-    assert sorted(told, key=lambda each: each.index) == results and len(told) == 7
+    assert sorted(finished, key=lambda each: each.index) == results and len(finished) == 7
 
 
 def test_cancelled_problems_do_not_begin():
@@ -140,14 +140,14 @@ def test_an_error_in_on_result_cancels_the_rest():
     assert len(taken) <= 8
 
 
-class Post:
-    """An executor that weighs what is sent through it."""
+class CountingExecutor:
+    """An executor that counts submissions and the maps sent with them."""
 
     def __init__(self, executor):
-        self.executor, self.maps, self.letters = executor, 0, 0
+        self.executor, self.maps, self.submitted = executor, 0, 0
 
     def submit(self, function, key, content, *rest):
-        self.letters += 1
+        self.submitted += 1
         self.maps += content is not None
         return self.executor.submit(function, key, content, *rest)
 
@@ -155,16 +155,16 @@ class Post:
 def test_a_map_is_sent_about_once_per_worker():
     risk_map = field(7)
     with ProcessPoolExecutor(2, FRESH) as pool:
-        post = Post(pool)
+        post = CountingExecutor(pool)
         results = solve_many(
             [problem(risk_map, k) for k in range(40)], post, answer=numbers, in_flight=4
         )
         assert all(result.error is None for result in results)
-        assert 1 <= post.maps <= 20, 'not one for each problem, however the workers take turns'
-        # The next batch finds the map there, but for what it sends unasked.
-        again = Post(pool)
+        assert 1 <= post.maps <= 20, 'far fewer than one per problem'
+        # The next batch finds the map in the workers and sends only the first copies.
+        again = CountingExecutor(pool)
         solve_many([problem(risk_map, k) for k in range(40)], again, answer=numbers, in_flight=4)
-        assert again.maps == 2 and again.letters == 40
+        assert again.maps == 2 and again.submitted == 40
 
 
 def forget(_):
@@ -175,7 +175,7 @@ def forget(_):
 def test_a_worker_without_the_map_gets_it():
     risk_map = field(8)
     with ProcessPoolExecutor(1, FRESH) as pool:
-        post = Post(pool)
+        post = CountingExecutor(pool)
 
         def lose(result):
             if result.index == 5:
@@ -186,7 +186,7 @@ def test_a_worker_without_the_map_gets_it():
             in_flight=2,
         )
     assert all(result.error is None for result in results)
-    assert post.letters > 12 and post.maps == 1 + post.letters - 12
+    assert post.submitted > 12 and post.maps == 1 + post.submitted - 12
 
 
 def test_a_process_keeps_few_maps():
@@ -238,7 +238,7 @@ def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
         def kill_one(result):
             done.append(result)
             if len(done) == 4:
-                # As from outside, while both workers have problems of ours.
+                # Both workers have problems at this time.
                 victim = next(iter(client.run(os.getpid).values()))
                 os.kill(victim, 9)
 

@@ -28,7 +28,7 @@ def test_every_number_of_every_record_is_checked(record, value):
 
 
 @pytest.mark.parametrize('record', RECORDS)
-def test_numpys_numbers_are_numbers(record):
+def test_numpy_numbers_are_accepted(record):
     for name in numbers(record):
         default = getattr(record(), name)
         kind = np.int32 if isinstance(default, int) else np.float32

@@ -1,4 +1,4 @@
-"""Doors and corridors narrower than the distance of nodes, and maps that are cut in two."""
+"""Doors and corridors narrower than the node spacing, and maps divided by obstacles."""
 
 from __future__ import annotations
 
@@ -37,47 +37,47 @@ def crossing(risk_map, method='uniform_delaunay', **options):
 
 @pytest.mark.parametrize('method', DELAUNAY)
 @pytest.mark.parametrize('thickness', [1, 5])
-def test_a_door_of_one_cell_is_found_wherever_it_lies(method, thickness):
+def test_finds_a_door_of_one_cell_anywhere(method, thickness):
     for row in range(6, 13):
         for column in range(7 + row % 2, 14, 2):  # as on a chessboard
             crossing(walled(row, column, thickness), method)
 
 
 @pytest.mark.parametrize('clearance', [1.4, 1.49])
-def test_a_corridor_little_wider_than_the_clearance_is_found(clearance):
+def test_finds_a_corridor_slightly_wider_than_the_clearance(clearance):
     for row, column in itertools.product(range(6, 13), range(7, 14, 2)):
         crossing(walled(row, column, 5, 3), clearance=clearance, clear_of_edge=False)
 
 
-def test_a_bent_corridor_is_found():
+def test_finds_a_bent_corridor():
     obstacles = np.ones((CELLS, CELLS), bool)
     obstacles[:, :6] = obstacles[:, -6:] = False
     obstacles[3, 5:12] = obstacles[3:20, 12] = obstacles[19, 12:19] = False
     crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))
 
 
-def test_nothing_is_added_where_the_lattice_leads_through():
+def test_adds_no_nodes_if_the_lattice_connects_the_ends():
     free = np.zeros((CELLS, CELLS), bool)
     assert len(crossing(RiskMap(np.ones(free.shape), free, 1.0)).points) == 16
 
 
-def test_a_grid_says_which_spacing_finds_the_door():
+def test_a_grid_suggests_a_spacing_for_the_door():
     risk_map = walled(7, 9, 1)
-    with pytest.raises(NoRoute, match=r'at a spacing of 6 m; the map has a way, .* of 0\.5 m'):
+    with pytest.raises(NoRoute, match=r'at a spacing of 6 m; the map has one, .* of 0\.5 m'):
         build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 6.0))
     build_network(risk_map, (1.3, 12.2), (22.4, 11.7), NetworkOptions('uniform_grid8', 0.5))
 
 
 @pytest.mark.parametrize('method', [*DELAUNAY, 'uniform_grid8'])
-def test_a_map_cut_in_two_is_told(method):
-    with pytest.raises(NoRoute, match=r'cut the map in two between them; .* 6 m nor any other'):
+def test_reports_a_map_divided_by_obstacles(method):
+    with pytest.raises(NoRoute, match='obstacles separate them; a spacing other than 6 m'):
         crossing(walled(0, 9, 2, 0), method)
-    with pytest.raises(NoRoute, match=r'cut the map in two between them at a clearance of 1\.5 m'):
+    with pytest.raises(NoRoute, match=r'separate them at a clearance of 1\.5 m'):
         crossing(walled(7, 9, 2, 3), method, clearance=1.5, clear_of_edge=False)
 
 
-def test_free_cells_that_meet_at_a_corner_are_no_way():
+def test_free_cells_that_meet_at_a_corner_are_not_connected():
     obstacles = np.zeros((CELLS, CELLS), bool)
     obstacles[:12, 11] = obstacles[12:, 12] = True
-    with pytest.raises(NoRoute, match='cut the map in two'):
+    with pytest.raises(NoRoute, match='obstacles separate them'):
         crossing(RiskMap(np.ones(obstacles.shape), obstacles, 1.0))

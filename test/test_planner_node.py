@@ -1,4 +1,4 @@
-"""The node in this process: departures, the cache, secrets, and what goes on meanwhile."""
+"""The node: departures, the plan cache, secrets, diagnostics, and its arguments."""
 
 import math
 import re
@@ -13,10 +13,11 @@ from ros_harness import (
     risk_grid,
     stage,
 )
-from waiting import unstamped, wait_until
+from waiting import unstamped
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning import changed_ground as ground
+from ambush_planner.ros.planner_node import check_arguments, main
 
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 KEYS = {
@@ -66,7 +67,7 @@ def test_departures_differ_and_solve_once(client):
     client.diagnostics(departures='20', code='NONE')
 
 
-def test_a_new_goal_a_new_map_and_new_parameters_are_planned_anew(running):
+def test_a_new_goal_a_new_map_and_new_parameters_are_solved_again(running):
     client = running.client
     departures(client, 1)
     client.publish('goal_pose', pose(8.5, 7.5))
@@ -80,7 +81,7 @@ def test_a_new_goal_a_new_map_and_new_parameters_are_planned_anew(running):
     client.last('edge_probabilities', 4)
 
 
-def test_going_back_and_forth_shows_the_strategy_in_force_without_solving(client):
+def test_going_back_and_forth_shows_the_strategy_without_solving(client):
     client.get_plan(START, GOAL)
     client.get_plan(GOAL, START)
     client.diagnostics(departures='2')
@@ -100,7 +101,7 @@ def test_the_same_map_again_changes_nothing(client):
     assert len(client.received['edge_probabilities']) == 1
 
 
-def test_parameters_of_the_map_are_applied_to_the_map_in_force(running):
+def test_parameters_of_the_map_are_applied_to_the_current_map(running):
     running.planner.set_parameters([Parameter('map.obstacle_threshold', value=10)])
     answer = running.client.call('new_route')
     assert not answer.success
@@ -169,7 +170,6 @@ def test_a_failed_recording_does_not_fail_the_departure(tmp_path):
         answer = client.call('new_route')
         assert answer.success
         assert 'is published on /path; recording failed at' in answer.message
-        wait_until(lambda: not running.planner._dispatcher._recordings._unwritten, 'the disk')
         running.planner.set_parameters(
             [Parameter('recording.directory', value=str(tmp_path / 'good'))])
         client.diagnostics(recording='on')
@@ -200,19 +200,19 @@ def test_each_departure_has_an_id_of_its_own(client):
     assert len(set(ids)) == 3
 
 
-def test_a_bottleneck_at_the_ends_is_warned_of():
+def test_warns_of_a_bottleneck_at_the_ends():
     with stage(parameters={'game.secured_radius': 0.0}) as running:
         assert running.give().call('new_route').success
         report = running.client.diagnostics(departures='1', level=b'\1')
         assert re.fullmatch(
             r'ready; (\d+) nodes decide the value [\d.]+, \d+ of them within [\d.]+ m of start or '
-            r'goal; if that ground were secured \(game.secured_radius\), it would be [\d.]+',
+            r'goal; if that ground were secured \(game.secured_radius\), the value would be [\d.]+',
             report['message'])
         assert report['deciding_sites'] in report['message']
         assert float(report['secured_value']) < float(report['value'])
 
 
-def test_turns_that_are_tighter_than_asked_for_are_counted():
+def test_turns_tighter_than_the_turning_radius_are_counted():
     values = np.zeros((20, 20), np.int8)
     values[3:, 9] = 100  # the only way is round its lower end
     with stage(parameters={'route.turning_radius': 50.0}) as running:
@@ -223,11 +223,11 @@ def test_turns_that_are_tighter_than_asked_for_are_counted():
         assert 1 <= int(report['different_paths_of_1000']) <= 1000
 
 
-def test_a_game_that_is_none_is_warned_of():
+def test_warns_when_no_ambush_costs_anything():
     with stage(parameters={'game.secured_radius': 100.0}) as running:
         assert running.give().call('new_route').success
         report = running.client.diagnostics(departures='1', level=b'\1')
-        assert report['message'].startswith('ready; the value is 0: no ambush that is possible')
+        assert report['message'].startswith('ready; the value is 0: no possible ambush causes')
 
 
 def test_diagnostics_have_stable_keys_once_a_second():
@@ -244,9 +244,9 @@ def test_diagnostics_have_stable_keys_once_a_second():
         client.last('/diagnostics', len(client.received['/diagnostics']) + 2)
 
 
-def test_neither_seed_nor_route_is_told(capfd):
+def test_neither_seed_nor_route_is_logged_or_reported(capfd):
     with stage(parameters={'seed': 987654321}) as running:
-        # An origin that gives nodes coordinates like no other number that is told.
+        # An origin that gives the nodes distinctive coordinates.
         client = running.give(risk_grid(origin=(0.1234, 0.5678, 0.0)))
         path = departures(client, 1)[0]
         client.diagnostics(departures='1')
@@ -259,7 +259,7 @@ def test_neither_seed_nor_route_is_told(capfd):
     assert not re.search(r'\d\.(1234|5678|6234|0678)', said)
 
 
-def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monkeypatch, capfd):
+def test_an_unexpected_error_is_answered_without_its_message(client, monkeypatch, capfd):
     def broken(*_):
         raise RuntimeError(f'went through ({math.pi}, {math.e})')
 
@@ -276,15 +276,18 @@ def test_an_unknown_error_is_answered_and_keeps_its_words_to_itself(client, monk
     client.diagnostics(code='NONE')
 
 
-def test_what_readers_would_refuse_is_an_error_and_the_departure_answered(tmp_path):
-    frame = 'm' * 300  # longer than any name that readers take
-    with stage(directory=tmp_path) as running:
-        client = running.client
-        client.publish('alpha_map', risk_grid(frame=frame))
-        client.publish('start_pose', pose(1.5, 5.5, frame=frame))
-        client.publish('goal_pose', pose(8.5, 5.5, frame=frame))
-        client.diagnostics(state='ready')
-        assert client.call('new_route').success
-        report = client.diagnostics(code='RECORDING_FAILED', recording='failed', level=b'\2')
-        assert 'readers would refuse it' in report['message']
-        assert not list(tmp_path.rglob('*.mcap'))
+def test_help_is_printed_and_arguments_of_ros_are_accepted(capsys):
+    check_arguments(['--ros-args', '-p', 'seed:=1', '-r', '__node:=planner'])
+    with pytest.raises(SystemExit) as ended:
+        check_arguments(['--ros-args', '-p', 'seed:=1', '--', '-h'])
+    assert ended.value.code == 0
+    assert 'usage: ros2 run' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('arguments', [('my.yaml',), ('--params-file', 'my.yaml')])
+def test_a_stray_argument_is_an_error(arguments, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(list(arguments))
+    assert ended.value.code == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f'ambush_planner: error: unrecognized arguments: {" ".join(arguments)}'

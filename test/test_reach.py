@@ -133,7 +133,7 @@ def test_the_published_value_is_at_least_that_of_all_routes_and_of_the_chain(see
         assert strategy.value == pytest.approx(chain, rel=2e-5, abs=1e-9)
 
 
-def test_a_route_that_comes_back_to_a_disc_is_where_the_value_is_an_upper_bound():
+def test_a_route_that_reenters_a_disc_counts_twice():
     # A hairpin: in, out and in again of the disc around node 3, twice the loss of one hit.
     points = [[0, -3], [0.2, 0], [4, 0.5], [0, 0.5], [0.2, 1.0], [0, 4]]
     edges = [(0, 1), (1, 2), (2, 4), (4, 5)]

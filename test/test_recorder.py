@@ -1,11 +1,18 @@
-"""Sessions of recordings: private folders that are bags, and files that are whole or not there."""
+"""Sessions of recordings: private folders that are bags, files that are whole or not there."""
 
 import os
+import random
 import resource
 import shutil
+import signal
 import stat
+import subprocess
+import sys
+import tempfile
+import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -17,15 +24,24 @@ from recording_samples import (
     assert_departure,
     departure,
     pose,
+    read_with_mcap_ros2,
     read_with_rosbags,
     record,
     recorded,
     small_departure,
 )
+from std_msgs.msg import String
+from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recordings import Recorder, RecordingFailed, recordings_in
+from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings import recorder as recorder_module
+from ambush_planner.recordings.durable_files import make_private_folders, write_durably
+from ambush_planner.recordings.recorder import remove_abandoned
+from ambush_planner.recordings.schemas import load_definition
+
+NOBODY = 65534
 
 
 def mode(path):
@@ -35,6 +51,23 @@ def mode(path):
 def bag_information(folder):
     text = (folder / 'metadata.yaml').read_text()
     return yaml.safe_load(text)['rosbag2_bagfile_information']
+
+
+def listed(folder):
+    return bag_information(folder)['relative_file_paths']
+
+
+@contextmanager
+def small_disk(folder, size):
+    """A file system of this size on ``folder``."""
+    options = ['-t', 'tmpfs', '-o', f'size={size}', 'none', str(folder)]
+    done = subprocess.run(['mount', *options], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f'only a privileged user may mount: {done.stderr.strip()}')
+    try:
+        yield
+    finally:
+        subprocess.run(['umount', '-l', str(folder)], check=True)
 
 
 @contextmanager
@@ -48,51 +81,96 @@ def disk_full_after(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_folders_and_files_are_private_and_named_like_those_of_rosbag2(tmp_path):
-    path = record(Recorder(tmp_path / 'some' / 'runs'), departure())
-    session = path.parent
-    assert session.parent == tmp_path / 'some' / 'runs'
-    assert path.name == f'{session.name}_0.mcap'
-    assert mode(session.parent) == mode(session) == 0o700
-    assert {p.name: mode(p) for p in session.iterdir()} == {
-        path.name: 0o600,
-        'metadata.yaml': 0o600,
-    }
+@contextmanager
+def as_nobody():
+    """Without the privileges of root, whom permissions do not bind."""
+    for message in small_departure():
+        load_definition(message.type)  # the interface files may lie where nobody may look
+    if os.geteuid() == 0:
+        os.seteuid(NOBODY)
+    try:
+        yield
+    finally:
+        os.seteuid(os.getuid())
 
 
-def test_new_folders_above_are_private_and_on_the_disk(tmp_path, monkeypatch):
-    flushed = []
+@pytest.fixture
+def open_folder():
+    """A folder that an unprivileged user owns and reaches."""
+    folder = Path(tempfile.mkdtemp(prefix='ambush_planner_test_'))
+    if os.geteuid() == 0:
+        os.chown(folder, NOBODY, NOBODY)
+    yield folder
+    shutil.rmtree(folder)
 
-    def watched(descriptor, fsync=os.fsync):
+
+def test_a_file_appears_under_its_name_once_it_is_on_the_disk(tmp_path, monkeypatch):
+    path, data, fsync = tmp_path / 'x.mcap', b'whole' * 1000, os.fsync
+
+    def synced(descriptor):
+        fsync(descriptor)
+        if os.path.isfile(f'/proc/self/fd/{descriptor}'):
+            assert not path.exists()
+
+    monkeypatch.setattr(os, 'fsync', synced)
+    write_durably(path, data)
+    assert path.read_bytes() == data and mode(path) == 0o600
+    monkeypatch.setattr(os, 'fsync', fsync)
+    monkeypatch.setattr(os, 'replace', lambda *_: (_ for _ in ()).throw(OSError(28, 'full')))
+    with pytest.raises(OSError):
+        write_durably(path, b'new')
+    assert path.read_bytes() == data and list(tmp_path.iterdir()) == [path]
+
+
+def test_existing_folders_keep_their_mode(tmp_path, monkeypatch):
+    tmp_path.chmod(0o755)
+    make_private_folders(tmp_path / 'a' / 'b')
+    make_private_folders(tmp_path / 'a' / 'b')
+    assert [mode(tmp_path / name) for name in ('', 'a', 'a/b')] == [0o755, 0o700, 0o700]
+    (tmp_path / 'file').touch()
+    for path in (tmp_path / 'file', tmp_path / 'file' / 'below'):
+        with pytest.raises(FileExistsError):
+            make_private_folders(path)
+
+    def made_meanwhile(path):
+        path.mkdir()
+        raise FileExistsError
+
+    monkeypatch.setattr(durable, 'make_private_folder', made_meanwhile)
+    make_private_folders(tmp_path / 'c')
+    assert (tmp_path / 'c').is_dir()
+
+
+def test_folders_and_files_are_private_and_named_like_those_of_rosbag2(tmp_path, monkeypatch):
+    flushed, fsync = [], os.fsync
+
+    def watched(descriptor):
         flushed.append(Path(os.readlink(f'/proc/self/fd/{descriptor}')))
         fsync(descriptor)
 
     monkeypatch.setattr(os, 'fsync', watched)
-    directory = tmp_path / 'on' / 'a' / 'disk'
-    record(Recorder(directory), departure())
-    above = [tmp_path / 'on', tmp_path / 'on' / 'a', directory]
-    assert [mode(folder) for folder in above] == [0o700] * 3
-    # The folder that holds each new name, from the top.
-    assert flushed[:4] == [tmp_path, *above]
+    path = record(Recorder(tmp_path / 'some' / 'runs'), departure())
+    session = path.parent
+    assert session.parent == tmp_path / 'some' / 'runs'
+    assert path.name == f'{session.name}_0.mcap'
+    assert mode(session.parent.parent) == mode(session.parent) == mode(session) == 0o700
+    assert {p.name: mode(p) for p in session.iterdir()} == {
+        path.name: 0o600,
+        'metadata.yaml': 0o600,
+    }
+    # The parents of new folders, from the top.
+    assert flushed[:3] == [tmp_path, tmp_path / 'some', tmp_path / 'some' / 'runs']
 
 
-def test_a_session_is_one_bag_with_a_file_a_departure(tmp_path):
+def test_a_session_is_one_bag_with_one_file_per_departure(tmp_path):
     recorder = Recorder(tmp_path)
     first, second = departure(), departure(START_NS + 60_000_000_000)
     paths = [record(recorder, sent) for sent in (first, second)]
     session = paths[0].parent
-    assert [p.name for p in paths] == [f'{session.name}_{n}.mcap' for n in (0, 1)]
-    assert_departure(first + second, read_with_rosbags(session))
-    for sent, path in zip((first, second), paths, strict=True):
-        assert_departure(sent, read_with_rosbags(path))
-
-
-def test_metadata_yaml_has_every_key_of_version_9(tmp_path):
-    recorder = Recorder(tmp_path)
-    for start_ns in (START_NS, START_NS + 60_000_000_000):
-        session = record(recorder, departure(start_ns)).parent
-    information = bag_information(session)
     names = [f'{session.name}_{n}.mcap' for n in (0, 1)]
+    assert [p.name for p in paths] == names
+    assert_departure(first + second, read_with_rosbags(session))
+    information = bag_information(session)
     topics = information.pop('topics_with_message_count')
     files = information.pop('files')
     assert isinstance(information.pop('ros_distro'), str)
@@ -107,7 +185,6 @@ def test_metadata_yaml_has_every_key_of_version_9(tmp_path):
         'relative_file_paths': names,
         'custom_data': {},
     }
-    assert [f['path'] for f in files] == names
     assert files[1] == {
         'path': names[1],
         'starting_time': {'nanoseconds_since_epoch': START_NS + 60_000_000_000},
@@ -119,36 +196,37 @@ def test_metadata_yaml_has_every_key_of_version_9(tmp_path):
     assert {frozenset(t['topic_metadata']) for t in topics} == {frozenset(keys.split())}
 
 
-def test_a_topic_whose_qos_changes_stays_readable_in_the_folder(tmp_path):
+def test_clocks_and_profiles_that_change_between_departures(tmp_path):
     recorder = Recorder(tmp_path)
     sent = [
-        recorded('/start_pose', pose(1.0, 2.0), qos, START_NS + i)
-        for i, qos in enumerate((VOLATILE, LATCHED))
+        recorded('/start_pose', pose(1.0, 2.0), qos, stamp)
+        for qos, stamp in ((VOLATILE, START_NS), (LATCHED, START_NS - 10**12), (VOLATILE, 0))
     ]
     for message in sent:
         session = record(recorder, [message]).parent
-    found = [row for row in read_with_rosbags(session) if row[0] == '/start_pose']
-    assert_departure(sent, found)
+    found = sorted(read_with_rosbags(session), key=lambda row: row[1])
+    assert_departure(sent[::-1], found)
+    information = bag_information(session)
+    assert information['starting_time'] == {'nanoseconds_since_epoch': 0}
+    assert information['duration'] == {'nanoseconds': START_NS}
 
 
-def test_recorders_of_the_same_second_do_not_clash(tmp_path):
+def test_recorders_of_the_same_second_do_not_clash(tmp_path, monkeypatch):
+    class StoppedClock:
+        now = staticmethod(lambda tz: datetime(1970, 1, 1, tzinfo=tz))
+
+    monkeypatch.setattr(recorder_module, 'datetime', StoppedClock)
     recorders = [Recorder(tmp_path) for _ in range(8)]
     with ThreadPoolExecutor(8) as pool:
-        jobs = [pool.submit(record, r, departure()) for r in recorders]
+        jobs = [pool.submit(record, each, departure()) for each in recorders for _ in range(2)]
         paths = [job.result() for job in jobs]
-    assert len({path.parent for path in paths}) == 8
-    for path in paths:
-        assert_departure(departure(), read_with_rosbags(path.parent))
-
-
-def test_departures_from_several_threads_share_one_session(tmp_path):
-    recorder = Recorder(tmp_path)
-    with ThreadPoolExecutor(8) as pool:
-        jobs = [pool.submit(record, recorder, departure()) for _ in range(16)]
-        paths = {job.result() for job in jobs}
-    (session,) = tmp_path.iterdir()
-    assert paths == {session / f'{session.name}_{n}.mcap' for n in range(16)}
-    assert bag_information(session)['message_count'] == 16 * 6
+    name = 'ambush_planner_1970_01_01-00_00_00'
+    expected = [name, *(f'{name}-{k}' for k in range(2, 9))]
+    assert sorted({path.parent.name for path in paths}) == expected
+    assert sorted(paths) == sorted(tmp_path.glob('*/*.mcap'))
+    for folder in tmp_path.iterdir():
+        assert listed(folder) == [f'{folder.name}_{k}.mcap' for k in (0, 1)]
+        assert len(read_with_rosbags(folder)) == 12
 
 
 def test_a_directory_that_is_a_file(tmp_path):
@@ -162,63 +240,79 @@ def test_a_directory_that_is_a_file(tmp_path):
     assert occupied.read_text() == 'mine'
 
 
-def test_a_full_disk_leaves_nothing_half_written_and_recording_resumes(tmp_path):
-    recorder = Recorder(tmp_path, 'none')
-    first = record(recorder, departure())
-    session = first.parent
-    before = {p: p.read_bytes() for p in session.iterdir()}
-    with disk_full_after(1000), pytest.raises(RecordingFailed, match='File too large') as caught:
-        record(recorder, departure())
-    assert caught.value.path == session / f'{session.name}_1.mcap'
-    assert {p: p.read_bytes() for p in session.iterdir()} == before
-    third = record(recorder, departure())
-    assert third.name == f'{session.name}_2.mcap'
-    assert bag_information(session)['relative_file_paths'] == [first.name, third.name]
-    assert_departure(departure() * 2, read_with_rosbags(session))
-
-
-def test_a_full_disk_at_the_metadata_keeps_the_file_and_the_old_metadata(tmp_path):
+@pytest.mark.parametrize('at_the_list', [False, True])
+def test_a_full_disk_leaves_no_partial_file_and_recording_resumes(tmp_path, at_the_list):
     recorder = Recorder(tmp_path)
     first = record(recorder, small_departure())
     session = first.parent
-    for _ in range(80):  # until the metadata alone is longer than a departure
+    for _ in range(60):  # until metadata.yaml is longer than a recording
         record(recorder, small_departure())
-    limit = first.stat().st_size + 500
-    assert (session / 'metadata.yaml').stat().st_size > limit
-    with disk_full_after(limit), pytest.raises(RecordingFailed, match='metadata.yaml'):
+    before = {p: p.read_bytes() for p in session.iterdir()}
+    limit = first.stat().st_size + 500 if at_the_list else 1000
+    assert len(before[session / 'metadata.yaml']) > limit
+    with disk_full_after(limit), pytest.raises(RecordingFailed, match='File too large'):
         record(recorder, small_departure())
-    assert not list(session.glob('*.tmp'))
-    assert bag_information(session)['message_count'] == 4 * 81
-    assert len(read_with_rosbags(session / f'{session.name}_81.mcap')) == 4
+    whole = session / f'{session.name}_61.mcap'
+    assert whole.exists() == at_the_list
+    assert {p: p.read_bytes() for p in session.iterdir() if p != whole} == before
     record(recorder, small_departure())
-    assert bag_information(session)['message_count'] == 4 * 83
+    assert len(listed(session)) == 62 + at_the_list
+    read_with_rosbags(session)
 
 
-def test_a_session_that_is_full_is_followed_by_a_new_one(tmp_path, monkeypatch):
+def test_no_space_left(tmp_path):
+    with small_disk(tmp_path, '64k'):
+        recorder = Recorder(tmp_path, 'none')
+        kept = [record(recorder, small_departure())]
+        with pytest.raises(RecordingFailed, match='No space left.*check that recording.directory'):
+            while True:
+                kept.append(record(recorder, small_departure()))
+        session = kept[0].parent
+        assert not list(session.glob('*.tmp'))
+        assert set(listed(session)) <= {path.name for path in session.glob('*.mcap')}
+        for path in session.glob('*.mcap'):
+            assert_departure(small_departure(), read_with_rosbags(path))
+
+
+def test_a_folder_that_may_not_be_written(open_folder):
+    with as_nobody():
+        recorder = Recorder(open_folder)
+        session = record(recorder, small_departure()).parent
+        session.chmod(0o500)
+        with pytest.raises(RecordingFailed, match='Permission denied') as caught:
+            record(recorder, small_departure())
+        assert caught.value.path.parent == session
+        session.chmod(0o700)
+        later = record(recorder, small_departure())
+        assert listed(session) == [f'{session.name}_0.mcap', later.name]
+        open_folder.chmod(0o500)
+        with pytest.raises(RecordingFailed, match='Permission denied'):
+            record(Recorder(open_folder), small_departure())
+
+
+def test_a_full_session_is_followed_by_a_new_one(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_module, 'MOST_FILES', 3)
-    with Recorder(tmp_path) as recorder:
-        paths = [record(recorder, departure()) for _ in range(7)]
+    recorder = Recorder(tmp_path)
+    paths = [record(recorder, departure()) for _ in range(7)]
     folders = list(dict.fromkeys(path.parent for path in paths))
     assert [len(list(folder.glob('*.mcap'))) for folder in folders] == [3, 3, 1]
     assert all(len(read_with_rosbags(folder)) for folder in folders)
     assert recordings_in(tmp_path) == paths
 
 
-def test_a_session_folder_that_was_taken_away_is_followed_by_a_new_one(tmp_path):
+def test_files_and_folders_that_are_taken_away(tmp_path):
     recorder = Recorder(tmp_path / 'runs')
-    record(recorder, departure())
+    record(recorder, departure()).unlink()
+    path = record(recorder, departure())
+    assert listed(path.parent) == [path.name]
     shutil.rmtree(tmp_path / 'runs')
     path = record(recorder, departure())
     assert path.name == f'{path.parent.name}_0.mcap'
-    assert_departure(departure(), read_with_rosbags(path.parent))
-
-
-def test_a_file_that_was_taken_away_leaves_the_metadata(tmp_path):
-    recorder = Recorder(tmp_path)
-    record(recorder, departure()).unlink()
-    path = record(recorder, departure())
-    assert bag_information(path.parent)['relative_file_paths'] == [path.name]
-    assert_departure(departure(), read_with_rosbags(path.parent))
+    shutil.rmtree(path.parent)
+    path.parent.write_text('mine')
+    other = record(recorder, departure())
+    assert path.parent.read_text() == 'mine'
+    assert_departure(departure(), read_with_rosbags(other.parent))
 
 
 def test_a_link_in_place_of_the_temporary_file_is_not_followed(tmp_path):
@@ -233,9 +327,66 @@ def test_a_link_in_place_of_the_temporary_file_is_not_followed(tmp_path):
     assert_departure(departure(), read_with_rosbags(path))
 
 
-def test_wrong_arguments_are_refused(tmp_path):
+def test_an_unknown_compression(tmp_path):
     with pytest.raises(InvalidOption, match="'gzip' is not one of zstd, lz4, none"):
         Recorder(tmp_path, 'gzip')
-    with pytest.raises(ValueError, match='without messages'):
-        record(Recorder(tmp_path), [])
     assert not list(tmp_path.iterdir())
+
+
+def record_until_killed(directory):
+    """Never returns; a departure takes long enough to be interrupted half written."""
+    try:
+        noise = recorded('/noise', String(data=random.Random(1).randbytes(150_000).hex()))
+        recorder = Recorder(directory, 'none')
+        while True:
+            record(recorder, [*small_departure(), noise])
+    finally:
+        os._exit(1)
+
+
+def kill_while_recording(directory, seconds):
+    """Let a child process record, and kill it that long after its first file is begun."""
+    before = set(directory.rglob('*'))
+    child = os.fork()
+    if not child:
+        record_until_killed(directory)
+    deadline = time.monotonic() + TIMEOUT
+    while not any(path.is_file() for path in set(directory.rglob('*')) - before):
+        assert time.monotonic() < deadline
+    time.sleep(seconds)
+    os.kill(child, signal.SIGKILL)
+    _, status = os.waitpid(child, 0)
+    assert os.WTERMSIG(status) == signal.SIGKILL
+
+
+@pytest.mark.slow
+def test_named_files_are_whole_whatever_a_kill_interrupts(tmp_path, request):
+    kills = 3 * request.config.getoption('--kills')  # they cost less than whole nodes
+    paths = [str(Path(__file__).parents[1]), os.environ.get('PYTHONPATH', '')]
+    # Forked in a process of its own, which has no other threads.
+    subprocess.run(
+        [sys.executable, __file__, str(tmp_path), str(kills)], check=True, timeout=10 * TIMEOUT,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)},
+    )
+    sessions = list(tmp_path.iterdir())
+    assert len(sessions) == kills
+    for session in sessions:
+        for path in session.glob('*.mcap'):
+            assert_departure(small_departure(), [
+                row for row in read_with_mcap_ros2(path) if row[0] != '/noise'
+            ])
+            assert len(read_with_rosbags(path)) == 5
+        if (session / 'metadata.yaml').exists():
+            read_with_rosbags(session)
+    left = list(tmp_path.rglob('*.tmp'))
+    assert remove_abandoned(tmp_path) == []  # another node might be writing them
+    for path in left:
+        os.utime(path, (0.0, 0.0))
+    assert sorted(remove_abandoned(tmp_path)) == sorted(left)
+    assert not list(tmp_path.rglob('*.tmp'))
+
+
+if __name__ == '__main__':
+    pauses = random.Random(5)
+    for _ in range(int(sys.argv[2])):
+        kill_while_recording(Path(sys.argv[1]), pauses.uniform(0, 0.02))

@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from itertools import accumulate
 
@@ -21,9 +21,8 @@ from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.commands import replay
-from ambush_planner.commands.replay_player import qos_from_yaml
-from ambush_planner.recordings import read_departure
-from ambush_planner.recordings.recorded_case import TYPES, Case
+from ambush_planner.commands.replay import _message_class, qos_from_yaml
+from ambush_planner.recordings import read_departure, read_recording
 
 # The command, which finds who listens on a slow machine, too.
 COMMAND = f"""
@@ -31,6 +30,15 @@ import sys
 from ambush_planner.commands import replay
 replay._DISCOVERY = {TIMEOUT}
 sys.exit(replay.main())
+"""
+LISTENER = """
+import rclpy
+from geometry_msgs.msg import PoseStamped
+rclpy.init()
+node = rclpy.create_node('listener')
+node.create_subscription(PoseStamped, '/goal_pose', lambda _: print('received', flush=True), 10)
+print('listening', flush=True)
+rclpy.spin(node)
 """
 # A message from the network may have up to three bytes of padding at its end.
 PADDING = 3
@@ -87,7 +95,7 @@ def listener(messages=()):
             if message.topic not in found.received:
                 qos = qos_from_yaml(message.qos)
                 qos.depth = max(qos.depth, 100)  # no later message takes an earlier one's place
-                found.listen(message.topic, TYPES[message.type], qos)
+                found.listen(message.topic, _message_class(message.type), qos)
         with spinning(node, SingleThreadedExecutor(context=context)):
             yield found, domain
 
@@ -107,15 +115,14 @@ def replaying(domain, *arguments):
         process.communicate()
 
 
-def replayed(domain, *arguments, patience=10.0):
-    """The exit code of the command, run in this process, and what it said.
+def replayed(domain, *arguments, listening=True):
+    """The exit code of the command, run in this process, and its standard error.
 
-    It finds who listens on a slow machine, too; ``patience`` passes where some topics are unheard.
+    It finds listeners on a slow machine, too; ``listening``: each topic has one.
     """
     with pytest.MonkeyPatch.context() as patch:
         for name in ('_DISCOVERY', '_DISCOVERY_OF_INPUTS'):
-            patch.setattr(replay, name, TIMEOUT)
-        patch.setattr(replay, '_PATIENCE', patience)
+            patch.setattr(replay, name, TIMEOUT if listening else 2.0)
         patch.setenv('ROS_DOMAIN_ID', str(domain))
         done = run_here(replay, *arguments)
     return done.code, done.err
@@ -139,7 +146,7 @@ def assert_received(found, messages):
 
 
 def test_listeners_get_the_same_bytes_in_order(slow):
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     with listener(messages) as (found, domain), \
             replaying(domain, slow, '--rate', '4') as process:  # as a user starts it
         out, said = process.communicate(timeout=60)
@@ -152,29 +159,31 @@ def test_listeners_get_the_same_bytes_in_order(slow):
 def test_a_folder_is_one_timeline(slow, tmp_path):
     forger = Forger(slow)
     for k in range(3):
-        shifted = [replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages]
         one = Forger(slow)
-        one.messages = shifted
+        one.messages = [
+            replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages
+        ]
         one.save(tmp_path / f'run_{k}.mcap')
     path = [m for m in forger.messages if m.type.endswith('Path')]
     with listener(path) as (found, domain):
-        code, _ = replayed(domain, tmp_path, '--rate', '5', '--every', '1', patience=1.0)
+        code, _ = replayed(
+            domain, tmp_path, '--rate', '5', '--every', '1', '--', '/path')
         assert_received(found, path * 3)
-        # Not the hours that passed between them, but 2 s, or less where the first came late.
+        # Not the hours that passed between them, but 2 s, or less if the first came late.
         assert 0.5 < found.span() < 300.0
     assert code == 0
     for number in ('2', '-1'):
         with listener(path) as (found, domain):
             code, _ = replayed(
-                domain, tmp_path, '--rate', '50', '--departure', number, patience=1.0)
+                domain, tmp_path, '--rate', '50', '--departure', number, '--', '/path')
             assert code == 0
             assert_received(found, path)
 
 
 def test_publishers_stay_until_ctrl_c_with_keep(slow):
-    path = [m for m in read_departure(slow).messages if m.topic == '/path']
+    path = [m for m in read_recording(slow).messages if m.topic == '/path']
     with listener(path) as (found, domain), \
-            replaying(domain, slow, '--rate', '50', '--keep') as process:
+            replaying(domain, slow, '--rate', '50', '--keep', '--', '/path') as process:
         wait_until(found.count, 'the path')
         late = Listener(found.node)
         late.listen('/path', PathMessage, LATCHED)
@@ -186,7 +195,7 @@ def test_publishers_stay_until_ctrl_c_with_keep(slow):
 
 @pytest.mark.slow
 def test_rate(slow, tmp_path):
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     # At the recorded rate the first would take no time, and the second would not end in time. A
     # message may come late, also the first one: little of the 1.8 s that the first takes is asked.
     short = paced(slow, [0.001] * 9, tmp_path / 'short.mcap')
@@ -199,13 +208,14 @@ def test_rate(slow, tmp_path):
 
 
 def test_only_some_topics_and_other_names(slow):
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     with listener() as (found, domain):
         for topic in ('/path', '/convoy/way', '/alpha_map'):
             kind = OccupancyGrid if topic == '/alpha_map' else PathMessage
             found.listen(topic, kind, LATCHED)
         remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
-        code, said = replayed(domain, slow, '--', '/path', '/goal_pose', *remap, patience=1.0)
+        code, said = replayed(
+            domain, slow, '--', '/path', '/goal_pose', *remap, listening=False)
         assert code == 0
         assert 'nobody listens to /goal_pose' in said
         wait_until(found.count, 'the path under its other name')
@@ -217,10 +227,10 @@ def test_only_some_topics_and_other_names(slow):
 
 
 def test_a_loop_keeps_latched_topics_and_ends_on_sigint(slow):
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     names = {message.topic: message for message in messages}
     with listener(messages) as (found, domain), \
-            replaying(domain, slow, '--loop', '--rate', '4') as process:
+            replaying(domain, slow, '--loop', '--rate', '4', '--every', '1') as process:
         wait_until(lambda: len(found.received['/goal_pose']) >= 3, 'three rounds')
         assert process.poll() is None
         for topic, message in names.items():
@@ -240,7 +250,7 @@ def test_a_loop_keeps_latched_topics_and_ends_on_sigint(slow):
     (signal.SIGINT, 'discovery'), (signal.SIGTERM, 'pause'),
 ])
 def test_signals_end_it_cleanly_at_any_time(number, when, slow):
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     with listener(messages if when == 'pause' else ()) as (found, domain), \
             replaying(domain, slow, '--rate', '0.001') as process:
         if when == 'pause':
@@ -266,9 +276,8 @@ def test_another_planner_is_fed(which, files):
         assert client.received['path'] == []
         assert client.call('new_route').success
         ends = client.last('path').poses[0], client.last('path').poses[-1]
-    recorded = Case(read_departure(files[which])).message('path').poses
-    assert ends[0].pose.position == recorded[0].pose.position
-    assert ends[1].pose == recorded[-1].pose
+    recorded = read_departure(files[which]).ends
+    assert [(each.pose.position.x, each.pose.position.y) for each in ends] == [*recorded]
 
 
 def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
@@ -278,7 +287,7 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
     cut.write_bytes(data[:-100])
     at = len(data) // 2
     changed.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1:])
-    messages = read_departure(slow).messages
+    messages = read_recording(slow).messages
     with listener(messages) as (found, domain):
         code, said = replayed(domain, tmp_path, '--rate', '4')
         assert_received(found, messages)
@@ -290,7 +299,7 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['none.mcap'], 3, 'No such file'),
-    ([__file__], 3, 'not an MCAP file'),
+    ([__file__], 3, 'damaged or not an MCAP file'),
     (['{}', '--rate', '0'], 2, '--rate'),
     (['{}', '--every', 'nan'], 2, '--every'),
     (['{}', '--departure', '2'], 3, 'there are 1 departure'),
@@ -308,7 +317,46 @@ def test_wrong_usage(arguments, code, words, slow):
 
 def test_recorded_profiles_are_what_the_node_offers(files):
     """What the tests above compare with is not all the same."""
-    qos = {m.topic: qos_from_yaml(m.qos) for m in read_departure(files[NEW_ROUTE]).messages}
+    qos = {m.topic: qos_from_yaml(m.qos) for m in read_recording(files[NEW_ROUTE]).messages}
     assert qos['/path'].durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert qos['/goal_pose'].durability == DurabilityPolicy.VOLATILE
     assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())
+
+
+def test_signal_handlers_are_restored(slow, tmp_path):
+    def mine(*_):
+        pass
+
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.signal(number, mine) for number in numbers]
+    try:
+        with free_domain() as domain:
+            assert replayed(domain, tmp_path / 'none')[0] == 3
+        assert [signal.getsignal(number) for number in numbers] == [mine, mine]
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+@pytest.mark.slow
+def test_a_listener_that_pauses_loses_nothing(files, tmp_path):
+    for name in ('1.mcap', '2.mcap'):
+        paced(files[NEW_ROUTE], [0.0] * 9, tmp_path / name)
+    with free_domain() as domain, ExitStack() as stack:
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
+        listening = subprocess.Popen(
+            [sys.executable, '-c', LISTENER], env=environment, text=True, stdout=subprocess.PIPE
+        )
+        stack.callback(listening.communicate)
+        stack.callback(listening.kill)
+        assert listening.stdout.readline() == 'listening\n'
+        process = stack.enter_context(
+            replaying(domain, tmp_path, '--every', '2', '--', '/goal_pose'))
+        assert listening.stdout.readline() == 'received\n'
+        listening.send_signal(signal.SIGSTOP)
+        assert any('2.mcap: 1 message' in line for line in process.stderr)
+        time.sleep(1.0)  # longer than sending takes: the publisher must outlast it
+        assert process.poll() is None
+        listening.send_signal(signal.SIGCONT)
+        assert listening.stdout.readline() == 'received\n'
+        assert process.wait(TIMEOUT) == 0

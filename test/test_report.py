@@ -4,41 +4,54 @@ import dataclasses
 import hashlib
 import json
 import re
-from base64 import b64encode
+import zlib
+from base64 import b64decode, b64encode
 from html.parser import HTMLParser
 
+import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import START, departure, drawn, parameters, record, sample_plan
-from forging import Forger
+from commands import documented_keys
 from ros_harness import stage
 
-from ambush_planner.commands import report, report_map, report_words
-from ambush_planner.commands.report_sections import Section, sections_of
+from ambush_planner.commands import report, report_page, report_words
+from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
+from ambush_planner.recordings.report_data import (
+    OBSTACLE,
+    Section,
+    map_cells,
+    map_data,
+    packed,
+    sections_of,
+)
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
-VOID = {'meta', 'img', 'input'}
+SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
 
 
 class Page(HTMLParser):
     """Checks that tags are closed in their order; collects elements, attributes, text."""
 
-    def __init__(self, text):
+    def __init__(self, html):
         super().__init__()
-        self.open, self.tags, self.attributes, self.words = [], [], [], []
-        self.feed(text)
+        self.html, self.open, self.tags, self.attributes, self.words = html, [], [], [], []
+        self.feed(html)
         self.close()
         assert not self.open
 
     def handle_starttag(self, tag, attributes):
         self.tags.append(tag)
         self.attributes += [(tag, *attribute) for attribute in attributes]
-        if tag not in VOID:
+        if tag not in ('meta', 'img', 'input'):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -52,11 +65,11 @@ class Page(HTMLParser):
     def text(self):
         return re.sub(r'\s+', ' ', ' '.join(self.words))
 
-
-def scripts(page):
-    """How many scripts would run; data are none."""
-    data = page.attributes.count(('script', 'type', 'application/json'))
-    return page.tags.count('script') - data
+    @property
+    def scripts(self):
+        """How many scripts would run; data do not."""
+        data = self.attributes.count(('script', 'type', 'application/json'))
+        return self.tags.count('script') - data
 
 
 @pytest.fixture(scope='module')
@@ -64,147 +77,70 @@ def a_plan():
     return sample_plan()
 
 
+def page_of(folder, *departures, code=0, arguments=()):
+    if departures:
+        record(folder / 'in', departures)
+    arguments = [str(folder / 'in'), '-o', str(folder / 'out'), '--replace', *arguments]
+    assert report.main(arguments) == code
+    return Page((folder / 'out' / 'report.html').read_text())
+
+
 @pytest.fixture(scope='module')
 def made(tmp_path_factory, a_plan):
-    """The page of twelve departures, its text, and the section that it was made from."""
+    """The page of twelve departures, and the section that it was made from."""
     folder = tmp_path_factory.mktemp('report')
-    record(folder / 'in', [departure(a_plan, route, k + 1)
-                           for k, route in enumerate(drawn(a_plan, 12))])
-    assert report.main([str(folder / 'in'), '-o', str(folder / 'out')]) == 0
+    page = page_of(folder, *(
+        departure(a_plan, route, k + 1) for k, route in enumerate(drawn(a_plan, 12))
+    ))
     (section,) = sections_of(read_departures(recordings_in(folder / 'in'), pytest.fail))
-    html = (folder / 'out' / 'report.html').read_text()
-    return html, Page(html), section
-
-
-def page_of(tmp_path, *departures):
-    record(tmp_path / 'in', departures)
-    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
-    html = (tmp_path / 'out' / 'report.html').read_text()
-    return html, Page(html)
+    return page, section
 
 
 def test_the_page_is_whole_and_needs_nothing_else(made):
-    html, page, _ = made
-    assert html.startswith('<!DOCTYPE html>') and ('html', 'lang', 'en') in page.attributes
+    page, _ = made
+    assert page.html.startswith('<!DOCTYPE html>') and ('html', 'lang', 'en') in page.attributes
     assert not {'link', 'iframe', 'object', 'form', 'a', 'base', 'img'} & set(page.tags)
-    assert not [name for _, name, _ in page.attributes if name in ('src', 'href')]
-    assert not re.search(r'url\(|@import|https?://', html)
-    assert not [name for _, name, _ in page.attributes if name.startswith('on')]
-    assert len(html) < 1_000_000
+    assert not [name for _, name, _ in page.attributes
+                if name in ('src', 'href') or name.startswith('on')]
+    assert not re.search(r'url\(|@import|https?://', page.html)
+    assert len(page.html) < 1_000_000 and 'Secret.' in page.text
 
 
-def test_the_policy_names_the_one_script(made):
-    html, page, _ = made
-    assert scripts(page) == 1
-    (script,) = re.findall(r'(?s)<script>(.*?)</script>', html)
-    assert script == report_map.script()
+def test_the_policy_names_the_only_script(made):
+    page, _ = made
+    (script,) = re.findall(r'(?s)<script>(.*?)</script>', page.html)
+    assert page.scripts == 1 and script == report_page.resource('report_map.js')
     digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'" in [
-        value for tag, name, value in page.attributes if name == 'content'
+        value for _, name, value in page.attributes if name == 'content'
     ]
 
 
 def test_the_numbers_are_those_of_the_strategy(made, a_plan):
-    _, page, section = made
+    page, section = made
     strategy = a_plan.strategy
-    assert f'more than {strategy.value:.4f} a departure' in page.text
-    assert f'less than {strategy.lower_bound:.4f} on this network' in page.text
-    rows = evaluate(strategy)
-    for row, cells in zip(rows.values(), report_words.measures(section.strategy)[1:],
-                          strict=True):
+    assert f'mean loss of more than {strategy.value:.4f} per departure' in page.text
+    assert f'guarantee less than {strategy.lower_bound:.4f} on this network' in page.text
+    assert 'No ambusher that waits more than 40 m from start and goal' in page.text
+    assert 'Nobody waits within 40 m of start or goal: if that ground is not secured' in page.text
+    assert f'{strategy.route_entropy:.4g} nats' in page.text
+    for row, cells in zip(evaluate(strategy).values(),
+                          report_words.measures(section.strategy)[1:], strict=True):
         assert cells[1:] == (report_words.distance(row.expected_length),
                              report_words.percent(row.p_first),
                              report_words.percent(row.p_repeated), f'{row.v_repeated:.3f}')
-        for cell in cells:
-            assert cell in page.text
-    assert f'{strategy.route_entropy:.4g} nats' in page.text
+        assert all(cell in page.text for cell in cells)
 
 
-def test_the_promise_names_the_ground_that_has_to_be_held(made):
-    page, _, _ = made
-    assert 'No ambusher that waits over 40 m from start and goal' in page
-    assert 'Nobody waits within 40 m of start or goal: where that ground is not held' in page
-
-
-def test_departures_settings_and_the_warning_are_there(made):
-    _, page, section = made
-    for record_ in section.departures:
-        assert record_.metadata.id in page.text
-    assert 'Secret.' in page.text
-    assert section.departures[-1].metadata.sha256['strategy'] in page.text
-    assert 'game.secured_radius' in page.text and 'uniform_delaunay' in page.text
-    assert '2023-11-15 22:13 UTC' in page.text and '1.26.4' in page.text
-
-
-def test_routes_and_seeds_are_not_spelled_out(made):
-    html, page, section = made
-    assert 'route_entropy_source' not in html
-    assert not [value for name, value in report_words.settings(section) if name == 'seed']
-    for record_ in section.departures:
-        assert ', '.join(map(str, record_.route[:4].tolist())) not in page.text
-
-
-def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
-    texts = {'parameters': json.dumps(parameters(seed=77123))}
-    html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
-    assert 'fixed seed' in page.text and '77123' not in html
-    assert 'fixed seed' not in made[1].text
-
-
-@pytest.mark.parametrize('key', ['planner_version', 'service', 'departure_id', 'frame'])
-def test_what_comes_from_files_is_escaped(tmp_path, a_plan, key):
-    html, page = page_of(
-        tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts={key: HOSTILE})
-    )
-    assert scripts(page) == 1 and 'img' not in page.tags
-    assert 'alert(1)' in page.text
-    assert '<script>alert' not in html
-    assert not [n for _, n, _ in page.attributes if n == 'onerror']
-
-
-def test_hostile_parameters_and_versions_are_escaped(tmp_path, a_plan):
-    texts = {'parameters': json.dumps(parameters(**{'recording.directory': HOSTILE})),
-             'versions': json.dumps({HOSTILE: HOSTILE, 'numpy': '<b>'})}
-    html, page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], texts=texts))
-    assert scripts(page) == 1 and 'b' not in page.tags[page.tags.index('h2') + 10:]
-    assert 'alert(1)' in page.text
-
-
-def test_one_departure_makes_a_page(tmp_path, a_plan):
-    (path,) = record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0])])
-    assert report.main([str(path), '-o', str(tmp_path / 'out')]) == 0
-    page = Page((tmp_path / 'out' / 'report.html').read_text())
-    assert '1 departure,' in page.text and '1 departures' not in page.text
-
-
-def test_several_maps_share_a_page(tmp_path, a_plan):
-    other = sample_plan(hill=90)
-    html, page = page_of(
-        tmp_path,
-        *(departure(a_plan, r, k) for k, r in enumerate(drawn(a_plan, 2))),
-        *(departure(other, r, k + 9, hill=90) for k, r in enumerate(drawn(other, 3))),
-    )
-    assert 'Trip 1 of 2: 2 departures' in page.text
-    assert 'Trip 2 of 2: 3 departures' in page.text
-    assert page.tags.count('canvas') == 2 and page.tags.count('section') == 2
-
-
-def test_what_could_not_be_read_is_said_on_the_page(tmp_path, a_plan, capsys):
-    paths = record(tmp_path / 'in', [departure(a_plan, r, k)
-                                     for k, r in enumerate(drawn(a_plan, 2))])
-    paths[0].write_bytes(b'nothing')
-    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 3
-    page = Page((tmp_path / 'out' / 'report.html').read_text())
-    assert 'could not be read and are missing here: 1.' in page.text
-    assert paths[0].name in capsys.readouterr().err
-
-
-def test_settings_that_differ_are_said_to(tmp_path, a_plan):
-    routes = drawn(a_plan, 2)
-    texts = {'parameters': json.dumps(parameters(**{'recording.compression': 'none'}))}
-    _, page = page_of(tmp_path, departure(a_plan, routes[0]),
-                      departure(a_plan, routes[1], 2, texts=texts))
-    assert 'recording.compression differs between departures' in page.text
+def test_departures_and_settings_are_listed_without_routes_and_seeds(made):
+    page, section = made
+    assert '2023-11-15 22:13 UTC' in page.text and 'game.secured_radius' in page.text
+    assert 'frame of the map' in page.text
+    assert 'seed' not in dict(report_words.settings(section))
+    for each in section.departures:
+        assert each.id in page.text
+        assert str(each.route_entropy_source[0]) not in page.html
+        assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
 
 
 def test_distances_and_shares_are_readable():
@@ -213,54 +149,152 @@ def test_distances_and_shares_are_readable():
     assert report_words.percent(0.1064) == '10.6 %'
 
 
-def test_where_no_ambush_costs_anything_nobody_waits(made):
-    _, _, section = made
+def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
+    entries = {'parameters': parameters(seed=77123)}
+    page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
+    assert 'fixed seed' in page.text and '77123' not in page.html
+    assert '1 departure,' in page.text and '1 departures' not in page.text
+    assert 'fixed seed' not in made[0].text
+
+
+@pytest.mark.parametrize('entries', [
+    {'departure_id': HOSTILE}, {'frame': HOSTILE},
+    {'parameters': parameters(**{'recording.directory': HOSTILE})},
+], ids=lambda entries: next(iter(entries)))
+def test_text_from_files_is_escaped(tmp_path, a_plan, entries):
+    page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
+    assert page.scripts == 1 and 'img' not in page.tags and '<script>alert' not in page.html
+    assert 'alert(1)' in page.text
+
+
+def test_maps_and_trips_have_sections(tmp_path, a_plan):
+    """Departures whose start moves a little are on one trip, with several strategies."""
+    other, rows = sample_plan(hill=90), []
+    for k in range(3):
+        start = START[0] + 0.02 * k, START[1]
+        moved = sample_plan(start=start)
+        rows.append(departure(moved, drawn(moved, 1, k)[0], k + 1, start=start))
+    rows += [departure(other, r, k + 9, hill=90) for k, r in enumerate(drawn(other, 2))]
+    entries = {'parameters': parameters(**{'recording.compression': 'none'})}
+    rows.append(departure(other, drawn(other, 1)[0], 20, hill=90, entries=entries))
+    page = page_of(tmp_path, *rows)
+    assert 'Trip 1 of 2: 3 departures' in page.text and 'Trip 2 of 2: 3 departures' in page.text
+    assert page.tags.count('canvas') == 2 and page.tags.count('section') == 2
+    assert page.text.count('3 strategies were computed for this trip') == 1
+    assert 'recording.compression differs between departures' in page.text
+
+
+def test_if_no_ambush_causes_a_loss_nobody_waits(made):
+    _, section = made
     free = dataclasses.replace(section.strategy, value=0.0)
     calm = Section([dataclasses.replace(section.departures[-1], strategy=free)])
-    assert 'the best ambusher waits' in report_map.map_figure(section)
-    assert 'the best ambusher waits' not in report_map.map_figure(calm)
-    words = dict(report_words.quantities(free))
-    assert words['places where the best ambusher waits'] == 'none: no ambush costs anything'
+    for sections, hidden in (([section], 0), ([calm], 1)):
+        page = Page(report_page.page(sections, 0, None))
+        assert page.attributes.count(('li', 'hidden', None)) == hidden
+    sites = dict(report_words.quantities(free))['sites of the best ambusher']
+    assert sites == 'none: no ambush causes a loss'
 
 
 def test_routes_on_the_map_have_the_colours_of_the_table(made):
-    html, page, section = made
-    colours = section.colours()
-    data = report_map.map_data(section)
+    page, section = made
+    colours = report_page.colours(section)
+    data = json.loads(re.search(r'(?s)<script type="application/json">(.*?)</script>',
+                                page.html)[1])
     assert data['colours'] == [colours.get(k) for k in range(12)]
     assert sorted(colours) == list(range(4, 12)) and len(set(colours.values())) == 8
     for number, colour in colours.items():
-        assert f'{number + 1}&nbsp;<span style="color:{colour}">' in html
-        assert f'<option value="{number}">{number + 1}: ' in html
+        assert f'{number + 1}&nbsp;<span style="color:{colour}">' in page.html
+        assert f'<option value="{number}">{number + 1}: ' in page.html
 
 
-def test_a_start_that_moves_makes_one_section(tmp_path):
-    """One section for a map and a pair of places, however many strategies."""
-    rows = []
-    for k in range(4):
-        start = START[0] + 0.02 * k, START[1]
-        each = sample_plan(start=start)
-        rows.append(departure(each, drawn(each, 1, k)[0], k + 1, start=start))
-    html, page = page_of(tmp_path, *rows)
-    assert page.tags.count('section') == 1 and page.tags.count('canvas') == 1
-    assert '4 strategies were worked out for this trip' in page.text
+# Verification, exit codes
 
 
-def test_it_says_verified_only_where_it_verified(tmp_path, made):
-    _, page, _ = made
-    assert 'Not verified' in page.text and 'Verified:' not in page.text
+def test_it_says_verified_only_if_it_verified(tmp_path, made):
+    assert 'Not verified' in made[0].text and 'Verified:' not in made[0].text
     with stage(tmp_path / 'in') as running:
         assert running.give().call('new_route').success
-    for arguments, code, said in (
-        ([], 0, 'Not verified'), (['--verify'], 0, 'Verified: all 1 recordings'),
-    ):
-        out = tmp_path / said[:4]
-        assert report.main([str(tmp_path / 'in'), '-o', str(out), *arguments]) == code
-        assert said in Page((tmp_path / said[:4] / 'report.html').read_text()).text
-    (path,) = recordings_in(tmp_path / 'in')
-    forger = Forger(path)
-    forger.metadata['departure_id'] = '0' * 36
-    forger.save(path)
-    assert report.main([str(path), '-o', str(tmp_path / 'forged'), '--verify']) == 1
-    text = Page((tmp_path / 'forged' / 'report.html').read_text()).text
-    assert 'VERIFICATION FAILED for 1 of 1' in text and 'departure_id' in text
+    assert 'Not verified' in page_of(tmp_path).text
+    text = page_of(tmp_path, arguments=['--verify']).text
+    assert 'Verified: all 1 recordings' in text
+    assert 'Not enough to tell: at least 5 departures' in text
+
+
+def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
+    """These recordings say one thing and hold another; their routes are all the same."""
+    (route,) = drawn(a_plan, 1)
+    rows = [departure(a_plan, route, k + 1) for k in range(5)]
+    page = page_of(tmp_path, *rows, code=1, arguments=['--verify'])
+    assert 'VERIFICATION FAILED for 5 of 5 recordings' in page.text
+    assert 'The audit has a finding: some stretches are driven far more' in page.text
+    assert 'An observer who learns as he goes' in page.text
+
+
+def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
+    paths = record(tmp_path / 'in', [departure(a_plan, r, k)
+                                     for k, r in enumerate(drawn(a_plan, 2))])
+    paths[0].write_bytes(b'nothing')
+    page = page_of(tmp_path, code=3)
+    assert 'could not be read and are missing: 1.' in page.text
+    assert paths[0].name in capsys.readouterr().err
+    paths[1].write_bytes(b'nothing')
+    assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'none'), '--json']) == 3
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == documented_keys(report) and result['page'] is None
+    assert not (tmp_path / 'none').exists()
+
+
+def test_output_is_required_private_and_replaced_only_if_requested(tmp_path, a_plan, capsys):
+    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0])])
+    out = tmp_path / 'out'
+    assert report.main([str(tmp_path / 'in'), '-o', str(out)]) == 0
+    assert out.stat().st_mode & 0o777 == 0o700
+    assert (out / 'report.html').stat().st_mode & 0o777 == 0o600
+    for arguments, said in (([], '-o DIR'), (['-o', str(out)], '--replace')):
+        with pytest.raises(SystemExit) as stop:
+            report.main([str(tmp_path / 'in'), *arguments])
+        assert stop.value.code == 2 and said in capsys.readouterr().err
+
+
+# The data of the map
+
+
+@given(st.data())
+@settings(max_examples=50, deadline=None)
+def test_losses_and_obstacles_come_through(data):
+    shape = data.draw(SHAPES)
+    alpha = data.draw(arrays(float, shape, elements=st.floats(0.0, 10.0)))
+    obstacles = data.draw(arrays(bool, shape))
+    cells, levels, cell = map_cells(RiskMap(alpha, obstacles, 2.5))
+    assert cell == 2.5 and (levels == [0.0] or not obstacles.all())
+    np.testing.assert_array_equal(cells == OBSTACLE, obstacles)
+    np.testing.assert_array_equal(np.array(levels)[cells[~obstacles]], alpha[~obstacles])
+
+
+def test_of_very_many_losses_the_nearest_are_kept():
+    alpha = np.random.default_rng(1).uniform(1.0, 9.0, (60, 70))
+    cells, levels, _ = map_cells(RiskMap(alpha, np.zeros(alpha.shape, bool), 1.0))
+    assert len(levels) == OBSTACLE
+    assert np.abs(np.array(levels)[cells] - alpha).max() <= 8.0 / 254 / 2 + 1e-9
+
+
+def test_blocks_of_a_large_map_show_the_worst_loss():
+    rng = np.random.default_rng(2)
+    alpha, obstacles = rng.integers(1, 50, (3, 4001)) / 5.0, rng.random((3, 4001)) < 0.6
+    cells, levels, cell = map_cells(RiskMap(alpha, obstacles, 2.0))
+    assert cells.shape == (1, 1334) and cell == 6.0
+    for k in (0, 1, 700, 1333):
+        block = np.s_[:, 3 * k:3 * k + 3]
+        free = alpha[block][~obstacles[block]]
+        assert cells[0, k] == OBSTACLE if not len(free) else levels[cells[0, k]] == free.max()
+
+
+def test_routes_come_through_little_endian(made):
+    _, section = made
+    data = map_data(section)
+    routes = np.frombuffer(zlib.decompress(b64decode(data['routes'])), '<f4').reshape(-1, 2)
+    points = section.strategy.network.points
+    driven = np.concatenate([points[each.route] for each in section.departures])
+    np.testing.assert_allclose(routes, driven - section.risk_map.origin[:2], rtol=1e-6)
+    assert data['counts'] == [len(each.route) for each in section.departures]
+    assert packed(np.array([1.5]), '<f4') == b64encode(zlib.compress(b'\0\0\xc0?')).decode()

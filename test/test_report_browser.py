@@ -1,6 +1,5 @@
-"""The report in a real browser: its map is used, nothing is asked of the net, it fits."""
+"""The report in a real browser: its map works, it fits, and it requests nothing."""
 
-import json
 import re
 
 import numpy as np
@@ -10,7 +9,6 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 import report_browser
 from audit_samples import departure, drawn, parameters, record, sample_plan
-from matplotlib.image import imread
 
 from ambush_planner.commands import report
 from ambush_planner.commands.figures import AMBUSHER, ROUTES
@@ -72,20 +70,14 @@ def readout(browser):
 
 
 @pytest.mark.parametrize('width', [390, 1100], ids=['phone', 'desk'])
-def test_the_page_shows_its_map_and_stays_at_home(browser, page, tmp_path, width):
+def test_the_page_fits_and_requests_nothing(browser, page, width):
     opened(browser, page, width)
-    # Nothing but the page itself.
-    assert browser.requests() == [page.resolve().as_uri()]
-    assert browser.complaints() == []
-    # It does not scroll sideways, and has much to show.
+    assert browser.requests() == [page.resolve().as_uri()] and browser.complaints() == []
     assert browser.evaluate('document.documentElement.scrollWidth') <= width
-    browser.screenshot(tmp_path / 'page.png')
-    image = imread(tmp_path / 'page.png')
-    assert image.shape[1] == width and image.shape[0] > 2000
     assert near(browser, AMBUSHER) > 100 and near(browser, '#ffd92f') > 50
     shown = browser.evaluate('map.canvas.getBoundingClientRect().toJSON()')
     assert 0.8 * min(width, 900) < shown['width'] <= width
-    # Legend and controls can be read and hit with a finger, on a phone too.
+    # Legend and controls are large enough to read and to touch.
     sizes = browser.evaluate(
         f'[...document.querySelectorAll("{MAP} .legend li, {MAP} label, {MAP} button")].map('
         'e => [parseFloat(getComputedStyle(e).fontSize), e.getBoundingClientRect().height])'
@@ -96,9 +88,9 @@ def test_the_page_shows_its_map_and_stays_at_home(browser, page, tmp_path, width
 @pytest.mark.parametrize('reach', [0.0, 25.0])
 def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, reach):
     """An ambush at each site costs what the planner's core says, by the page's own sums."""
-    texts = {'parameters': json.dumps(parameters(**{'game.ambush_radius': reach}))}
+    entries = {'parameters': parameters(**{'game.ambush_radius': reach})}
     a_plan = sample_plan(reach=reach)
-    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], texts=texts)])
+    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
     assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
     opened(browser, tmp_path / 'out' / 'report.html')
     game, p = a_plan.strategy.game, a_plan.strategy.edge_probability
@@ -168,25 +160,20 @@ def test_the_mouse_moves_zooms_and_tells(browser, page):
         assert state(browser)[2] == pytest.approx(zoom, rel=1e-3)
 
 
-def test_the_keyboard_does_it_all(browser, page):
+def test_keyboard_and_fingers_move_and_zoom(browser, page):
     opened(browser, page)
     browser.evaluate(f'document.querySelector("{MAP} [data-zoom=all]").focus()')
     browser.key('Tab')
     assert browser.evaluate('document.activeElement === map.canvas')
     x, y, _ = state(browser)
-    told = readout(browser)
+    before = readout(browser)
     browser.key('+', '+')
-    assert state(browser) == [x, y, 1.5] and readout(browser) != told
+    assert state(browser) == [x, y, 1.5] and readout(browser) != before
     browser.key('ArrowRight')
     browser.key('ArrowUp')
     assert state(browser)[0] > x and state(browser)[1] > y
-    browser.key('-', '-')
-    assert state(browser)[2] == 1.0
     browser.key('0', '0')
     assert state(browser) == [x, y, 1.0]
-
-
-def test_two_fingers_zoom_and_one_moves(browser, page):
     opened(browser, page, 390)
     x, y = browser.centre(f'{MAP} canvas')
     browser.touch('touchStart', (x - 30, y), (x + 30, y))
@@ -200,25 +187,20 @@ def test_two_fingers_zoom_and_one_moves(browser, page):
     assert state(browser)[0] > before[0] and state(browser)[1] == pytest.approx(before[1])
 
 
-def test_what_leaves_a_page_would_be_noticed(browser, tmp_path):
-    """The check above can fail: a page that asks for a picture and runs a script is caught."""
-    tell_tale = tmp_path / 'tell_tale.html'
-    tell_tale.write_text('<img src="http://elsewhere.invalid/pixel.png"><script>x = 7</script>')
-    browser.load(tell_tale, 800)
-    assert 'http://elsewhere.invalid/pixel.png' in browser.requests()
-    assert browser.evaluate('x') == 7
-
-
 def test_the_policy_stops_scripts_and_pictures_from_elsewhere(browser, page, tmp_path):
-    """If anything hostile came through all the same, the page's own policy would hold."""
+    """A page without the policy asks for the picture and runs the script; this one does not."""
     hostile = '<img src="http://elsewhere.invalid/pixel.png"><script>x = 7</script></body>'
     changed = tmp_path / 'changed.html'
+    changed.write_text(hostile)
+    browser.load(changed, 800)
+    assert 'http://elsewhere.invalid/pixel.png' in browser.requests()
+    assert browser.evaluate('x') == 7
     changed.write_text(page.read_text().replace('</body>', hostile))
     browser.load(changed, 800)
     assert browser.evaluate('typeof x') == 'undefined'
     assert browser.evaluate('document.images[0].naturalWidth') == 0
     assert len(browser.complaints()) >= 2
-    # The page's own script runs as it is or not at all.
+    # The page's own script runs unchanged or not at all.
     changed.write_text(page.read_text().replace("'use strict';", "'use strict'; var x = 7;"))
     browser.load(changed, 800)
     assert browser.evaluate('typeof maps + typeof x') == 'undefinedundefined'

@@ -13,7 +13,7 @@ def with_alpha(network, alpha):
 
 
 @pytest.mark.parametrize('reach', [0.0, 2.0])
-def test_revalue_is_what_the_strategy_is_worth_on_the_new_losses(reach):
+def test_revalue_gives_the_value_on_the_new_losses(reach):
     network = terrain_network(4, cells=14)
     game, free = GameOptions(ambush_radius=reach), StrategyOptions(max_detour=np.inf)
     strategy = solve(network, game, free)
@@ -28,7 +28,7 @@ def test_revalue_is_what_the_strategy_is_worth_on_the_new_losses(reach):
     assert other.bound <= best.value and best.lower_bound <= other.value
 
 
-def test_twice_the_losses_are_twice_the_value():
+def test_twice_the_losses_give_twice_the_value():
     network = terrain_network(4, cells=10)
     strategy = solve(network, options=StrategyOptions(max_detour=np.inf))
     twice = revalue(strategy, GameOptions(), 2.0 * network.alpha)

@@ -92,7 +92,7 @@ def one_bad(value) -> np.ndarray:
         ({'origin': (0.0, 0.0, 'north')}, 'not numeric'),
     ],
 )
-def test_malformed_maps_are_named(change, words):
+def test_rejects_malformed_maps(change, words):
     good = {'alpha': np.ones((2, 3)), 'obstacles': np.zeros((2, 3), bool), 'resolution': 1.0}
     with pytest.raises(InvalidRiskMap, match=words):
         RiskMap(**{**good, **change})
@@ -125,13 +125,13 @@ def test_every_value_in_range_is_read(dtype):
 
 
 @pytest.mark.parametrize('value', [-2, -128, 101, 127, np.nan, np.inf])
-def test_values_out_of_range_are_named(value):
+def test_rejects_values_out_of_range(value):
     with pytest.raises(InvalidRiskMap, match=rf'{value}.* \(0, 1\)'):
         risk_map_from_occupancy([[0, value]], 1.0)
 
 
 @pytest.mark.parametrize('values', [[], [1, 2], [[[1]]]])
-def test_grids_of_other_shapes_are_refused(values):
+def test_rejects_grids_of_other_shapes(values):
     with pytest.raises(InvalidRiskMap, match='shape'):
         risk_map_from_occupancy(values, 1.0)
 
@@ -151,7 +151,7 @@ def test_grids_of_other_shapes_are_refused(values):
         {'unknown_alpha': np.nan},
     ],
 )
-def test_options_out_of_range_are_named(options):
+def test_rejects_options_out_of_range(options):
     (name, value), = options.items()
     with pytest.raises(InvalidOption, match=name) as caught:
         OccupancyOptions(**options)

@@ -73,7 +73,7 @@ def test_drawn_frequencies_are_the_published_probabilities(network, draw):
 
 
 @pytest.mark.parametrize('draw', [one_by_one, at_once])
-def test_whole_routes_are_as_likely_as_the_walk_says(draw):
+def test_whole_routes_have_the_probability_of_their_steps(draw):
     network, draws = paper_example(), 20_000
     strategy = solve(network)
     drawn = Counter(tuple(route.tolist()) for route in draw(strategy, draws, 7))
@@ -103,7 +103,7 @@ def test_routes_at_once_have_the_distribution_of_single_routes(solver):
     assert (z**2).max() < chdtri(1, FALSE_ALARM / often.sum())
 
 
-def test_none_and_one_at_once():
+def test_zero_and_one_routes_at_once():
     strategy = solve(paper_example())
     assert strategy.sample_routes(0, np.random.default_rng(1)) == []
     (route,) = strategy.sample_routes(1, np.random.default_rng(1))

@@ -1,4 +1,4 @@
-"""Shortest paths and reachability of the core against networkx."""
+"""Shortest paths and reachability compared with networkx."""
 
 from __future__ import annotations
 
@@ -52,5 +52,5 @@ def test_reachability(network):
     assert set(between) == reached & leading
 
 
-def test_no_path_is_an_empty_one():
+def test_an_unreachable_node_has_an_empty_path():
     assert len(shortest_path(np.empty((0, 2), np.int64), np.empty(0), 2, 0, 1)) == 0

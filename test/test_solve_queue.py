@@ -28,7 +28,7 @@ from ambush_planner.worker.solve_queue import SolveQueue
 
 
 def request(goal=(18.5, 10.5), values=None, **strategy):
-    """A small game: solved in some ten milliseconds."""
+    """A small game, solved in about ten milliseconds."""
     if values is None:
         values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
     options = PlanningOptions(NetworkOptions(spacing=1.0), strategy=StrategyOptions(**strategy))
@@ -38,7 +38,7 @@ def request(goal=(18.5, 10.5), values=None, **strategy):
 
 
 def slow_request(time_limit=600.0):
-    """A game that takes the paper's simplex method minutes."""
+    """A game that takes the simplex method minutes."""
     values = np.random.default_rng(2).integers(0, 60, (200, 200), dtype=np.int8)
     return replace(
         request((198.5, 100.5), values, solver='simplex', time_limit=time_limit),
@@ -47,13 +47,13 @@ def slow_request(time_limit=600.0):
 
 
 def submit(queue, key, asked, size=8, background=False):
-    """Queue a solve whose outcome is the plan as it is."""
+    """Queue a solve whose outcome is the plan."""
     return queue.submit(key, asked, lambda plan: plan, size, background)
 
 
 @pytest.fixture
 def queue(monkeypatch):
-    """A queue whose first worker may be one that an earlier test has left idle and well."""
+    """A queue whose worker may be one that an earlier test left idle."""
     monkeypatch.setattr(solve_queue, 'WorkerProcess', HandedOn.take)
     queue = SolveQueue()
     yield queue
@@ -61,8 +61,8 @@ def queue(monkeypatch):
 
 
 @pytest.fixture
-def queue_anew(monkeypatch):
-    """A queue whose first worker is started as a node's: its end is told by the system."""
+def fresh_queue(monkeypatch):
+    """A queue whose first worker is a real process, started as by a node."""
     first = iter([WorkerProcess])
     monkeypatch.setattr(solve_queue, 'WorkerProcess', lambda: next(first, HandedOn.take)())
     queue = SolveQueue()
@@ -71,15 +71,12 @@ def queue_anew(monkeypatch):
 
 
 def begun(queue):
-    """Wait until the worker has a solve to work on, for minutes if it were not halted.
-
-    A worker that was ready before may still be without it: enough for all but killing it.
-    """
+    """Wait until a ready worker has been given a solve, and halt it."""
     wait_until(lambda: queue._running and queue._worker and queue._worker._ready, 'a solve')
     halt_workers()
 
 
-def test_the_worker_finds_what_this_process_would(queue):
+def test_the_worker_finds_the_same_plan_as_this_process(queue):
     asked = request()
     ours, theirs = plan_from_request(asked), submit(queue, 'key', asked).result(TIMEOUT)
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
@@ -88,21 +85,21 @@ def test_the_worker_finds_what_this_process_would(queue):
     np.testing.assert_array_equal(theirs.network.points, ours.network.points)
     assert theirs.strategy.value == ours.strategy.value
     assert (theirs.spacing, theirs.goal_xy) == (ours.spacing, ours.goal_xy)
-    assert not theirs.strategy.edge_probability.flags.writeable, 'records stay frozen on the way'
+    assert not theirs.strategy.edge_probability.flags.writeable, 'arrays stay read-only'
     np.testing.assert_array_equal(
         theirs.strategy.sample_route(np.random.default_rng(5)),
         ours.strategy.sample_route(np.random.default_rng(5)))
 
 
-def test_errors_of_the_planner_come_through(queue):
+def test_the_planners_errors_reach_the_caller(queue):
     values = np.zeros((20, 20), dtype=np.int8)
     values[10, 18] = 100
     with pytest.raises(GoalBlocked, match=r'goal \(18.500, 10.500\) lies in an obstacle'):
         submit(queue, 'key', request(values=values)).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT), 'the same worker goes on'
+    assert submit(queue, 'key', request()).result(TIMEOUT), 'the same worker continues'
 
 
-def test_an_error_that_the_planner_does_not_know_tells_where_but_no_values(queue):
+def test_an_internal_error_has_frames_but_no_values(queue):
     odd = replace(request(), resolution='nowhere near')
     with pytest.raises(Unexpected) as caught:
         submit(queue, 'key', odd).result(TIMEOUT)
@@ -119,13 +116,13 @@ def test_a_goal_is_moved_within_its_tolerance(queue):
         (17.5, 10.5), (18.5, 9.5), (18.5, 11.5), (19.5, 10.5)}
 
 
-def test_equal_solves_are_shared_and_others_wait_their_turn(queue):
+def test_equal_solves_are_shared_and_others_wait(queue):
     first = submit(queue, 'slow', slow_request())
     assert submit(queue, 'slow', slow_request()) is first
     other = submit(queue, 'other', request())
     assert submit(queue, 'other', request()) is other
     begun(queue)
-    assert submit(queue, 'slow', slow_request()) is first, 'also when it runs'
+    assert submit(queue, 'slow', slow_request()) is first, 'also while it runs'
     assert not other.done()
     assert queue.cancel() == 2
     for each in (first, other):
@@ -133,19 +130,19 @@ def test_equal_solves_are_shared_and_others_wait_their_turn(queue):
             each.result(TIMEOUT)
 
 
-def test_a_full_queue_refuses_at_once_and_says_what_is_busy(queue):
+def test_a_full_queue_refuses_at_once_with_the_reason(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     waiting = [submit(queue, k, request(), size=2) for k in range(2)]
     with pytest.raises(QueueFull, match=r'is running \(for [\d.]+ s\) and 2 others are waiting'):
         submit(queue, 'third', request(), size=2)
-    assert submit(queue, 1, request(), size=2) is waiting[1], 'sharing needs no room'
+    assert submit(queue, 1, request(), size=2) is waiting[1], 'a shared solve does not count'
     later = submit(queue, 'third', request(), size=3)
     assert queue.cancel() == 4
     assert later.exception(TIMEOUT)
 
 
-def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
+def test_the_first_waiting_solve_does_not_count_before_one_runs(monkeypatch):
     ready = threading.Event()
     monkeypatch.setattr(
         solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and HandedOn.take())
@@ -161,8 +158,8 @@ def test_where_none_runs_yet_the_first_that_waits_takes_no_room(monkeypatch):
         queue.close()
 
 
-def test_a_solve_in_the_background_gives_way(queue_anew):
-    queue = queue_anew
+def test_background_solves_run_last(fresh_queue):
+    queue = fresh_queue
     submit(queue, 'slow', slow_request())
     begun(queue)
     outcomes = []
@@ -174,12 +171,12 @@ def test_a_solve_in_the_background_gives_way(queue_anew):
         each.add_done_callback(lambda done, name=name: outcomes.append(name))
     os.kill(queue._worker._process.pid, signal.SIGKILL)
     assert asked.result(TIMEOUT) and last.result(TIMEOUT)
-    # A future's result is there before its callbacks are called.
+    # A future has its result before its callbacks are called.
     wait_until(lambda: len(outcomes) == 2, 'both')
     assert outcomes == ['asked', 'last']
 
 
-def test_a_solve_in_the_background_takes_no_room_and_needs_none(queue):
+def test_background_solves_do_not_count_as_waiting(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     first = submit(queue, 'first', request(), background=True)
@@ -191,7 +188,7 @@ def test_a_solve_in_the_background_takes_no_room_and_needs_none(queue):
     assert queue.cancel() == 3
 
 
-def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
+def test_a_requested_background_solve_is_kept(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     first = submit(queue, 'first', request(), background=True)
@@ -203,7 +200,7 @@ def test_a_solve_in_the_background_that_somebody_asks_for_is_kept(queue):
     assert not first.done()
 
 
-def test_one_in_the_background_is_so_again_when_who_asked_for_it_leaves(queue):
+def test_a_withdrawn_request_leaves_the_background_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     kept = submit(queue, 'kept', request(), background=True)
@@ -211,15 +208,15 @@ def test_one_in_the_background_is_so_again_when_who_asked_for_it_leaves(queue):
     assert not kept.done()
     asked = submit(queue, 'asked', request())
     queue.withdraw(asked)
-    with pytest.raises(SolveCancelled, match='nobody waits'):
+    with pytest.raises(SolveCancelled, match='no caller waits'):
         asked.result(0.0)
     queue.withdraw_background()
     with pytest.raises(SolveCancelled, match='a newer map'):
         kept.result(0.0)
 
 
-def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):
-    """Who asks between the end of a solve and its outcome does not begin another one."""
+def test_an_outcome_is_shared_while_it_is_being_set(queue, monkeypatch):
+    """A request between the end of a solve and its outcome does not begin another one."""
     solves, again, heard, solve = [], [], threading.Event(), WorkerProcess.solve
 
     def once_heard(worker, asked):
@@ -237,7 +234,7 @@ def test_an_outcome_that_is_being_told_is_shared(queue, monkeypatch):
     assert len(solves) == 1
 
 
-def test_cancel_ends_a_solve_of_minutes_and_the_next_one_works(queue):
+def test_cancel_ends_a_long_solve_and_the_next_one_works(queue):
     future = submit(queue, 'slow', slow_request())
     begun(queue)
     assert queue.cancel()
@@ -247,7 +244,7 @@ def test_cancel_ends_a_solve_of_minutes_and_the_next_one_works(queue):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_what_was_submitted_can_be_cancelled_at_once(queue):
+def test_submitted_solves_can_be_cancelled_at_once(queue):
     for attempt in range(8):
         both = submit(queue, 'first', slow_request()), submit(queue, 'second', slow_request())
         assert queue.cancel() == 2, attempt
@@ -275,7 +272,7 @@ def test_the_time_limit_holds_for_a_worker_that_reads_nothing(queue):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_an_error_on_this_side_is_answered_too(queue, monkeypatch):
+def test_an_error_in_the_owner_is_an_outcome_too(queue, monkeypatch):
     def broken(*_):
         raise MemoryError
 
@@ -286,8 +283,8 @@ def test_an_error_on_this_side_is_answered_too(queue, monkeypatch):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue_anew):
-    queue = queue_anew
+def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
+    queue = fresh_queue
     future = submit(queue, 'slow', slow_request())
     begun(queue)
     pid = queue._worker._process.pid
@@ -298,12 +295,12 @@ def test_a_worker_that_is_killed_is_an_error_and_a_new_worker(queue_anew):
     assert pid != queue._worker._process.pid
 
 
-def test_a_worker_that_died_while_idle_is_not_missed(queue_anew):
-    submit(queue_anew, 'key', request()).result(TIMEOUT)
-    pid = queue_anew._worker._process.pid
+def test_a_worker_that_died_while_idle_is_replaced(fresh_queue):
+    submit(fresh_queue, 'key', request()).result(TIMEOUT)
+    pid = fresh_queue._worker._process.pid
     os.kill(pid, signal.SIGKILL)
     wait_until(lambda: _is_zombie(pid), 'the end of the worker')
-    assert submit(queue_anew, 'key', request()).result(TIMEOUT)
+    assert submit(fresh_queue, 'key', request()).result(TIMEOUT)
 
 
 def test_close_ends_everything_at_once():
@@ -334,7 +331,7 @@ sys.stdin.read()
 """
 
 
-def test_no_orphan_is_left_when_the_owner_is_killed_in_the_middle_of_a_solve():
+def test_the_worker_dies_when_its_owner_is_killed_during_a_solve():
     with subprocess.Popen(
         [sys.executable, '-c', ORPHAN], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
@@ -346,14 +343,14 @@ def test_no_orphan_is_left_when_the_owner_is_killed_in_the_middle_of_a_solve():
 
 
 def _is_zombie(pid):
-    # Or gone altogether: who waits for it is not this process's matter.
+    # Or gone altogether.
     try:
         return Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] == 'Z'
     except OSError:
         return True
 
 
-def test_a_worker_whose_owner_is_gone_before_it_is_ready_ends_quietly():
+def test_a_worker_without_an_owner_ends_quietly():
     ours, theirs = socket.socketpair()
     ours.close()
     with theirs:

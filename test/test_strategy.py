@@ -1,4 +1,4 @@
-"""Laws of every published strategy, by independent answers; any budget; any time; errors."""
+"""Laws of every published strategy by independent oracles; budgets, time limits, errors."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SLACK = StrategyOptions().risk_slack
 
 
 def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None:
-    """What holds for every strategy in a game with ambush radius 0 and nothing secured."""
+    """Check the laws of strategies with ambush radius 0 and no secured ground."""
     network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
     check_flow(network, p, solver)
     visits = np.bincount(network.heads, weights=p, minlength=len(q))
@@ -66,7 +66,7 @@ def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None
 
 
 def check_flow(network, p, solver: str) -> None:
-    """One unit from source to target; without cycles from the default solver."""
+    """p is a unit flow; that of the default solver has no cycles."""
     assert p.min() >= 0.0
     assert unbalanced(network, p) < 1e-8
     assert connected_flow(network, p) == pytest.approx(1.0, abs=1e-7)
@@ -81,14 +81,14 @@ def check_bound(strategy) -> None:
     weights = (strategy.ambush_probability * network.alpha)[network.heads]
     least = least_weight(network, weights + price * network.lengths)
     bound = least - (price * strategy.length_budget if price else 0.0)
-    # Ties of shortest routes are rounding: a budget without room counts as a little more.
+    # Ties of shortest routes are rounding: a budget without margin counts as a little more.
     room = 1e-9 * price * strategy.shortest_length
     assert strategy.lower_bound <= bound + 1e-9 * max(strategy.value, least) + room
     assert price >= 0.0
 
 
 def check_value(strategy, max_detour: float, slack: float = 0.0) -> None:
-    """The value is the linear program's, or a little more."""
+    """The value is that of the linear program, up to the slack."""
     network = strategy.network
     budget = max_detour * least_weight(network, network.lengths)
     assert value_is_right(network, strategy.value, budget, slack + 2e-5)
@@ -151,7 +151,7 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
 
 @examples(25)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
-def test_risk_slack_costs_no_more_than_it_says(network, slack, max_detour):
+def test_risk_slack_bounds_the_extra_risk(network, slack, max_detour):
     strict, loose = (
         solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
         for s in (0.0, slack)
@@ -209,7 +209,7 @@ def test_a_budget_that_binds_by_hand():
 
 
 @pytest.mark.parametrize('solver', SOLVERS)
-def test_no_time_at_all_is_a_time_limit(solver):
+def test_no_time_at_all_raises_time_limit(solver):
     network = terrain_network(1, cells=40)
     tight = StrategyOptions(solver, max_detour=1.05, time_limit=1e-6)
     with pytest.raises(TimeLimit, match=r'time limit passed|allow more time'):
@@ -218,7 +218,7 @@ def test_no_time_at_all_is_a_time_limit(solver):
 
 @pytest.mark.parametrize('limit', [1e-9, 1e-3, 3e-3, 0.01, 0.03, 0.1])
 @pytest.mark.parametrize('detour, reach', [(1.05, 0.0), (1.2, 3.0), (np.inf, 3.0), (np.inf, 0.0)])
-def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detour, reach):
+def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach):
     """Never another error; value and bound are the strategy's own; none is published over."""
     network, game = terrain_network(1, cells=24), GameOptions(ambush_radius=reach)
     options = StrategyOptions(max_detour=detour, time_limit=limit)
@@ -241,8 +241,8 @@ def test_whatever_the_time_there_is_a_strategy_that_is_true_or_none(limit, detou
     assert route[0] == network.source and route[-1] == network.target
 
 
-def test_a_wide_gap_is_a_time_limit_with_the_strategy(monkeypatch):
-    """An open gap is never published, whoever reports it."""
+def test_a_wide_gap_raises_time_limit_with_the_strategy(monkeypatch):
+    """A strategy with an open gap is never published."""
     network = terrain_network(3, cells=9)
 
     def careless(game, budgets, *_):
@@ -273,7 +273,7 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
     assert warm.value == pytest.approx(cold.value, rel=0.012)
 
 
-def test_a_law_of_another_network_is_no_start():
+def test_multipliers_of_another_network_are_ignored():
     law = solve(terrain_network(1, cells=9)).multipliers
     network = terrain_network(2, cells=10)
     cold, warm = solve(network), solve(network, warm=law)
@@ -303,21 +303,21 @@ def test_no_valid_game_fails(seed, kind, data):
     try:
         strategy = solve(network, game, options)
     except (NoRoute, BudgetInfeasible):
-        return  # said by name: a threshold or two budgets that leave nothing
+        return  # by the threshold, or by contradicting budgets
     assert strategy.value <= strategy.lower_bound * (1 + options.risk_slack + 1e-5)
     check_flow(network, strategy.edge_probability, 'max_entropy')
     assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
     assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
 
 
-def test_start_and_goal_at_almost_one_place():
+def test_start_and_goal_at_almost_the_same_place():
     risk_map = RiskMap(np.ones((20, 20)), np.zeros((20, 20), bool), 1.0)
     network = build_network(risk_map, (10.0, 10.0), (10.0, 10.0 + 1e-9))
     strategy = solve(network)
     assert strategy.value == 0.0 and strategy.expected_length == pytest.approx(1e-9, rel=1e-5)
 
 
-def test_losses_of_obstacle_cells_do_not_matter_even_nan():
+def test_losses_of_obstacle_cells_are_ignored_even_nan():
     obstacles = np.zeros((20, 20), bool)
     obstacles[8:12, 8:12] = True
     values = [
@@ -360,7 +360,7 @@ def test_options_out_of_range_are_named(name, value):
     assert str(value) in str(caught.value)
 
 
-def test_options_that_do_not_go_together_are_named():
+def test_contradicting_options_are_named():
     with pytest.raises(InvalidOption, match=r'length_weight 0\.1 .* max_detour'):
         StrategyOptions(length_weight=0.1)
     with pytest.raises(InvalidOption, match=r'max_exposure 2.* max_entropy, got simplex'):
@@ -369,8 +369,8 @@ def test_options_that_do_not_go_together_are_named():
         solve(paper_example(), GameOptions(ambushers=2), StrategyOptions('simplex'))
 
 
-def test_a_budget_of_nothing():
-    # Open ground without a loss: the least exposed route has none, and so the budget is 0.
+def test_budgets_of_zero_are_feasible():
+    # The least exposed route crosses ground without losses, so the budget is 0.
     alpha = np.full((15, 20), 9.0)
     alpha[5:10] = 0.0
     alpha[6:9, 9:11] = 3.0
@@ -378,7 +378,7 @@ def test_a_budget_of_nothing():
     network = build_network(risk_map, (6.0, 30.0), (74.0, 30.0), NetworkOptions(spacing=4.0))
     strategy = solve(network, GameOptions(ambush_radius=4.0), StrategyOptions(max_exposure=1.5))
     assert strategy.least_exposure == strategy.expected_exposure == 0.0
-    # Both ends at one place: no length at all.
+    # Both ends are at the same place, so the length budget is 0.
     points = np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 1.0], [0.0, 0.0]])
     edges = [(0, 3), (0, 1), (1, 2), (1, 3), (2, 3)]
     network = Network(points, np.array([0.0, 0.0, 2.0, 0.0]), np.array(edges), 0, 3)

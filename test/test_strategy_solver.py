@@ -134,7 +134,7 @@ def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
     assert strategy.value >= least * (1 - 2e-5)
 
 
-def test_routes_past_all_sites_are_taken_with_value_zero():
+def test_routes_that_avoid_all_sites_have_value_zero():
     points = [[0, 0], [1, 0], [1, 1], [1, -1], [2, 0]]
     network = quiet_network(points, [0, 5, 0, 0, 0], [(0, k) for k in (1, 2, 3)] + [
         (k, 4) for k in (1, 2, 3)], 0, 4)
@@ -188,7 +188,7 @@ def test_more_slack_buys_more_entropy():
     assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
 
 
-def test_an_exposure_budget_keeps_out_of_the_light():
+def test_an_exposure_budget_lowers_exposure_and_entropy():
     network = terrain_network(6, cells=14)
     free, dark = (
         solve(network, options=StrategyOptions(max_detour=1.5, max_exposure=e, risk_slack=0.05))
@@ -199,7 +199,7 @@ def test_an_exposure_budget_keeps_out_of_the_light():
     assert dark.route_entropy < free.route_entropy
 
 
-def test_a_site_a_million_times_too_costly_is_not_driven_past():
+def test_an_excessively_costly_site_is_avoided():
     network = terrain_network(2, cells=12)
     alpha = network.alpha.copy()
     alpha[len(alpha) // 2] = 1e9

@@ -1,4 +1,4 @@
-"""What arrives is told: a map by its size and frame, and one that can never arrive."""
+"""Log lines about maps, plans and departures, and the warning of a volatile map."""
 
 import re
 
@@ -12,7 +12,7 @@ from waiting import stderr_in
 INFO = re.compile(r'^\[INFO\].*\[ambush_planner\]: (.*)$', re.MULTILINE)
 
 
-def test_maps_plans_and_departures_are_told_in_a_line_each(tmp_path):
+def test_maps_plans_and_departures_are_logged_in_a_line_each(tmp_path):
     with stderr_in(tmp_path / 'log') as said, stage() as running:
         client = running.give(risk_grid(np.full((12, 30), 20, np.int8)), (1.5, 3.0), (13.5, 3.0))
         assert client.call('new_route').success
@@ -21,18 +21,18 @@ def test_maps_plans_and_departures_are_told_in_a_line_each(tmp_path):
         client.publish('alpha_map', risk_grid(np.full((12, 30), 20, np.int8)))  # the same again
         client.publish('alpha_map', risk_grid(np.full((14, 30), 20, np.int8)))
         wait_until(lambda: said().count('map accepted') == 2, 'the second map')
-    told = INFO.findall(said())
-    maps = [line for line in told if 'map accepted' in line]
+    logged = INFO.findall(said())
+    maps = [line for line in logged if 'map accepted' in line]
     assert maps == ["map accepted: 30 x 12 cells of 0.5 m in the frame 'map'",
                     "map accepted: 30 x 14 cells of 0.5 m in the frame 'map'"]
-    (solved,) = [line for line in told if 'solved' in line]
+    (solved,) = [line for line in logged if 'solved' in line]
     assert re.fullmatch(r'plan solved in \d+\.\d\d s: value [\d.e-]+, \d+ nodes', solved)
-    departures = [line for line in told if line.startswith('departure')]
+    departures = [line for line in logged if line.startswith('departure')]
     assert [line.split()[1] for line in departures] == ['1', '2']
     assert departures[1] == f'departure 2 ({identity})'
 
 
-def test_a_map_that_is_published_volatile_is_told_as_long_as_it_is():
+def test_warns_of_a_volatile_map_as_long_as_it_is_published():
     with stage() as running:
         client = running.client
         # Of its own and not spun, so that it can be destroyed at any time.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from drive_samples import drives
+from drive_samples import distance_to, drives
 from games import examples
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -51,7 +51,7 @@ def assert_taut(portals, share):
     assert size <= found.fun * (1 + 1e-9)
 
 
-def test_portals_that_are_seen_from_behind():
+def test_portals_approached_from_behind():
     """Two sharp turns, one after the other: from the start, the second portal looks reversed."""
     nodes = [(4.2683, 2.8259), (4.55, 3.85), (3.85, 4.55), (3.85, 3.85), (3.15, 4.55),
              (2.45, 5.25), (1.75, 5.25), (1.0186, 5.3343)]
@@ -65,7 +65,7 @@ def test_portals_that_are_seen_from_behind():
 
 @examples(50)
 @given(drives(), st.integers(0, 10**6))
-def test_straight_lines_between_portals_keep_clear_and_in_the_tube(drive, seed):
+def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     portals = portals_along(corridors, [route])
     rng = np.random.default_rng(seed)
@@ -78,17 +78,9 @@ def test_straight_lines_between_portals_keep_clear_and_in_the_tube(drive, seed):
     assert ObstacleField(risk_map, clear_of_edge).clear_segments(a, b, clearance).all()
     dense = np.concatenate([a + share * (b - a) for share in np.linspace(0, 1, 21)])
     if tube is not None:
-        assert off_route(dense, portals.nodes).max() <= tube + 1e-9
+        assert distance_to(dense, portals.nodes).max() <= tube + 1e-9
     else:
         others = np.delete(corridors.uv, route, axis=0)
         if len(others):
             gaps = np.linalg.norm(dense[:, None] - others, axis=2)
             assert gaps.min() > 1e-4
-
-
-def off_route(points, line):
-    """Distance (K,) of points from a polyline."""
-    along = np.diff(line, axis=0)
-    share = ((points[:, None] - line[:-1]) * along).sum(axis=2) / (along**2).sum(axis=1)
-    foot = line[:-1] + np.clip(share, 0.0, 1.0)[..., None] * along
-    return np.linalg.norm(points[:, None] - foot, axis=2).min(axis=1)

@@ -7,11 +7,8 @@ from ambush_planner.maps import (
     Elevation,
     InvalidTerrain,
     TerrainOptions,
-    ViewOptions,
     terrain_map,
 )
-from ambush_planner.maps.occupancy import risk_map_from_occupancy
-from ambush_planner.network.construction import NetworkOptions, build_network
 
 
 def hills(seed=0, shape=(40, 50)):
@@ -62,7 +59,7 @@ def test_cliffs_are_obstacles_and_the_largest_risk_is_none():
     assert (limited[[19, 20, 39, 40]] == 100).all() and (limited[25:35] < 100).all()
 
 
-def test_roads_lead_through_steep_ground_and_cost_less():
+def test_roads_cross_steep_terrain_and_cost_less():
     heights = np.zeros((40, 40))
     heights[20:] = 100.0
     elevation = Elevation(heights, 10.0)
@@ -77,7 +74,7 @@ def test_roads_lead_through_steep_ground_and_cost_less():
     np.testing.assert_allclose(with_roads.values[free], without.values[free] / 4.0, atol=0.7)
 
 
-def test_unknown_ground_is_unknown_also_under_a_road():
+def test_unknown_terrain_stays_unknown_under_a_road():
     heights = hills()
     heights[5:9, 5:9] = np.nan
     ground = terrain_map(Elevation(heights, 10.0), None, np.ones(heights.shape, bool))
@@ -86,7 +83,7 @@ def test_unknown_ground_is_unknown_also_under_a_road():
         np.testing.assert_array_equal(np.isnan(layer), np.isnan(heights))
 
 
-def test_roads_of_another_shape_are_refused():
+def test_rejects_roads_of_another_shape():
     with pytest.raises(InvalidTerrain, match='roads'):
         terrain_map(Elevation(hills(), 10.0), None, np.zeros((3, 3), bool))
 
@@ -96,48 +93,6 @@ def test_roads_of_another_shape_are_refused():
     [{'slope_limit': 0.0}, {'road_factor': 1.5}, {'weights': (0.0, 0.0, 0.0, 0.0)},
      {'weights': (1.0, -1.0, 1.0, 1.0)}, {'weights': (1.0, 1.0)}],
 )
-def test_options_out_of_range_are_refused(values):
+def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         TerrainOptions(**values)
-
-
-def test_the_map_does_not_change_under_its_reader():
-    ground = terrain_map(Elevation(hills(), 10.0), TerrainOptions(ViewOptions(50.0)))
-    with pytest.raises(ValueError, match='read-only'):
-        ground.values[0, 0] = 3
-
-
-@pytest.fixture(scope='module')
-def demo_ground():
-    pytest.importorskip('matplotlib', reason="the demo's elevation model comes with matplotlib")
-    from ambush_planner.commands import demo_ground
-
-    return demo_ground
-
-
-@pytest.fixture(scope='module')
-def real(demo_ground):
-    return demo_ground.load_ground()
-
-
-def test_the_real_ground(real):
-    assert real.values.shape == (354, 333)
-    assert 0.05 < (real.values == 100).mean() < 0.12 and real.values.min() >= 0
-    free = real.values[real.values < 100]
-    assert np.percentile(free, 10) < 30 and np.percentile(free, 90) > 55
-
-
-def test_north_is_up(demo_ground):
-    elevation = demo_ground.load_elevation().heights
-    # The highest ground of the sheet lies in its south-west, the plain in the south-east.
-    north, south = elevation[-100:], elevation[:100]
-    assert south[:, :220].max() == elevation.max() > north.max()
-    assert south[:, -80:].mean() < north[:, -80:].mean()
-
-
-def test_start_and_goal_lie_on_opposite_sides_and_are_joined(demo_ground, real):
-    risk_map = risk_map_from_occupancy(real.values, demo_ground.RESOLUTION)
-    width, _ = risk_map.size
-    start, goal = demo_ground.START, demo_ground.GOAL
-    assert start[0] < 0.2 * width and goal[0] > 0.8 * width
-    assert len(build_network(risk_map, start, goal, NetworkOptions(spacing=720.0)).points) > 500

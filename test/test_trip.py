@@ -1,4 +1,4 @@
-"""Trips by way of stops: laws, trips solved by hand, a program over all legs, all orders."""
+"""Trips by way of stops: laws, a trip solved by hand, a program over all legs, all orders."""
 
 import itertools
 import math
@@ -27,7 +27,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.network.construction import Roads
+from ambush_planner.network.construction import TripGraph
 from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
@@ -49,7 +49,7 @@ def roads_of(seed, stops, count=14):
     triangles = Delaunay(points).simplices
     pairs = np.unique(np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
-    return Roads(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+    return TripGraph(points, alpha, pairs, tuple(range(count, count + stops + 2)))
 
 
 def least_value(roads, radius=0.0, detour=math.inf):
@@ -127,7 +127,7 @@ def check_laws(strategy, visits):
     seed=st.integers(0, 10**6), stops=st.integers(1, 3), radius=st.sampled_from([0.0, 0.7]),
     detour=st.sampled_from([1.1, 1.5, math.inf]),
 )
-def test_the_value_is_that_of_a_program_over_all_legs(seed, stops, radius, detour):
+def test_the_value_agrees_with_a_program_over_all_legs(seed, stops, radius, detour):
     roads = roads_of(seed, stops)
     network = roads.network(roads.visits)
     strategy = solve(network, GameOptions(ambush_radius=radius),
@@ -140,10 +140,10 @@ def test_the_value_is_that_of_a_program_over_all_legs(seed, stops, radius, detou
 
 
 def there_and_back(first, second):
-    """A stop that is reached by two sites only, from the start and to the goal."""
+    """A stop with two sites on all ways from the start and to the goal."""
     points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
-    return Roads(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+    return TripGraph(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
 
 
 def test_a_site_that_two_legs_pass_counts_twice():
@@ -165,7 +165,7 @@ def test_a_site_that_two_legs_pass_counts_twice():
     ({'edges': [(4, 1), (1, 5)]}, 'end at one stop'),
     ({'target': 1}, 'end at one stop'),
 ])
-def test_layers_that_are_none(change, words):
+def test_invalid_layers_are_refused(change, words):
     good = {'points': [(0, 0), (1, 0), (2, 0)] * 2, 'alpha': [0] * 6,
             'edges': [(0, 4), (4, 5)], 'source': 0, 'target': 5, 'legs': 2}
     assert Network(**good).stops.tolist() == [4]
@@ -232,7 +232,7 @@ def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order
         other.strategy.edge_probability, in_best_order.strategy.edge_probability)
 
 
-def test_the_network_of_a_trip_comes_again(risk_map, in_best_order, as_given):
+def test_the_network_of_a_trip_is_reproducible(risk_map, in_best_order, as_given):
     for each, order in ((in_best_order, 'best'), (as_given, 'given')):
         again = trip_network(
             risk_map, START, GOAL, options().network, each.stops_xy, order)
@@ -240,7 +240,7 @@ def test_the_network_of_a_trip_comes_again(risk_map, in_best_order, as_given):
         assert np.array_equal(again.edges, each.network.edges)
 
 
-def test_many_stops_come_in_a_short_order(risk_map):
+def test_many_stops_get_a_short_order(risk_map):
     rng = np.random.default_rng(3)
     stops = [(x, y) for x, y in 20.0 + 260.0 * rng.random((14, 2))
              if not (85.0 < x < 205.0 and 115.0 < y < 185.0)][:8]
@@ -288,7 +288,7 @@ def test_a_round_trip(risk_map):
           % plan.network.place_count)])
 
 
-def test_without_stops_it_is_the_plain_plan(risk_map):
+def test_without_stops_a_trip_is_the_plain_game(risk_map):
     plain = solve(build_network(risk_map, START, GOAL, options().network), options().game)
     for order in ('given', 'best'):
         plan = plan_trip(risk_map, START, GOAL, options(), order=order)
@@ -299,7 +299,7 @@ def test_without_stops_it_is_the_plain_plan(risk_map):
 @pytest.mark.parametrize('method', [
     'uniform_grid8', 'random_delaunay', 'lattice_delaunay', 'gradient_delaunay'])
 def test_stops_are_nodes_of_every_network(risk_map, method):
-    """Two of them in one cell of the lattice, and one at the start's place."""
+    """Two are in one cell of the lattice, and one is at the start."""
     stops = [(50.0, 250.0), (52.0, 251.0), START, (54.0, 252.0)]
     network = build_network(
         risk_map, START, GOAL, NetworkOptions(method=method, spacing=25.0), stops)
@@ -309,7 +309,7 @@ def test_stops_are_nodes_of_every_network(risk_map, method):
 
 
 def test_a_stop_behind_a_door_that_the_lattice_misses():
-    """Nodes are laid in the passages to all ends, not only to the goal."""
+    """Passages to all ends have nodes, not only those to the goal."""
     obstacles = np.zeros((40, 40), bool)
     obstacles[:, 13] = obstacles[:, 26] = True
     obstacles[7, 13] = obstacles[31, 26] = False
@@ -329,6 +329,6 @@ def test_a_stop_behind_a_door_that_the_lattice_misses():
     ([STOPS[0], STOPS[0]], 'given', InvalidNetwork, 'stop 1 and stop 2 are the same position'),
     ([START, STOPS[0]], 'given', InvalidNetwork, 'start and stop 1 are the same position'),
 ])
-def test_bad_stops(risk_map, stops, order, error, words):
+def test_invalid_stops_are_refused(risk_map, stops, order, error, words):
     with pytest.raises(error, match=words):
         plan_trip(risk_map, START, GOAL, options(), stops=stops, order=order)

@@ -1,4 +1,4 @@
-"""The tutorial from its first command to its last, in one shell, with a real node."""
+"""All commands of the tutorial, in one shell, with a real node."""
 
 import os
 import re
@@ -16,10 +16,10 @@ from ros_harness import free_domain
 
 HERE = Path(__file__).resolve().parent
 BLOCKS = re.findall(r'(?ms)^```(.*?)\n(.*?)^```$', (HERE.parent / 'docs/tutorial.md').read_text())
-SECONDS = 600
+SECONDS = 240  # a fifth suffices on an idle machine
 
 
-def test_every_block_is_run_and_the_views_are_there():
+def test_all_blocks_are_commands_and_the_layouts_exist():
     assert {kind for kind, _ in BLOCKS} == {'sh'}
     files = re.findall(r'`(config/\S+)`', (HERE.parent / 'docs/tutorial.md').read_text())
     assert len(files) == 2 and all((HERE.parent / file).is_file() for file in files)
@@ -40,11 +40,11 @@ def test_every_command_works(tmp_path):
                 [str(standin.parent), str(Path(sys.executable).parent), os.environ['PATH']]
             ),
         }
-        # The wheels' bootstrap: for this process, not for those that it starts.
+        # The bootstrap of the ROS wheels belongs to this process only.
         environment.pop('_ROS_WHEELS_BOOTSTRAP_COMPLETE', None)
         environment.pop('LD_LIBRARY_PATH', None)
-        # A file has an end, whoever of the background still holds it.
-        with (tmp_path / 'told').open('w') as output:
+        # Background processes may hold a pipe open, but not a file.
+        with (tmp_path / 'output').open('w') as output:
             process = subprocess.Popen(
                 ['bash', '-ec', script], cwd=tmp_path, env=environment, stdout=output,
                 stderr=subprocess.STDOUT, start_new_session=True,
@@ -54,12 +54,12 @@ def test_every_command_works(tmp_path):
             finally:
                 with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
-                told = (tmp_path / 'told').read_text()
-                print(told)
-    assert process.returncode in (0, 128 + signal.SIGTERM), told
-    assert told.count('success=True') == 6, told
+                said = (tmp_path / 'output').read_text()
+                print(said)
+    assert process.returncode == 0, said
+    assert said.count('success=True') == 6, said
     folder = tmp_path / 'ambush_tutorial'
     assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()
-    for name in ('frontier.png', 'audit/audit.txt', 'audit/audit.png'):
-        assert (folder / name).stat().st_size > 0, told
-    assert len(list(folder.glob('runs/*/*.mcap'))) == 6, told
+    for name in ('frontier.png', 'audit/audit.png'):
+        assert (folder / name).stat().st_size > 0, said
+    assert len(list(folder.glob('runs/*/*.mcap'))) == 6, said

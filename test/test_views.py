@@ -1,7 +1,8 @@
-"""Views for a map of any size: all of it in view, lines to be seen, the path above the others."""
+"""Views for maps of any size: the whole map in view, visible lines, the path on top."""
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from ambush_planner.commands.views import (
     FOXGLOVE,
     RVIZ,
-    TOPICS,
     foxglove_text,
     main,
     rviz_text,
@@ -26,10 +26,11 @@ from ambush_planner.commands.views import (
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map import RiskMap
+from ambush_planner.network.network import Network
 from ambush_planner.ros import markers
 
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
-# Width and height [m], and origin: the example, a depot, a country, a tall one, a rotated one.
+# Width and height [m], and origin.
 GROUNDS = {
     'example': (10.0, 8.0, (0.0, 0.0, 0.0)),
     'depot': (120.0, 80.0, (-60.0, -40.0, 0.0)),
@@ -55,11 +56,17 @@ def rviz(scene):
     return yaml.safe_load(rviz_text(scene))['Visualization Manager']
 
 
+def path_display(scene):
+    (found,) = [display for display in rviz(scene)['Displays']
+                if display['Class'] == 'rviz_default_plugins/Path']
+    return found
+
+
 def panel(scene):
     return json.loads(foxglove_text(scene))['configById']['3D!planner']
 
 
-def test_the_installed_files_are_those_of_the_example():
+def test_installed_files_fit_the_example_map():
     info = yaml.safe_load((EXAMPLES / 'alpha_map.yaml').read_text())['info']
     size = info['width'] * info['resolution'], info['height'] * info['resolution']
     assert size == GROUNDS['example'][:2]
@@ -69,83 +76,55 @@ def test_the_installed_files_are_those_of_the_example():
 
 
 @pytest.mark.parametrize('ground', GROUNDS)
-def test_all_of_the_map_is_in_view_and_fills_it(ground):
-    looked_at = scene(*GROUNDS[ground])
+def test_whole_map_is_in_view_and_fills_it_with_visible_lines(ground):
+    shown = scene(*GROUNDS[ground])
+    scale = max(shown.size)
     places = np.array(corners(*GROUNDS[ground]))
-    view = rviz(looked_at)['Views']['Current']
-    away = np.abs(places - (view['X'], view['Y'])).max(axis=0) * view['Scale']
+    view = rviz(shown)['Views']['Current']
+    extent = np.abs(places - (view['X'], view['Y'])).max(axis=0) * view['Scale']
     slack = 1e-3 * view['Scale'] * np.abs(places).max()  # numbers have four digits
-    assert np.all(away <= np.array([900, 700]) / 2 + slack)
-    assert np.any(away >= np.array([900, 700]) / 2 * 0.9 - slack)
-    camera = panel(looked_at)['cameraState']
-    away = np.abs(places - camera['targetOffset'][:2]).max(axis=0)
+    assert np.all(extent <= np.array([900, 700]) / 2 + slack)
+    assert np.any(extent >= np.array([900, 700]) / 2 * 0.9 - slack)
+    camera = panel(shown)['cameraState']
+    extent = np.abs(places - camera['targetOffset'][:2]).max(axis=0)
     half = camera['distance'] / 2 * np.array([1.2, 1.0])
-    assert np.all(away <= half + 1e-3 * np.abs(places).max())
-    assert np.any(away >= half * 0.8 - 1e-3 * np.abs(places).max())
-    # An orthographic camera is that far up, and sees what is between these.
-    assert camera['near'] < camera['distance'] - 100.0 * looked_at.scale / 1e4 < camera['far']
-
-
-@pytest.mark.parametrize('ground', GROUNDS)
-def test_lines_are_as_wide_as_the_map_wants(ground):
-    looked_at = scene(*GROUNDS[ground])
-    (path,) = [each for each in rviz(looked_at)['Displays']
-               if each['Class'] == 'rviz_default_plugins/Path']
-    assert path['Line Style'] == 'Billboards'  # plain lines are one pixel wide
-    for width in (path['Line Width'], panel(looked_at)['topics']['/path']['lineWidth']):
-        assert 1 / 200 < width / looked_at.scale < 1 / 50
+    assert np.all(extent <= half + 1e-3 * np.abs(places).max())
+    assert np.any(extent >= half * 0.8 - 1e-3 * np.abs(places).max())
+    # An orthographic camera shows only what is between `near` and `far`.
+    assert camera['near'] < camera['distance'] - 0.01 * scale < camera['far']
+    assert path_display(shown)['Line Style'] == 'Billboards'  # plain lines are one pixel wide
+    for width in (
+        path_display(shown)['Line Width'], panel(shown)['topics']['/path']['lineWidth']
+    ):
+        assert 1 / 200 < width / scale < 1 / 50
 
 
 @pytest.mark.parametrize('size', [10.0, 120.0, 30_000.0])
-def test_nothing_hides_the_path_where_heights_say_what_is_in_front(size):
+def test_path_is_above_the_network_and_below_the_ambush_sites(size):
     """Foxglove draws lines after the map and the higher ones in front; RViz lifts the path."""
     strategy = sample_plan().strategy
-    factor = size / np.ptp(strategy.network.points, axis=0).max()
-    network = _Scaled(strategy.network, factor)
-    heights = {
-        name: _marker(draw) for name, draw in (
-            ('network', markers.network_lines(network, Header())),
-            ('edge_probabilities', markers.edge_probabilities(_Of(strategy, network), Header())),
-            ('mean_direction', markers.mean_direction(_Of(strategy, network), Header())),
-            ('ambush_sites', markers.ambush_sites(_Of(strategy, network), Header())),
+    network = strategy.network
+    points = network.points * size / np.ptp(network.points, axis=0).max()
+    network = Network(points, network.alpha, network.edges, network.source, network.target)
+    strategy = replace(strategy, game=replace(strategy.game, network=network))
+    heights = [
+        _marker(draw).pose.position.z for draw in (
+            markers.network_lines(network, Header()),
+            markers.edge_probabilities(strategy, Header()),
+            markers.mean_direction(strategy, Header()),
+            markers.ambush_sites(strategy, Header()),
         )
-    }
-    order = sorted(heights, key=lambda name: heights[name].pose.position.z)
-    assert order == ['network', 'edge_probabilities', 'mean_direction', 'ambush_sites']
-    steps = [heights[name].pose.position.z for name in order]
-    assert steps[2] < 0.0 < steps[3]
-    assert min(np.diff([*steps[:3], 0.0, steps[3]])) == pytest.approx(min(0.005 * size, 50.0))
-    # Discs are drawn before lines, and what lets light through does not hide what comes later.
-    assert heights['ambush_sites'].type == Marker.SPHERE_LIST
-    assert max(colour.a for colour in heights['ambush_sites'].colors) < 1.0
-    looked_at = scene(size, size, (0.0, 0.0, 0.0))
-    topics = panel(looked_at)['topics']
+    ]
+    assert heights == sorted(heights) and heights[2] < 0.0 < heights[3]
+    assert min(np.diff([*heights[:3], 0.0, heights[3]])) == pytest.approx(min(0.005 * size, 50.0))
+    # Discs are drawn before lines; transparent ones do not hide the lines.
+    sites = _marker(markers.ambush_sites(strategy, Header()))
+    assert sites.type == Marker.SPHERE_LIST and max(colour.a for colour in sites.colors) < 1.0
+    shown = scene(size, size, (0.0, 0.0, 0.0))
+    topics = panel(shown)['topics']
     assert topics['/alpha_map']['alpha'] < 1.0
     assert all(int(colour[-2:], 16) < 255 for colour in topics['/path']['gradient'])
-    (path,) = [each for each in rviz(looked_at)['Displays']
-               if each['Class'] == 'rviz_default_plugins/Path']
-    assert steps[3] < path['Offset']['Z'] < 500.0
-
-
-class _Scaled:
-    """A network with all lengths multiplied."""
-
-    def __init__(self, network, factor):
-        self._network, self.points = network, network.points * factor
-        self.lengths = network.lengths * factor
-
-    def __getattr__(self, name):
-        return getattr(self._network, name)
-
-
-class _Of:
-    """A strategy on a network of other lengths."""
-
-    def __init__(self, strategy, network):
-        self._strategy, self.network = strategy, network
-
-    def __getattr__(self, name):
-        return getattr(self._strategy, name)
+    assert heights[3] < path_display(shown)['Offset']['Z'] < 500.0
 
 
 def _marker(data):
@@ -153,19 +132,19 @@ def _marker(data):
     return marker
 
 
-def test_the_button_has_room():
+def test_departure_button_has_room():
     layout = json.loads(foxglove_text(scene(*GROUNDS['example'])))['layout']
     column = layout['second']
     assert column['first'] == 'CallService!new_route' and column['splitPercentage'] >= 30
 
 
-def test_views_of_a_recording_have_its_frame_its_map_and_its_topics(tmp_path):
+def test_views_of_a_recording_have_its_map_and_topics(tmp_path):
     plan = sample_plan()
     messages, metadata, files = departure(plan, drawn(plan, 1)[0])
-    inputs = json.loads(metadata['inputs'])
-    renamed = {topic: f'/convoy{topic}' for topic in inputs.values()}
+    topics = metadata['topics']
+    renamed = {topic: f'/convoy{topic}' for topic in topics.values()}
     messages = [_renamed(each, renamed) for each in messages]
-    metadata |= {'inputs': json.dumps({role: renamed[topic] for role, topic in inputs.items()})}
+    metadata |= {'topics': {role: renamed[topic] for role, topic in topics.items()}}
     record(tmp_path / 'runs', [(messages, metadata, files)])
     assert main([str(tmp_path / 'runs'), '-o', str(tmp_path / 'views'), '-q']) == 0
     scene = json.loads((tmp_path / 'views' / FOXGLOVE).read_text())['configById']['3D!planner']
@@ -181,25 +160,25 @@ def _renamed(message, names):
                          message.stamp_ns)
 
 
-def test_views_of_a_map_beside_nav2(tmp_path, capsys):
+def test_views_of_a_map_alongside_nav2(tmp_path, capsys):
     values = np.zeros((80, 120), np.int8)
     write_map(tmp_path / 'depot.yaml', OccupancyMap(values, 1.0, (-60.0, -40.0, 0.0)))
     arguments = [str(tmp_path / 'depot.yaml'), '-o', str(tmp_path), '--inputs', 'ambush']
     assert main([*arguments, '--json']) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told['centre'], told['size'], told['frame']) == ([0.0, 0.0], [120.0, 80.0], 'map')
+    result = json.loads(capsys.readouterr().out)
+    assert (result['centre'], result['size'], result['frame']) == ([0.0, 0.0], [120.0, 80.0], 'map')
     shown = yaml.safe_load((tmp_path / RVIZ).read_text())['Visualization Manager']
     topics = {each['Topic']['Value'] for each in (*shown['Displays'], *shown['Tools'])
               if 'Topic' in each}
     assert {'/ambush/goal_pose', '/ambush/start_pose', '/ambush/initialpose'} <= topics
-    assert not {TOPICS['goal_pose'], TOPICS['initialpose']} & topics
-    with pytest.raises(SystemExit):  # nothing is overwritten unasked
+    assert not {'/goal_pose', '/initialpose'} & topics
+    with pytest.raises(SystemExit):  # files exist already
         main(arguments)
     assert main([*arguments, '--replace', '-q']) == 0
 
 
 @pytest.mark.parametrize('name, content', [('no.yaml', None), ('bad.yaml', 'image: [')])
-def test_what_cannot_be_read_is_named(tmp_path, capsys, name, content):
+def test_unreadable_map_is_named(tmp_path, capsys, name, content):
     if content is not None:
         (tmp_path / name).write_text(content)
     assert main([str(tmp_path / name), '-o', str(tmp_path / 'out')]) == 3

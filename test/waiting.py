@@ -42,7 +42,7 @@ def unstamped(log):
 def stderr_in(path):
     """Have this process' stderr in a file, and yield what reads it so far.
 
-    pytest's capfd empties what it has read, and loses what is written meanwhile.
+    pytest's capfd empties what it has read, and loses what is written at that moment.
     """
     kept = os.dup(2)
     with path.open('wb') as file:

@@ -1,10 +1,9 @@
-"""Real ground to plan on: the Jacksboro fault, Tennessee and Kentucky, as a risk map.
+"""The demo's terrain: the Jacksboro fault, Tennessee and Kentucky, as a risk map.
 
-The elevations are those of ``jacksboro_fault_dem.npz``, which ships with matplotlib's sample data:
-344 x 403 heights on a grid of 1/1200 degree, northernmost row first, 74.4 m from west to east and
-92.7 m from south to north. They are resampled to squares of ``RESOLUTION`` = 90 m: 354 x 333 cells,
-31.9 km x 30.0 km, and read as risk with a weapon range of 500 m (about that of a rifle). 8 % of the
-cells are too steep: the flanks of the ridges, with gaps where streams cut through.
+The elevations are ``jacksboro_fault_dem.npz`` of matplotlib's sample data: 344 x 403 heights on a
+grid of 1/1200 degree, northernmost row first, 74.4 m from west to east and 92.7 m from south to
+north. They are resampled to cells of 90 m: 354 x 333 cells, 31.9 km x 30.0 km. The weapon range is
+500 m (a rifle). 8 % of the cells are too steep: the flanks of the ridges, with gaps at streams.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from ..maps import (
     TerrainMap,
     TerrainOptions,
     ViewOptions,
-    elevation_from,
+    elevation_from_raster,
     terrain_map,
 )
 from ..maps.elevation_file import raster_in_degrees
@@ -31,27 +30,16 @@ GOAL = (26055.0, 27945.0)
 
 
 def load_elevation() -> Elevation:
-    """Heights of the demo's ground.
-
-    Raises
-    ------
-    OSError
-        matplotlib's sample data are not installed.
-    """
+    """Load the heights; raises OSError if matplotlib's sample data are not installed."""
     with np.load(get_sample_data('jacksboro_fault_dem.npz', asfileobj=False)) as file:
         sample = dict(file)
-    # The file calls its first row's latitude ymin although it is the northern one.
+    # ymin and ymax are swapped in the file; their mean is correct.
     latitude = float(sample['ymin'] + sample['ymax']) / 2
     steps = (float(sample['dy']), float(sample['dx']))
-    return elevation_from(raster_in_degrees(sample['elevation'], *steps, latitude), RESOLUTION)
+    raster = raster_in_degrees(sample['elevation'], *steps, latitude)
+    return elevation_from_raster(raster, RESOLUTION)
 
 
 def load_ground() -> TerrainMap:
-    """The demo's risk map, and what it follows from.
-
-    Raises
-    ------
-    OSError
-        matplotlib's sample data are not installed.
-    """
+    """Make the demo's risk map and its layers; raises OSError as ``load_elevation``."""
     return terrain_map(load_elevation(), OPTIONS)

@@ -1,8 +1,8 @@
 """Layers of pictures of risk maps, strategies and routes.
 
-Every ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` gives the axes
-the map's extent and ticks in km or m. Grey is risk, black ground is impassable, blue is the convoy,
-orange the ambusher: told apart by colour-blind readers too.
+Each ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` sets the axes
+to the map's extent, with ticks in km or m. Risk is grey, impassable ground black, the convoy blue
+and the ambusher orange; colour-blind readers can distinguish them.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ RISK = LinearSegmentedColormap.from_list('risk', ['#ffffff', '#848484'])
 PROBABILITY = LinearSegmentedColormap.from_list(
     'probability', ['#7fb8e6', '#2f7fd0', '#1146b0', '#14075c']
 )
-# Paul Tol's vibrant and muted schemes, without the orange of the ambusher and the greys.
+# Paul Tol's vibrant and muted colour schemes without orange, the ambusher's colour, and greys.
 ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
-# Edges that are driven less often than this are left out of pictures.
+# Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
 SECURED_DASHES = (0, (4, 3))
 DOTS_PER_INCH = 140
@@ -57,23 +57,20 @@ def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
 
 
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
-    """Draw losses in grey, white the least, and obstacles in black."""
+    """Draw losses in grey, the least one white, and obstacles in black."""
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
     image = axes.imshow(
         np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-        origin='lower',
-        extent=(0.0, width, 0.0, height),
-        cmap=RISK.with_extremes(bad=OBSTACLE),
-        interpolation='nearest',
-        zorder=0,
+        origin='lower', extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
+        interpolation='nearest', zorder=0,
     )
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     return image
 
 
 def probability_scale(probability: npt.ArrayLike) -> LogNorm:
-    """Logarithmic colour scale from ``LEAST_PROBABILITY`` to the largest probability."""
+    """Return a logarithmic colour scale up to the largest probability."""
     largest = float(np.max(probability, initial=0.0))
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
@@ -85,64 +82,48 @@ def draw_segments(
     scale: Normalize | None = None,
     widths: tuple[float, float] = (0.5, 3.0),
 ) -> LineCollection:
-    """Draw stretches (K, 2, 2): the likelier, the darker and the wider, and on top."""
+    """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
     thin, thick = widths
     lines = LineCollection(
-        segments[shown],
-        array=p[shown],
-        cmap=PROBABILITY,
-        norm=scale,
+        segments[shown], array=p[shown], cmap=PROBABILITY, norm=scale,
         linewidths=thin + (thick - thin) * np.asarray(scale(p[shown])) ** 2,
-        capstyle='round',
-        zorder=2,
+        capstyle='round', zorder=2,
     )
     axes.add_collection(lines)
     return lines
 
 
 def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) -> None:
-    """Mark where the ambusher waits; a marker's area shows how likely he is there."""
+    """Mark where the ambusher waits; the markers' area grows with the probability."""
     q = np.asarray(probability, dtype=np.float64)
     sites = np.flatnonzero((q > 0.0) & (q >= 1e-3 * q.max(initial=0.0)))
     axes.scatter(
-        *network.points[sites].T,
-        s=20.0 + 110.0 * q[sites] / q[sites].max(initial=0.0),
-        marker='o',
-        color=AMBUSHER,
-        edgecolors='white',
-        linewidths=0.9,
-        zorder=5,
+        *network.points[sites].T, s=20.0 + 110.0 * q[sites] / q[sites].max(initial=0.0),
+        marker='o', color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5,
     )
 
 
 def draw_ends(
     axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike, stops: npt.ArrayLike = ()
 ) -> None:
-    """Mark the start with a square, the goal with a star, stops with diamonds, by their names."""
+    """Mark the start with a square, the goal with a star, stops with diamonds, with names."""
     marks = [(start, 's', 90, 'start'), (goal, '*', 260, 'goal')]
     marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]
     for place, marker, size, name in marks:
         x, y = np.asarray(place, dtype=np.float64)
         axes.scatter(x, y, s=size, marker=marker, color='#ffd92f', edgecolors='black', zorder=7)
         axes.annotate(
-            name,
-            (x, y),
-            xytext=(0, -10),
-            textcoords='offset points',
-            ha='center',
-            va='top',
-            weight='bold',
-            path_effects=HALO,
-            zorder=8,
+            name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center', va='top',
+            weight='bold', path_effects=HALO, zorder=8,
         )
 
 
 def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
-    """Draw the circles of ``radius`` [m] around places (K, 2) in which nobody can wait."""
+    """Draw circles of ``radius`` [m] around places (K, 2) where nobody can wait."""
     for centre in np.asarray(centres, dtype=np.float64):
         circle = Circle(centre, radius, fill=False, edgecolor='black', linestyle=SECURED_DASHES)
         circle.set(linewidth=1.2, zorder=6)
@@ -150,27 +131,19 @@ def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
-    """Draw routes (K, 2) as lines of different colours with a white edge."""
+    """Draw routes (K, 2) as lines in different colours with white edges."""
     for k, route in enumerate(routes):
         axes.plot(
-            *np.asarray(route).T,
-            color=ROUTES[k % len(ROUTES)],
-            linewidth=1.9,
-            path_effects=HALO,
-            solid_joinstyle='round',
-            zorder=4,
+            *np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
+            path_effects=HALO, solid_joinstyle='round', zorder=4,
         )
 
 
 def as_png(figure: Figure) -> bytes:
-    """Return the picture as a PNG file, without the name of the program that made it."""
+    """Return the picture as a PNG file, without the name of the drawing program."""
     stream = BytesIO()
     figure.savefig(
-        stream,
-        format='png',
-        dpi=DOTS_PER_INCH,
-        bbox_inches='tight',
-        pad_inches=0.08,
+        stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.08,
         metadata={'Software': None},
     )
     return stream.getvalue()

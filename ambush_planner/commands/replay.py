@@ -9,62 +9,64 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-
-import rclpy
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
-from rclpy.utilities import remove_ros_args
+from typing import Any, NamedTuple
 
 from ..errors import AmbushPlannerError
-from ..recordings import RecordedMessage, UnreadableRecording, read_departure, recordings_in
-from ..recordings.recorded_case import INPUT_TYPES
+from ..recordings import RecordedMessage, UnreadableRecording, read_recording, recordings_in
+from ..recordings.qos_text import DURATIONS, fields_from_yaml
 from . import cli
-from .replay_player import Channel, Player, check_channels
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
 The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
-recorded distances in time; from one departure to the next it is --every seconds. Publishers are
-made first and wait for listeners on each topic: up to 5 s, or 1 s where only some are listened to;
-with --inputs-only up to 10 s. Calls of services go out as what they were recorded as, messages on
-<service>/_service_event; nobody is called. Latched messages are kept for late joiners until the
-command ends, when all that listen have all (30 s later if not), or until Ctrl-C with --keep.
-Topics to publish, by the names they were recorded under, follow --; remapping and node options
-follow --ros-args, as for any ROS executable:
+recorded distances in time; departures are --every seconds apart. Publishers are made first and
+wait for listeners on each topic for up to 3.5 s, with --inputs-only for up to 10 s. Recorded
+service calls go out on <service>/_service_event; no service is called. Latched messages are kept
+for late joiners until all listeners have them (for 30 s at most), or until Ctrl-C with --keep.
+Topics to publish, by their recorded names, follow --; remapping and node options follow
+--ros-args, as for any ROS executable:
   ambush_replay FOLDER --keep -- /alpha_map /path
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 """ + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
-# Discovery takes up to 3.3 s, and RViz listens to some topics only; a planner that is to be fed may
-# just be starting, and needs all inputs.
-_DISCOVERY, _PATIENCE = 5.0, 1.0  # s
-_DISCOVERY_OF_INPUTS = 10.0  # s
-# A message is lost to a listener that lacks it when its publisher goes. A loaded machine may take
-# seconds; one that died without a word is forgotten by then.
-_LAST_RECEIPTS = 30.0  # s
-# A recording may state any times, and the system takes only so much at once.
-_LONGEST_SLEEP = 1e6  # s
+INPUT_TYPES = frozenset({
+    'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',
+    'geometry_msgs/msg/PoseWithCovarianceStamped', 'geometry_msgs/msg/PoseArray',
+})
+# Longest wait for listeners [s]; discovery takes up to 3.3 s, and a planner may just be starting.
+_DISCOVERY, _DISCOVERY_OF_INPUTS = 3.5, 10.0
+# A listener that was discovered discovers the publisher a little later [s].
+_SETTLING = 0.5
+# Longest wait for receipts [s]: a listener loses messages when their publisher goes.
+_LAST_RECEIPTS = 30.0
+_STEP = 0.1  # s; how soon the end of a wait is noticed
 _ENDS = signal.SIGINT, signal.SIGTERM
 
 
 class NothingToPublish(AmbushPlannerError):
-    """The recordings have no message that was asked for."""
+    """The recordings hold no message that was asked for."""
+
+
+class Channel(NamedTuple):
+    """A topic with one type and one quality of service."""
+
+    topic: str
+    type: str
+    qos: str
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Replay recordings and return the exit code."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    own, topics, for_ros = _split(given)
+    own, topics, for_ros = _split(sys.argv[1:] if arguments is None else arguments)
 
     def work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-        # Shells start what is to run behind the prompt with SIGINT ignored.
+        # Handlers are set even where a shell's background job would ignore SIGINT.
         before = [signal.signal(number, _end_once) for number in _ENDS]
         try:
             return _Replay(options, topics, console).run(for_ros)
         finally:
             for number, handler in zip(_ENDS, before, strict=True):
-                if signal.getsignal(number) is _end_once:
-                    signal.signal(number, handler)
+                signal.signal(number, handler)
 
     return cli.run(parser, work, own)
 
@@ -76,32 +78,32 @@ def parser() -> argparse.ArgumentParser:
     )
     made.usage = '%(prog)s [options] FILE_OR_FOLDER [-- TOPIC ...] [--ros-args ...]'
     made.add_argument(
-        '-e', '--every', type=cli.number(0.0, 1e9), default=5.0, metavar='SECONDS',
-        help='from one departure to the next (default: %(default)s)',
+        '-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
+        help='time from one departure to the next (default: %(default)s)',
     )
     made.add_argument(
         '-d', '--departure', type=int, metavar='N',
-        help='only the one of this number, from 1; from the end if negative',
+        help='only the departure at this place, from 1; negative numbers count from the end',
     )
     made.add_argument(
-        '-r', '--rate', type=cli.number(1e-9, 1e9), default=1.0,
-        help='how many times as fast as it was recorded (default: %(default)s)',
+        '-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
+        help='how many times as fast as recorded (default: %(default)s)',
     )
     made.add_argument(
-        '-l', '--loop', action='store_true', help='begin anew after the end, until Ctrl-C'
+        '-l', '--loop', action='store_true', help='start again after the end, until Ctrl-C'
     )
     made.add_argument(
-        '-k', '--keep', action='store_true', help='keep latched messages there until Ctrl-C'
+        '-k', '--keep', action='store_true', help='keep latched messages until Ctrl-C'
     )
     made.add_argument(
         '--inputs-only', action='store_true',
-        help='publish only map, start, stops and goal, so that a running planner can be fed',
+        help='publish only map, start, stops and goal, to feed a running planner',
     )
     return made
 
 
 class _Replay:
-    """Publishers first, then message after message in time."""
+    """Makes all publishers first, then publishes message after message in time."""
 
     def __init__(
         self, options: argparse.Namespace, topics: Sequence[str], console: cli.Console
@@ -109,110 +111,59 @@ class _Replay:
         self._options, self._topics, self._console = options, topics, console
         self._unreadable: dict[Path, str] = {}
         self._published: Counter[str] = Counter()
+        self._publishers: dict[Channel, Any] = {}
 
     def run(self, for_ros: Sequence[str]) -> cli.Exit:
-        """Publish what was recorded, until Ctrl-C at the latest, and return the exit code.
+        """Publish until the end or Ctrl-C, and return the exit code."""
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
 
-        Raises
-        ------
-        UnreadableRecording, NothingToPublish, CannotPublish
-            There is nothing to read, or nothing that can be published.
-        cli.UsageError
-            What stands after --ros-args cannot be followed.
-        """
         node = None
         try:
-            _init(for_ros)
+            try:
+                rclpy.init(
+                    args=[NODE_NAME, *for_ros], signal_handler_options=SignalHandlerOptions.NO
+                )
+            except (RuntimeError, UnicodeError) as error:
+                raise cli.UsageError(f'after --ros-args: {error}') from error
             files = self._files()
-            node = Node(NODE_NAME, start_parameter_services=False)
-            self._play(node, files)
+            node = rclpy.create_node(NODE_NAME, start_parameter_services=False)
+            self._advertise(node, files)
+            self._play(list(files))
         except KeyboardInterrupt:
             pass
         finally:
             if node is not None:
                 node.destroy_node()
             rclpy.try_shutdown()
-        code = cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
         self._console.result = {
             'published': dict(self._published), 'unreadable': list(self._unreadable.values()),
         }
-        return code
+        return cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
 
     def _files(self) -> dict[Path, set[Channel]]:
-        """The files to be played, with their channels."""
+        """Return the readable files with their channels."""
         paths = recordings_in(self._options.recordings)
         if (number := self._options.departure) is not None:
             if not (0 < number <= len(paths) or 0 < -number <= len(paths)):
                 raise NothingToPublish(f'there are {cli.count(len(paths), "departure")}')
             paths = [paths[number - (number > 0)]]
-        found = {}
-        for path in self._console.progress(paths, 'read'):
-            if messages := self._messages(path):
-                found[path] = set(map(Channel.of, messages))
-        if not found:
+        found = {path: {_channel(each) for each in self._messages(path)}
+                 for path in self._console.progress(paths, 'read')}
+        if not any(found.values()):
             raise NothingToPublish('none of the recordings can be read')
-        return found
+        return {path: channels for path, channels in found.items() if channels}
 
     def _messages(self, path: Path) -> Sequence[RecordedMessage]:
         try:
-            messages = read_departure(path).messages
-            check_channels(path, set(map(Channel.of, messages)))
-            return messages
+            return read_recording(path).messages
         except UnreadableRecording as error:
             if path not in self._unreadable:
                 self._unreadable[path] = str(error)
                 self._console.error(error)
             return ()
 
-    def _play(self, node: Node, files: dict[Path, set[Channel]]) -> None:
-        channels = self._wanted(files)
-        player = Player(node)
-        for channel in channels:
-            player.advertise(channel)
-        self._console.say(f'{cli.count(len(files), "departure")}')
-        longest, patience = _DISCOVERY, _PATIENCE
-        if self._options.inputs_only:
-            longest = patience = _DISCOVERY_OF_INPUTS
-        if unheard := player.wait_for_listeners(longest, patience):
-            self._console.say(f'nobody listens to {", ".join(unheard)}')
-        while self._round(files, player) and self._options.loop:
-            self._console.say('again from the beginning')
-        if lacking := player.wait_until_received(_LAST_RECEIPTS):
-            self._console.say(f'not everybody who listens has everything on {", ".join(lacking)}')
-        if self._options.keep:
-            self._console.say('all is published; Ctrl-C ends it')
-            while True:
-                signal.pause()
-
-    def _round(self, files: Iterable[Path], player: Player) -> bool:
-        """Publish everything once; return False if nothing is left."""
-        published, due = False, time.monotonic()
-        for path in files:
-            messages = [each for each in self._messages(path) if self._wants(Channel.of(each))]
-            if not messages:
-                continue
-            if published:
-                _sleep_until(due)
-            begin, first = time.monotonic(), messages[0].stamp_ns
-            for each in messages:
-                at = begin + (each.stamp_ns - first) / 1e9 / self._options.rate
-                _sleep_until(at)
-                player.publish(Channel.of(each), each.data)
-                self._published[each.topic] += 1
-            published, due = True, max(begin + self._options.every, time.monotonic())
-            self._console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
-        if not published:
-            self._console.say('nothing was published')
-        elif self._options.loop:
-            _sleep_until(due)
-        return published
-
-    def _wants(self, channel: Channel) -> bool:
-        named = not self._topics or channel.topic in self._topics
-        return named and (channel.type in INPUT_TYPES or not self._options.inputs_only)
-
-    def _wanted(self, files: dict[Path, set[Channel]]) -> list[Channel]:
-        """Return the channels that are to be published, in a fixed order."""
+    def _advertise(self, node: Any, files: dict[Path, set[Channel]]) -> None:
         known = set().union(*files.values())
         topics = sorted({channel.topic for channel in known})
         for topic in self._topics:
@@ -220,10 +171,120 @@ class _Replay:
                 raise NothingToPublish(
                     f'nothing is recorded on {topic[:60]!r}, only on {", ".join(topics)}'
                 )
-        wanted = sorted(filter(self._wants, known), key=lambda c: (c.topic, c.type, c.qos))
+        wanted = sorted(filter(self._wants, known))
         if not wanted:
             raise NothingToPublish('none of these topics is an input')
-        return wanted
+        self._publishers = {
+            channel: node.create_publisher(
+                _message_class(channel.type), channel.topic, qos_from_yaml(channel.qos)
+            ) for channel in wanted
+        }
+
+    def _play(self, files: Sequence[Path]) -> None:
+        self._console.say(cli.count(len(files), 'departure'))
+        if unheard := self._wait_for_listeners():
+            self._console.say(f'nobody listens to {", ".join(unheard)}')
+        self._round(files)
+        while self._options.loop and self._published:
+            _sleep_until(self._due)
+            self._console.say('again from the beginning')
+            self._round(files)
+        if missing := self._wait_for_receipts():
+            self._console.say(f'some listeners have not received all of {", ".join(missing)}')
+        if self._options.keep:
+            self._console.say('everything is published; Ctrl-C ends it')
+            while True:
+                signal.pause()
+
+    def _round(self, files: Iterable[Path]) -> None:
+        """Publish everything once."""
+        self._due = time.monotonic()
+        for path in files:
+            messages = [each for each in self._messages(path) if self._wants(_channel(each))]
+            if not messages:
+                continue
+            _sleep_until(self._due)
+            begin, first = time.monotonic(), messages[0].stamp_ns
+            for each in messages:
+                _sleep_until(begin + (each.stamp_ns - first) / 1e9 / self._options.rate)
+                self._publishers[_channel(each)].publish(each.data)
+                self._published[each.topic] += 1
+            self._due = max(begin + self._options.every, time.monotonic())
+            self._console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
+
+    def _wants(self, channel: Channel) -> bool:
+        named = not self._topics or channel.topic in self._topics
+        return named and (channel.type in INPUT_TYPES or not self._options.inputs_only)
+
+    def _wait_for_listeners(self) -> list[str]:
+        """Wait until each topic has a listener; return the topics without one."""
+        end = time.monotonic() + (
+            _DISCOVERY_OF_INPUTS if self._options.inputs_only else _DISCOVERY
+        )
+        while self._unheard() and time.monotonic() < end:
+            time.sleep(_STEP)
+        time.sleep(_SETTLING)
+        return self._unheard()
+
+    def _wait_for_receipts(self) -> list[str]:
+        """Wait until all reliable listeners have everything; return the topics that lack some."""
+        from rclpy.duration import Duration
+
+        end = time.monotonic() + _LAST_RECEIPTS
+        waiting = list(self._publishers.values())
+        while waiting and time.monotonic() < end:
+            waiting = [each for each in waiting
+                       if not each.wait_for_all_acked(Duration(seconds=_STEP))]
+        return sorted({each.topic_name for each in waiting})
+
+    def _unheard(self) -> list[str]:
+        publishers = self._publishers.values()
+        return sorted({each.topic_name for each in publishers if not each.get_subscription_count()})
+
+
+def qos_from_yaml(text: str) -> Any:
+    """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
+    from rclpy.duration import Duration
+    from rclpy.qos import (
+        DurabilityPolicy,
+        HistoryPolicy,
+        LivelinessPolicy,
+        QoSProfile,
+        ReliabilityPolicy,
+    )
+
+    fields = dict(fields_from_yaml(text))
+    for kind in (HistoryPolicy, ReliabilityPolicy, DurabilityPolicy, LivelinessPolicy):
+        name = kind.__name__.removesuffix('Policy').lower()
+        fields[name] = kind.get_from_short_key(fields[name])
+    for name in DURATIONS:
+        fields[name] = Duration(seconds=fields[name]['sec'], nanoseconds=fields[name]['nsec'])
+    return QoSProfile(**fields)
+
+
+def _message_class(name: str) -> Any:
+    """Return the class of a recorded type. No other types: a file could name any module."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
+    from nav_msgs.msg import OccupancyGrid, Path
+    from nav_msgs.srv import GetPlan
+    from std_srvs.srv import Trigger
+    from visualization_msgs.msg import MarkerArray
+
+    from ..recordings import type_name
+
+    kinds = (
+        OccupancyGrid, PoseStamped, PoseWithCovarianceStamped, PoseArray, Path, MarkerArray,
+        DiagnosticArray, Trigger.Event, GetPlan.Event,
+    )
+    try:
+        return {type_name(kind): kind for kind in kinds}[name]
+    except KeyError as error:
+        raise NothingToPublish(f'ambush_planner records nothing of type {name[:60]!r}') from error
+
+
+def _channel(recorded: RecordedMessage) -> Channel:
+    return Channel(recorded.topic, recorded.type, recorded.qos_text)
 
 
 def _end_once(*_: object) -> None:
@@ -235,29 +296,16 @@ def _end_once(*_: object) -> None:
 
 def _split(arguments: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
     """Return the command's own arguments, the topics after --, and those from --ros-args on."""
-    place = _index(arguments, '--ros-args')
-    own, for_ros = list(arguments[:place]), list(arguments[place:])
-    try:
-        own += remove_ros_args([NODE_NAME, *for_ros])[1:]
-    except (RuntimeError, UnicodeError):
-        pass  # said when ROS is given them
-    place = _index(own, '--')
-    return own[:place], own[place + 1 :], for_ros
+    own, for_ros = _cut(list(arguments), '--ros-args')
+    own, topics = _cut(own, '--')
+    return own, topics[1:], for_ros
 
 
-def _index(arguments: Sequence[str], mark: str) -> int:
-    return arguments.index(mark) if mark in arguments else len(arguments)
-
-
-def _init(for_ros: Sequence[str]) -> None:
-    try:
-        rclpy.init(args=[NODE_NAME, *for_ros], signal_handler_options=SignalHandlerOptions.NO)
-    except (RuntimeError, UnicodeError) as error:
-        # Names of files need not be UTF-8, and ROS takes nothing else.
-        raise cli.UsageError(f'after --ros-args: {error}') from error
+def _cut(arguments: list[str], mark: str) -> tuple[list[str], list[str]]:
+    place = arguments.index(mark) if mark in arguments else len(arguments)
+    return arguments[:place], arguments[place:]
 
 
 def _sleep_until(end: float) -> None:
     """Sleep until ``time.monotonic()`` is ``end``."""
-    while (left := end - time.monotonic()) > 0.0:
-        time.sleep(min(left, _LONGEST_SLEEP))
+    time.sleep(max(0.0, end - time.monotonic()))

@@ -7,23 +7,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..recordings import recordings_in
-from ..recordings.chain import together
+from ..recordings.report_data import Section, sections_of
 from . import cli
-from .audit import read_all
-from .report_page import page
-from .report_sections import Section, sections_of
+from .audit import audited, read_all
+from .report_page import Checks, page
 from .verify import verify_files
 
 PAGE = 'report.html'
 EPILOG = """\
-The page, report.html, has the map, the strategy, the routes, how they compare with planners that
-leave no choice, and what is promised, in words; a section for a map and a pair of places. The map
-can be moved and zoomed, its layers switched, departures picked one by one; it tells what an ambush
-at the pointer would cost. The page needs no network, and its one script is its own. It shows
-secret routes: it has mode 0600, a new folder 0700. It says "verified" only with --verify, which
-plans and draws every departure again, as ambush_verify does.
+The page, report.html, shows the map, the strategy, the routes, a comparison with planners that
+always drive the same route, and what is guaranteed, with one section per map and trip. The map can
+be moved and zoomed, layers and single departures can be selected, and the cost of an ambush is
+shown at the pointer. The page needs no network; its only script is inline. It shows secret routes:
+its mode is 0600, that of a new folder 0700. With --verify it also says what ambush_verify and
+ambush_audit find; the exit code is 1 if a recording fails verification.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
 """ + cli.EXIT_CODES
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """A report's exit code and sections."""
+
+    code: cli.Exit
+    sections: list[Section]
 
 
 def parser() -> argparse.ArgumentParser:
@@ -33,66 +40,44 @@ def parser() -> argparse.ArgumentParser:
         EPILOG,
     )
     cli.add_output(made, PAGE)
-    made.add_argument(
-        '--verify', action='store_true', help='verify the recordings, and say what was found'
-    )
+    made.add_argument('--verify', action='store_true', help='verify and audit the recordings')
     return made
 
 
-@dataclass(frozen=True, eq=False)
-class Written:
-    """A report: how it went, the trips that are in it, how many files could not be read."""
-
-    code: cli.Exit
-    sections: list[Section]
-    unreadable: int
-
-
 def write_report(place: Path, output: Path, verify: bool, console: cli.Console) -> Written:
-    """Write the page for the recordings that ``place`` stands for.
-
-    Raises
-    ------
-    AmbushPlannerError, OSError
-        What went wrong, in words for the user.
-    """
+    """Write the page of the recordings in a file or folder."""
     departures, unreadable = read_all(place, console)
     for error in unreadable:
         console.error(error)
-    if not departures:
+    sections, checks = sections_of(departures), None
+    if verify and departures:
+        missing = {error.path for error in unreadable}
+        paths = [path for path in recordings_in(place) if path not in missing]
+        problems = {each.path.name: each.problems for each in verify_files(paths, console)
+                    if each.problems}
+        _, findings, notes = audited(departures)
+        checks = Checks(len(departures), problems, findings, notes)
+    if departures:
+        cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
+        console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
+    else:
         console.error('no recording could be read, so there is no report')
-        return Written(cli.Exit.UNREADABLE, [], len(unreadable))
-    verdicts, faults = [], []
-    if verify:
-        verdicts = verify_files(recordings_in(place), console)
-        if place.is_dir():
-            faults, _ = together(verdicts)
-    sections = sections_of(departures)
-    html = page(sections, len(unreadable), verdicts, faults)
-    cli.write_private(output, {PAGE: html.encode()})
-    wrong = bool(faults) or any(each.readable and not each.holds for each in verdicts)
-    code = cli.Exit.FINDING if wrong else (
-        cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
-    )
-    return Written(code, sections, len(unreadable))
-
-
-def _work(options: argparse.Namespace, console: cli.Console) -> int:
-    if options.output is None:
-        raise cli.UsageError('-o DIR says where the page goes')
-    cli.refuse_existing(options.output, [PAGE], options.replace)
-    written = write_report(options.recordings, options.output, options.verify, console)
-    page_place = cli.place(options.output / PAGE) if written.sections else None
-    if page_place:
-        console.line(page_place)
-        console.line('It shows secret routes; only this user can read it.')
+    code = cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
+    if checks and checks.problems:
+        code = cli.Exit.FINDING
     console.result = {
-        'page': page_place,
-        'departures': sum(len(each.departures) for each in written.sections),
-        'sections': len(written.sections), 'unreadable': written.unreadable,
-        'verified': written.code == cli.Exit.HOLDS if options.verify else None,
+        'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
+        'sections': len(sections), 'unreadable': len(unreadable),
+        'verified': code == cli.Exit.HOLDS if verify else None,
     }
-    return written.code
+    return Written(code, sections)
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    if options.output is None:
+        raise cli.UsageError('-o DIR is required: the folder for report.html')
+    cli.refuse_existing(options.output, [PAGE], options.replace)
+    return write_report(options.recordings, options.output, options.verify, console).code
 
 
 main = cli.command(parser, _work)

@@ -1,9 +1,9 @@
 'use strict';
-// The maps of a report: pan, zoom, layers, one departure after the other, numbers at the pointer.
+// The maps of a report: pan, zoom, layers, single departures, numbers at the pointer.
 // Positions are metres from the risk map's corner, along the world's axes.
 
-const LEAST = 1e-3; // Stretches that are driven less often are not drawn.
-const CLASSES = 12; // So many colours and widths for the others.
+const LEAST = 1e-3; // Edges with smaller probabilities are not drawn.
+const CLASSES = 12; // Number of colours and widths of edges.
 const BLUES = [[127, 184, 230], [47, 127, 208], [17, 70, 176], [20, 7, 92]];
 const BLACK = '#1c1714', ORANGE = '#e66100', YELLOW = '#ffd92f', THIN = '#33557f';
 const OBSTACLE = 255;
@@ -290,13 +290,13 @@ class View {
     const across = `${2 * reach * this.scale}px`;
     Object.assign(this.circle.style, { left: `${px}px`, top: `${py}px`, width: across,
       height: across, display: 'block' });
-    if (found.here === undefined) this.readout.textContent = 'Beside the map.';
+    if (found.here === undefined) this.readout.textContent = 'Outside the map.';
     else {
       const where = `x ${(x + origin[0]).toFixed(1)} m, y ${(y + origin[1]).toFixed(1)} m: `;
       const loss = Number.isNaN(found.here) ? 'impassable. ' : `loss ${digits(found.here)}. `;
       const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
-      let cost = ` An ambush costs ${digits(found.cost)} on average (the best ${digits(value)}).`;
-      if (found.held) cost = held > 0 ? ' Held ground: nobody waits here.' : '';
+      let cost = ` An ambush causes a mean loss of ${digits(found.cost)} (the best one ${digits(value)}).`;
+      if (found.held) cost = held > 0 ? ' Secured ground: nobody can wait here.' : '';
       else if (!(found.cost >= 0)) cost = '';
       this.readout.textContent = `${where}${loss}${percent} ${pass}.${cost}`;
     }

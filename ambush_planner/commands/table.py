@@ -1,43 +1,38 @@
-"""``ambush_table``: what it costs to drive between all depots and all customers."""
+"""``ambush_table``: value and length of the strategies for all pairs of depots and customers."""
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import itertools
+import csv
+import io
+import math
 import multiprocessing
 import os
 import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
-from dataclasses import dataclass
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count, product
 from pathlib import Path
 
+from ..errors import AmbushPlannerError
 from ..game.strategy import Strategy
-from ..maps.map_file import read_map
-from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
-from ..maps.risk_map import RiskMap
-from ..planning.many import Problem, Solved, solve_many
+from ..planning.many import Problem, solve_many
 from . import cli
-from .table_file import COLUMNS, Place, TableFile, read_places
-from .table_options import TableOptions, options_from
+from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
 
-EPILOG = """\
-DEPOTS and CUSTOMERS are CSV files with the columns name, x, y (world positions [m]). The map is one
-that map_server reads; ambush_terrain makes such maps. The table has a row for each pair: value,
-lower_bound, expected_length and shortest_length [m], route_entropy [nats], and error where there is
-no strategy. Options have the names of the node's parameters (map., network., game.,
-strategy.), and the defaults of the Python functions.
-
-Pairs are solved by processes on this machine, or by the workers of a dask.distributed cluster
-(pip install 'ambush_planner[dask]' here, ambush_planner there). Rows are kept in TABLE.csv.part as
-they come: after an interruption the same command goes on from there. Rows whose map, positions
-and options are the same are not solved again, rows with an error are.
-A pair without a strategy is a finding.
---json: {"verdict", "table", "pairs", "solved", "failed", "seconds"}
+NUMBERS = ('value', 'lower_bound', 'expected_length', 'shortest_length', 'route_entropy')
+COLUMNS = ('depot', 'customer', *NUMBERS, 'error')
+EPILOG = f"""\
+DEPOTS.csv and CUSTOMERS.csv have the columns name, x, y (world positions [m]).
+{MAP_HELP}
+The table has a row for each pair: value, lower_bound, expected_length and shortest_length [m],
+route_entropy [nats], and error if there is no strategy, which is a finding.
+{OPTIONS_HELP}
+--json: {{"verdict", "table", "pairs", "failed", "seconds"}}
 """ + cli.EXIT_CODES
+
+
+class InvalidPlaces(AmbushPlannerError, ValueError):
+    """A file of places cannot be used."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -46,158 +41,78 @@ def parser() -> argparse.ArgumentParser:
         'table', 'Value, length and entropy of the strategies for all pairs of places.', EPILOG
     )
     made.add_argument('depots', type=Path, metavar='DEPOTS.csv', help='where trips begin')
-    made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where they end')
-    made.add_argument('--map', type=Path, required=True, metavar='MAP.yaml', help='the risk map')
+    made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where trips end')
+    made.add_argument('--map', type=Path, required=True, metavar='MAP', help='the risk map')
     made.add_argument(
         '-o', '--output', type=Path, required=True, metavar='TABLE.csv', help='the table to write'
     )
+    add_set(made)
     made.add_argument(
-        '--set', nargs='+', default=[], metavar='NAME=VALUE',
-        help='options, such as network.spacing=50 strategy.max_detour=1.3',
-    )
-    where = made.add_mutually_exclusive_group()
-    where.add_argument(
-        '--jobs', type=cli.positive, metavar='N', help='processes (default: one for each processor)'
-    )
-    where.add_argument(
-        '--scheduler', metavar='ADDRESS', help='of a dask cluster, such as tcp://host:8786'
+        '--jobs', type=cli.positive, default=len(os.sched_getaffinity(0)), metavar='N',
+        help='processes (default: one for each processor)',
     )
     return made
 
 
-@dataclass(frozen=True)
-class Pair:
-    """A depot, a customer, and the hash of all that their row follows from."""
-
-    depot: Place
-    customer: Place
-    inputs: str
-
-
-def _work(arguments: argparse.Namespace, console: cli.Console) -> int:
-    """Make or complete the table; the exit code says whether each pair has a strategy."""
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
-    places = read_places(arguments.depots), read_places(arguments.customers)
-    occupancy = read_map(arguments.map)
-    risk_map = risk_map_from_occupancy(
-        occupancy.values, occupancy.resolution, occupancy.origin, options.map
-    )
-    pairs = _pairs(*places, occupancy, options)
-    with TableFile(arguments.output) as table:
-        missing = [pair for pair in pairs if not table.has(pair.inputs)]
-        failed, bar = 0, console.bar('pairs solved')
-        if missing:
-            with _executor(arguments) as (executor, in_flight):
-                failed = _solve(missing, risk_map, options, executor, in_flight, table, bar)
-        table.finish([pair.inputs for pair in pairs])
-    seconds = console.seconds
-    console.line(cli.place(arguments.output))
-    console.line(f'{len(pairs)} pairs, {len(missing)} of them solved now, {failed} without a '
-                 f'strategy, in {seconds:.1f} s')
+    pairs = list(product(read_places(arguments.depots), read_places(arguments.customers)))
+    risk_map = read_risk_map(arguments.map, options.map)
+    problems = [
+        Problem(risk_map, start, goal, options.network, options.game, options.strategy)
+        for (_, start), (_, goal) in pairs
+    ]
+    show, solved = console.bar('pairs solved'), count(1)
+    # On Ctrl-C, this process cancels the other pairs and waits for those that are being solved.
+    with ProcessPoolExecutor(
+        arguments.jobs, multiprocessing.get_context('spawn'), signal.signal,
+        (signal.SIGINT, signal.SIG_IGN),
+    ) as pool:
+        results = solve_many(
+            problems, pool, answer=_numbers, in_flight=2 * arguments.jobs,
+            on_result=lambda _: show(next(solved) / len(pairs)),
+        )
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, restval='', lineterminator='\n')
+    writer.writeheader()
+    for ((depot, _), (customer, _)), result in zip(pairs, results, strict=True):
+        error = {'error': f'{type(result.error).__name__}: {result.error}'} if result.error else {}
+        writer.writerow({'depot': depot, 'customer': customer, **(result.answer or error)})
+    cli.write_private(arguments.output.parent, {arguments.output.name: text.getvalue().encode()})
+    failed, seconds = sum(result.error is not None for result in results), round(console.seconds, 1)
+    console.line(f'{cli.place(arguments.output)}: {cli.count(len(pairs), "pair")}, '
+                 f'{failed} without a strategy, in {seconds} s')
     console.result = {
-        'table': cli.place(arguments.output), 'pairs': len(pairs), 'solved': len(missing),
-        'failed': failed, 'seconds': round(seconds, 1),
+        'table': cli.place(arguments.output), 'pairs': len(pairs), 'failed': failed,
+        'seconds': seconds,
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 
-def _pairs(
-    depots: Sequence[Place],
-    customers: Sequence[Place],
-    occupancy: OccupancyMap,
-    options: TableOptions,
-) -> list[Pair]:
-    common = hashlib.sha256(occupancy.values.tobytes())
-    common.update(repr((occupancy.values.shape, occupancy.resolution, occupancy.origin)).encode())
-    common.update(repr(options).encode())
-    pairs = []
-    for depot, customer in itertools.product(depots, customers):
-        own = common.copy()
-        own.update(repr((depot, customer)).encode())
-        pairs.append(Pair(depot, customer, own.hexdigest()[:16]))
-    return pairs
+def _numbers(strategy: Strategy) -> dict[str, str]:
+    return {name: f'{getattr(strategy, name):.9g}' for name in NUMBERS}
 
 
-def _solve(
-    pairs: Sequence[Pair],
-    risk_map: RiskMap,
-    options: TableOptions,
-    executor: Executor,
-    in_flight: int,
-    table: TableFile,
-    bar: Callable[[float], None],
-) -> int:
-    """Solve pairs, keep their rows as they come, and return how many have no strategy."""
-    problems = (
-        Problem(risk_map, pair.depot.xy, pair.customer.xy,
-                options.network, options.game, options.strategy)
-        for pair in pairs
-    )
-    solved = itertools.count(1)
-
-    def keep(result: Solved) -> None:
-        table.add(_row(pairs[result.index], result))
-        bar(next(solved) / len(pairs))
-
-    results = solve_many(
-        problems, executor, answer=_measures, on_result=keep, in_flight=in_flight
-    )
-    return sum(result.error is not None for result in results)
-
-
-def _measures(strategy: Strategy) -> dict[str, float]:
-    """What of a strategy stands in the table; worked out where it was solved."""
-    names = ('value', 'lower_bound', 'expected_length', 'shortest_length', 'route_entropy')
-    return {name: float(getattr(strategy, name)) for name in names}
-
-
-def _row(pair: Pair, result: Solved) -> dict[str, str]:
-    row = dict.fromkeys(COLUMNS, '') | {
-        'depot': pair.depot.name, 'customer': pair.customer.name, 'inputs': pair.inputs,
-    }
-    if result.error is not None:
-        return row | {'error': f'{type(result.error).__name__}: {result.error}'}
-    return row | {name: f'{value:.9g}' for name, value in result.answer.items()}
-
-
-@contextmanager
-def _executor(arguments: argparse.Namespace) -> Iterator[tuple[Executor, int]]:
-    """What solves the pairs, and how many of them it should hold."""
-    if arguments.scheduler:
+def read_places(path: Path) -> list[tuple[str, tuple[float, float]]]:
+    """Read names and positions (x, y) [m] from a CSV file; raises InvalidPlaces, OSError."""
+    places: dict[str, tuple[float, float]] = {}
+    with path.open(encoding='utf-8-sig', newline='') as file:
+        reader = csv.DictReader(file, skipinitialspace=True)
         try:
-            from distributed import Client
-        except ModuleNotFoundError as error:
-            raise cli.UsageError(
-                "--scheduler needs dask: pip install 'ambush_planner[dask]'"
-            ) from error
-        with Client(arguments.scheduler, timeout='20s') as client:
-            threads = sum(client.nthreads().values())
-            yield client.get_executor(), 2 * max(1, threads)
-        return
-    jobs = arguments.jobs or len(os.sched_getaffinity(0))
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context('spawn'), _end_with_parent)
-    try:
-        yield pool, 2 * jobs
-    except BaseException:
-        # Nobody wants what still runs.
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown(cancel_futures=True)
-
-
-def _end_with_parent() -> None:
-    """In a process of the pool: end at Ctrl-C without a word, and when the parent was killed."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    def watch() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+            for row in reader:
+                name, x, y = row['name'].strip(), float(row['x']), float(row['y'])
+                if not name or name in places:
+                    raise ValueError(f'each place needs its own name, got {name!r}')
+                if not (math.isfinite(x) and math.isfinite(y)):
+                    raise ValueError(f'x and y must be finite numbers [m], got {x} and {y}')
+                places[name] = x, y
+        except KeyError as error:
+            raise InvalidPlaces(f'{path}: no column {error}') from error
+        except (ValueError, TypeError, AttributeError, csv.Error) as error:
+            raise InvalidPlaces(f'{path}, line {reader.line_num}: {error}') from error
+    if not places:
+        raise InvalidPlaces(f'{path}: no places')
+    return list(places.items())
 
 
 main = cli.command(parser, _work)

@@ -1,4 +1,4 @@
-"""The preview of a risk map from terrain: the ground, what is read off it, and the map."""
+"""The preview of a risk map from terrain: the elevation, its layers, and the map."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..maps import Elevation, TerrainMap
 from ..maps.occupancy import risk_map_from_occupancy
 from .figures import OBSTACLE, draw_risk_map, frame
 
-# A picture has no more pixels than this across a panel; larger maps are thinned out.
+# Maximum cells across a panel; larger maps are subsampled.
 _MOST_CELLS = 1000
 
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
-    """Six panels: height, slope, depth; exposure, approach, and the risk map."""
+    """Draw six panels: height, slope, depth, exposure, approach, and the risk map."""
     figure = Figure(figsize=(15.0, 9.6), dpi=110, layout='compressed')
     panels = figure.subplots(2, 3).ravel()
     risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
@@ -25,15 +25,15 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
         (elevation.heights, 'Height [m]', 'cividis'),
         (ground.slope, 'Slope, rise over run', 'magma_r'),
         (ground.depth, 'Depth below the ground within range [m]', 'magma_r'),
-        (ground.exposure, 'Share of the ground within range that sees it', 'magma_r'),
-        (ground.approach, 'How near somebody comes unseen, mean [m]', 'magma'),
+        (ground.exposure, 'Share of the ground within range that sees a vehicle', 'magma_r'),
+        (ground.approach, 'Mean distance to the nearest hidden ground [m]', 'magma'),
     )
     for axes, (layer, title, colours) in zip(panels, layers, strict=False):
         frame(axes, risk_map, title)
         _draw(axes, elevation, layer, colours)
     frame(panels[-1], risk_map, 'Risk map: grey risk, black obstacle or unknown')
     risk = draw_risk_map(panels[-1], risk_map)
-    figure.colorbar(risk, ax=panels[-1], shrink=0.7, label='loss, as the planner reads it')
+    figure.colorbar(risk, ax=panels[-1], shrink=0.7, label='loss')
     if ground.roads.any():
         _draw_roads(panels[-1], ground)
     return figure

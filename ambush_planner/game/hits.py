@@ -66,6 +66,19 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     return np.concatenate(found) if found else np.zeros(0)
 
 
+def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
+    """Expected number of ambushers q (N,) that a route of p (M,) meets (the paper's equation 8).
+
+    With one ambusher this is a probability. If p has cycles, every entry counts.
+    """
+    rows = np.flatnonzero(q[game.sites] > 0.0)
+    if hits_can_differ(game) and is_acyclic(game.network, p):
+        met = hit_probabilities(game, p, rows)
+    else:
+        met = np.asarray(game.hits[rows] @ p)
+    return float(q[game.sites[rows]] @ met)
+
+
 def hits_can_differ(game: Game) -> bool:
     """Whether a simple route can be hit by one site more than once."""
     return game.ambush_radius > 0.0 or game.network.legs > 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import cached_property
 from itertools import accumulate, pairwise
 
 import numpy as np
@@ -27,6 +28,7 @@ class RouteSampler:
     def __init__(self, network: Network, p: FloatArray) -> None:
         used = np.flatnonzero(p > 0.0)
         order = used[np.argsort(network.tails[used], kind='stable')]
+        self._network, self._used = network, order
         self._source, self._target = network.source, network.target
         # A step reads only a few numbers, which is ten times faster from lists than from arrays.
         self._heads = network.heads[order].tolist()
@@ -36,7 +38,7 @@ class RouteSampler:
         self._steps = [
             step for first, end in pairwise(self._first) for step in accumulate(weights[first:end])
         ]
-        self._acyclic = is_acyclic(network, p)
+        self.acyclic = is_acyclic(network, p)
 
     def draw(self, rng: np.random.Generator) -> IndexArray:
         """Return one route (K,): node indices, source first, target last, none twice."""
@@ -54,27 +56,45 @@ class RouteSampler:
 
     def draw_many(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
         """Return ``n`` routes; if p is acyclic, all of them advance together."""
-        if n == 0 or not self._acyclic:
+        if n == 0 or not self.acyclic:
             return [self.draw(rng) for _ in range(n)]
-        heads, first = np.array(self._heads), np.array(self._first)
-        steps = np.array(self._steps)
-        total = steps[np.maximum(first[1:] - 1, 0)] if len(steps) else np.zeros(len(first) - 1)
+        route, edge = self.draw_steps(n, rng)
+        nodes = np.concatenate((np.full(n, self._source), self._network.heads[edge]))
+        order = np.argsort(np.concatenate((np.arange(n), route)), kind='stable')
+        return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n) + 1)[:-1])
+
+    def draw_steps(self, n: int, rng: np.random.Generator) -> tuple[IndexArray, IndexArray]:
+        """Draw ``n`` routes from an acyclic p: the route (0..n - 1) and the edge of each step.
+
+        The steps (S,) of a route are in driving order.
+        """
+        heads, first = self._network.heads, np.array(self._first)
+        node, route = np.full(n, self._source), np.arange(n)
+        routes, edges = [], []
+        while len(node):
+            chance, step = rng.random(len(node)), first[node]
+            for end in self._ends:
+                step += chance >= end[node]
+            routes.append(route)
+            edges.append(self._used[step])
+            node = heads[edges[-1]]
+            going = node != self._target
+            node, route = node[going], route[going]
+        return np.concatenate(routes), np.concatenate(edges)
+
+    @cached_property
+    def _ends(self) -> FloatArray:
+        """Cumulative shares (D - 1, N) at which the steps of each node end; inf for the last one.
+
+        D is the largest number of steps from a node.
+        """
+        first, steps = np.array(self._first), np.array(self._steps)
         tails = np.repeat(np.arange(len(first) - 1), np.diff(first))
-        # One sorted array to search: the node's number plus its cumulative shares.
-        keys = tails + np.minimum(steps / total[tails], 1.0 - 1e-15)
-        keys[first[1:][np.diff(first) > 0] - 1] = np.unique(tails) + 1.0
-        at, moving = np.full(n, self._source), np.arange(n)
-        seen, whose = [at.copy()], [moving]
-        while len(moving):
-            node = at[moving]
-            step = np.searchsorted(keys, node + rng.random(len(moving)), side='right')
-            at[moving] = heads[np.minimum(step, first[node + 1] - 1)]
-            seen.append(at[moving])
-            whose.append(moving)
-            moving = moving[at[moving] != self._target]
-        route, nodes = np.concatenate(whose), np.concatenate(seen)
-        order = np.argsort(route, kind='stable')
-        return np.split(nodes[order], np.cumsum(np.bincount(route, minlength=n))[:-1])
+        place = np.arange(len(tails)) - first[tails]
+        last = first[tails + 1] - 1
+        ends = np.full((len(first) - 1, int(place.max(initial=0)) + 1), np.inf)
+        ends[tails, place] = np.where(np.arange(len(tails)) < last, steps / steps[last], np.inf)
+        return np.ascontiguousarray(ends.T[:-1])
 
     def _next(self, node: int, rng: np.random.Generator) -> int:
         first, last = self._first[node], self._first[node + 1] - 1

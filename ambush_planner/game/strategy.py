@@ -105,11 +105,10 @@ class Strategy:
     ambush_probability : (N,)
         q: the ambusher's equilibrium strategy, sums to the number of ambushers.
     value : float
-        z(p): mean loss of the best ambush. With a reach, every entry into a disc counts: an upper
-        bound if routes come back to a disc, and at most R times the mean loss if no route enters a
-        disc more than R times.
+        z(p): mean loss of the best ambush. A route counts once per site, however often it comes
+        back into the site's reach. If p has cycles, every entry counts: an upper bound.
     lower_bound : float
-        No strategy within the budgets has a smaller value (one Dijkstra over q).
+        No strategy within the budgets has a smaller value, counted in the same way.
     gap : float
         value - lower_bound.
     edge_entropy, route_entropy : float
@@ -126,6 +125,9 @@ class Strategy:
         Evaluations of the Gibbs law, or iterations of the interior point or simplex method.
     multipliers : Multipliers or None
         Those of the Gibbs law, for a warm start.
+    counting_gap : bool
+        Whether the value exceeds its bound by more than the slack because the methods here found
+        no better strategy when each route counts once. More time would not change it.
     """
 
     game: Game

@@ -1,11 +1,11 @@
-"""From the shape of the ground, or from an occupancy grid, to a risk map.
+"""From an occupancy grid or an elevation model to a risk map.
 
-``risk_map`` is the record, ``occupancy`` reads cell values as losses, ``ros_messages`` and
-``map_file`` read them from messages and from map_server's files. ``elevation``, ``relief`` and
-``visibility`` describe the ground; ``terrain_risk`` turns it into a risk map.
+``risk_map`` defines the map, ``occupancy`` converts cell values to losses, ``ros_messages`` and
+``map_file`` read grids from messages and from map_server files. ``elevation``, ``relief`` and
+``visibility`` describe the terrain; ``terrain_risk`` converts it to a risk map.
 """
 
-from .elevation import Elevation, InvalidTerrain, Raster, elevation_from, mask_from
+from .elevation import Elevation, InvalidTerrain, Raster, elevation_from_raster, mask_from_raster
 from .occupancy import OccupancyMap
 from .relief import relative_depth, slope
 from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
@@ -20,8 +20,8 @@ __all__ = [
     'TerrainOptions',
     'ViewOptions',
     'Views',
-    'elevation_from',
-    'mask_from',
+    'elevation_from_raster',
+    'mask_from_raster',
     'relative_depth',
     'slope',
     'terrain_map',

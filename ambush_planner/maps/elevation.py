@@ -1,4 +1,4 @@
-"""The ground as a grid of heights, and how a raster comes to be one."""
+"""Elevation grids, and resampling of rasters to their square cells."""
 
 from __future__ import annotations
 
@@ -9,37 +9,33 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
-from ..arrays import frozen_array
+from ..arrays import BoolArray, FloatArray, frozen_array
 from ..errors import AmbushPlannerError
 
 HeightArray = npt.NDArray[np.float32]
-BoolArray = npt.NDArray[np.bool_]
 
-# A grid of more cells is a mistake in its resolution, and would not fit in memory.
+# Largest grid [cells]; a larger one would not fit in memory and suggests a wrong resolution.
 MAX_CELLS = 100_000_000
 
 
 class InvalidTerrain(AmbushPlannerError, ValueError):
-    """An elevation model, a mask of roads or a map file is not what it should be."""
+    """An elevation model, a road mask or a map file is malformed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Elevation:
-    """Heights of the ground on square cells.
+    """Terrain heights on square cells.
 
     Parameters
     ----------
     heights : (H, W) float
-        Height at the centre of each cell [m], row 0 in the south; NaN where it is not known.
+        Height at the centre of each cell [m], row 0 in the south; NaN if unknown.
     resolution : float
-        Edge of a cell [m].
+        Cell size [m].
     place : str
-        Where the lower left corner lies in the world, for people.
+        World position of the lower left corner, for display only.
 
-    Raises
-    ------
-    InvalidTerrain
-        The shape or the resolution is not as above, or no height is known.
+    Raises InvalidTerrain if the shape or the resolution is invalid, or no height is known.
     """
 
     heights: HeightArray
@@ -55,64 +51,59 @@ class Elevation:
         if not (math.isfinite(self.resolution) and self.resolution > 0.0):
             raise InvalidTerrain(f'resolution must be positive [m], got {self.resolution}')
         if np.isinf(heights).any():
-            raise InvalidTerrain('elevation must be finite, or NaN where it is not known')
+            raise InvalidTerrain('elevation must be finite, or NaN if unknown')
         if np.isnan(heights).all():
-            raise InvalidTerrain('elevation is known nowhere: each cell is NaN or nodata')
+            raise InvalidTerrain('no elevation is known: every cell is NaN or nodata')
         object.__setattr__(self, 'heights', heights)
         object.__setattr__(self, 'resolution', float(self.resolution))
 
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """A raster as it comes out of a file.
+    """A raster as read from a file.
 
-    ``values`` (H, W), row 0 in the south; ``row_step`` and ``column_step`` [m] are the cells' size
+    ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east.
     """
 
-    values: npt.NDArray[np.float64]
+    values: FloatArray
     row_step: float
     column_step: float
     place: str = ''
 
 
-def elevation_from(raster: Raster, resolution: float = 0.0) -> Elevation:
-    """Bring heights to square cells of ``resolution`` [m]; 0: the raster's shorter step.
+def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
+    """Resample heights to square cells of ``resolution`` [m]; 0: the raster's shorter step.
 
-    Bilinear between the centres of the raster's cells. Both grids share the lower left corner; the
-    result has as many whole cells as fit. A cell is unknown where a height that it follows from is.
+    Interpolates bilinearly between cell centres. Both grids share the lower left corner, and only
+    whole cells are kept. A cell is unknown if any height it is interpolated from is unknown.
 
-    Raises
-    ------
-    InvalidTerrain
-        The resolution leaves fewer than 2 x 2 cells or more than ``MAX_CELLS``.
+    Raises InvalidTerrain if the resolution leaves fewer than 2 x 2 cells or more than
+    ``MAX_CELLS``.
     """
     resolution = resolution or min(raster.row_step, raster.column_step)
     row, column = _positions(raster, resolution)
     if _is_same_grid(raster, row, column):
-        return Elevation(raster.values, resolution, raster.place)
-    where = np.meshgrid(row, column, indexing='ij')
-    heights = map_coordinates(raster.values, where, order=1, mode='nearest', output=np.float32)
+        return Elevation(raster.values.astype(np.float32), resolution, raster.place)
+    positions = np.meshgrid(row, column, indexing='ij')
+    heights = map_coordinates(raster.values, positions, order=1, mode='nearest', output=np.float32)
     return Elevation(heights, resolution, raster.place)
 
 
-def mask_from(raster: Raster, elevation: Elevation) -> BoolArray:
-    """Bring a mask (any value but 0) to the cells of ``elevation`` (H, W).
+def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
+    """Resample a mask (nonzero means set) to the cells of ``elevation`` (H, W).
 
-    A cell is in the mask if its centre is, or if it holds the centre of one that is: thin roads
-    survive on coarser cells.
+    A cell is set if the mask is set at its centre, or if it contains the centre of a set mask cell,
+    so that thin roads survive on coarser cells.
 
-    Raises
-    ------
-    InvalidTerrain
-        The mask does not cover the same ground.
+    Raises InvalidTerrain if the mask does not cover the same area.
     """
     shape, resolution = elevation.heights.shape, elevation.resolution
     row, column = _positions(raster, resolution)
     if (len(row), len(column)) != shape:
         raise InvalidTerrain(
             f'the roads cover {len(row)} x {len(column)} cells of {resolution:g} m, the elevation '
-            f'{shape[0]} x {shape[1]}; both files must cover the same ground'
+            f'{shape[0]} x {shape[1]}; both files must cover the same area'
         )
     marked = np.nan_to_num(raster.values) != 0.0
     mask = marked[np.ix_(*(
@@ -127,31 +118,29 @@ def mask_from(raster: Raster, elevation: Elevation) -> BoolArray:
     return mask
 
 
-def _positions(
-    raster: Raster, resolution: float
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Centres of square cells in units of the raster's rows and columns."""
+def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArray]:
+    """Row and column coordinates of the centres of square cells, in raster cells."""
     if not (math.isfinite(resolution) and resolution > 0.0):
         raise InvalidTerrain(f'resolution must be positive [m], got {resolution}')
     steps = (raster.row_step, raster.column_step)
-    # A whole number of cells, also where rounding leaves it a hair short.
+    # The tolerance keeps a last cell that rounding makes a hair short.
     counts = [
         int(count * step / resolution + 1e-6)
         for count, step in zip(raster.values.shape, steps, strict=True)
     ]
     if min(counts) < 2 or counts[0] * counts[1] > MAX_CELLS:
         raise InvalidTerrain(
-            f'a resolution of {resolution:g} m gives {counts[0]} x {counts[1]} cells; at least '
-            f'2 x 2 and at most {MAX_CELLS} in all are possible'
+            f'a resolution of {resolution:g} m gives {counts[0]} x {counts[1]} cells; the grid '
+            f'must have at least 2 x 2 and at most {MAX_CELLS} cells'
         )
     row, column = (
-        (np.arange(count) + 0.5) * resolution / step - 0.5
+        np.asarray((np.arange(count) + 0.5) * resolution / step - 0.5, dtype=np.float64)
         for count, step in zip(counts, steps, strict=True)
     )
     return row, column
 
 
-def _is_same_grid(raster: Raster, *positions: npt.NDArray[np.float64]) -> bool:
+def _is_same_grid(raster: Raster, *positions: FloatArray) -> bool:
     return all(
         len(index) == count and np.allclose(index, np.arange(count), atol=1e-6)
         for index, count in zip(positions, raster.values.shape, strict=True)

@@ -1,9 +1,8 @@
-"""Maps as Nav2's map_server reads them: a YAML file that names a picture.
+"""Map files of Nav2's map_server: a YAML file that names an image.
 
-Of its three modes, ``raw`` keeps values as they are: a pixel of 0..100 is the cell's value, any
-other is unknown. So maps are written that way, as PGM (P5), top row first. ``trinary`` and
-``scale`` are read as map_server reads them. Source: navigation2 (jazzy),
-nav2_map_server/src/map_io.cpp.
+Maps are written in mode ``raw``, which preserves all values: a pixel of 0..100 is the cell value,
+any other is unknown. The image is PGM (P5), top row first. ``trinary`` and ``scale`` are read as
+map_server reads them. Source: navigation2 (jazzy), nav2_map_server/src/map_io.cpp.
 """
 
 from __future__ import annotations
@@ -17,18 +16,20 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from ..arrays import BoolArray, FloatArray
 from .elevation import MAX_CELLS, InvalidTerrain
 from .occupancy import OccupancyMap
 
 _MODES = ('trinary', 'scale', 'raw')
-# Width, height and largest value, between any white space and comments; one byte ends them.
+# PGM header: width, height and largest value, separated by white space or comments.
 _PGM = re.compile(rb'P5(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s')
 
 
 def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
-    """Write ``path`` (.yaml) and beside it the picture (.pgm), whose path is returned.
+    """Write ``path`` (.yaml) and an image (.pgm) next to it; return the image's path.
 
-    The picture comes first: who finds the YAML file finds both. ``remark`` becomes a comment.
+    The image is written first, so that an existing YAML file implies both. ``remark`` becomes a
+    comment.
 
     Raises
     ------
@@ -37,7 +38,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     OSError
     """
     if path.suffix not in ('.yaml', '.yml'):
-        raise InvalidTerrain(f'{path}: the name of a map ends with .yaml')
+        raise InvalidTerrain(f'{path}: the name of a map must end with .yaml')
     picture = path.with_suffix('.pgm')
     rows, columns = occupancy.values.shape
     values = occupancy.values.astype(np.int16)[::-1]
@@ -58,26 +59,24 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
 
 
 def read_map(path: Path) -> OccupancyMap:
-    """Read a map_server YAML file and its picture.
-
-    PGM is read here, other pictures with Pillow, which comes with matplotlib.
+    """Read a map_server YAML file and its image; formats other than PGM need Pillow.
 
     Raises
     ------
     InvalidTerrain
-        Either is not as map_server wants it; what is wrong is named.
+        Either file is malformed.
     OSError
-        Either cannot be opened.
+        Either file cannot be opened.
     """
     try:
         fields = yaml.safe_load(path.read_text(encoding='utf-8'))
     except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:
         raise InvalidTerrain(f'{path}: not a YAML file: {error}') from error
     if not isinstance(fields, dict):
-        raise InvalidTerrain(f'{path}: not the YAML file of a map: no "image:", no "resolution:"')
+        raise InvalidTerrain(f'{path}: not the YAML file of a map')
     for name in ('image', 'resolution', 'origin'):
         if name not in fields:
-            raise InvalidTerrain(f'{path}: no {name!r}')
+            raise InvalidTerrain(f'{path}: {name!r} is missing')
     mode = str(fields.get('mode', 'trinary')).lower()
     if mode not in _MODES:
         raise InvalidTerrain(f'{path}: mode must be one of {", ".join(_MODES)}, got {mode!r}')
@@ -102,13 +101,9 @@ def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[
 
 
 def _cells(
-    path: Path,
-    light: npt.NDArray[np.float64],
-    opaque: npt.NDArray[np.bool_],
-    mode: str,
-    fields: dict[str, Any],
+    path: Path, light: FloatArray, opaque: BoolArray, mode: str, fields: dict[str, Any]
 ) -> npt.NDArray[np.int8]:
-    """Values -1..100 from lightness 0..1, as map_server has them."""
+    """Convert lightness 0..1 to values -1..100 as map_server does."""
     if mode == 'raw':
         value = np.rint(light * 255.0)
         return np.where(value <= 100.0, value, -1).astype(np.int8)
@@ -126,39 +121,35 @@ def _cells(
     return np.where(opaque | (mode == 'trinary'), value, -1).astype(np.int8)
 
 
-def _pixels(
-    path: Path, mode: str
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
-    """Lightness (H, W) 0..1, top row first, and where the picture is opaque."""
+def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
+    """Return lightness (H, W) 0..1, top row first, and which pixels are opaque."""
     data = path.read_bytes()
     header = _PGM.match(data)
     if header is None:
         return _other_pixels(path, mode)
     columns, rows, largest = map(int, header.groups())
     if not (0 < rows * columns <= MAX_CELLS and 0 < largest < 65536):
-        raise InvalidTerrain(f'{path}: a picture of {columns} x {rows} pixels up to {largest}')
+        raise InvalidTerrain(f'{path}: an image of {columns} x {rows} pixels up to {largest}')
     kind = np.dtype(np.uint8 if largest < 256 else '>u2')
     if len(data) - header.end() < rows * columns * kind.itemsize:
         raise InvalidTerrain(f'{path}: too short for {columns} x {rows} pixels')
     pixels = np.frombuffer(data, kind, rows * columns, header.end()).reshape(rows, columns)
-    return pixels / float(largest), np.ones((rows, columns), bool)
+    return pixels.astype(np.float64) / largest, np.ones((rows, columns), bool)
 
 
-def _other_pixels(
-    path: Path, mode: str
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+def _other_pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
     try:
         from PIL import Image
     except ModuleNotFoundError:
         raise InvalidTerrain(
-            f"{path}: not a binary PGM; other pictures take: pip install 'ambush_planner[figures]'"
+            f"{path}: not a binary PGM; other images need: pip install 'ambush_planner[figures]'"
         ) from None
     try:
         with Image.open(path) as image:
             has_alpha = 'A' in image.getbands() or 'transparency' in image.info
             pixels = np.asarray(image.convert('RGBA'), dtype=np.float64) / 255.0
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise InvalidTerrain(f'{path}: not a picture that can be read: {error}') from error
-    # map_server averages opacity in with the colours, in this mode only.
+        raise InvalidTerrain(f'{path}: not a readable image: {error}') from error
+    # Only in trinary mode does map_server average opacity together with the colours.
     channels = 4 if has_alpha and mode == 'trinary' else 3
     return pixels[..., :channels].mean(axis=2), pixels[..., 3] == 1.0

@@ -1,4 +1,4 @@
-"""Which points and segments keep clear of the obstacle cells: exact, whole arrays at a time."""
+"""Exact clearance checks of points and segments against obstacle cells."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IndexArray
 from .risk_map import RiskMap
 
-# Cells are closed squares: what comes as near as this to a face or a corner touches it. In units
-# of a cell; covers the rounding of positions such as (i + 0.5) * resolution.
+# Distance at which a point counts as touching a closed cell [cells]; covers the rounding of
+# positions such as (i + 0.5) * resolution.
 TOUCH = 1e-6
-# Pairs of segment and cell that are tested at once; bounds the memory.
+# Number of (segment, cell) pairs tested at once; bounds the memory.
 CHUNK = 1_000_000
-# Longer segments are tested in pieces: the boxes of cells around them grow with the square [cells].
+# Longest segment tested in one piece [cells]: its bounding box grows with the square of this.
 PIECE = 8.0
 
 
 class ObstacleField:
     """Obstacle cells of a risk map, prepared for many clearance queries in map axes [m].
 
-    Nothing beyond the map is clear, nor is its outer edge. With ``clear_of_edge`` the clearance
-    holds for that edge, too, as if the ground beyond it were an obstacle.
+    The map's outer edge and everything beyond it are never clear. With ``clear_of_edge`` the
+    clearance also applies to that edge.
     """
 
     def __init__(self, risk_map: RiskMap, clear_of_edge: bool = True) -> None:
@@ -33,14 +33,14 @@ class ObstacleField:
         self._obstacles = risk_map.obstacles
 
     def clear_points(self, uv: FloatArray, clearance: float) -> BoolArray:
-        """Tell which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
+        """Return which points (K, 2) have no obstacle cell within ``clearance`` [m]."""
         return self.clear_segments(uv, uv, clearance)
 
     def clear_segments(self, a: FloatArray, b: FloatArray, clearance: float) -> BoolArray:
-        """Tell which segments a -> b, both (K, 2), have no obstacle cell within ``clearance``.
+        """Return which segments a -> b, both (K, 2), have no obstacle cell within ``clearance``.
 
-        Exact: a segment is blocked when its distance to a closed obstacle cell is at most
-        ``clearance``, to within ``TOUCH``.
+        A segment is blocked if its distance to a closed obstacle cell is at most ``clearance``,
+        exact to within ``TOUCH``.
         """
         clear = self._on_map(a, clearance) & self._on_map(b, clearance)
         inside = np.flatnonzero(clear)
@@ -49,16 +49,16 @@ class ObstacleField:
         return clear
 
     def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
-        """Tell which points (K, 2) lie inside the map's outer edge, by the clearance if asked."""
+        """Return which points (K, 2) lie inside the map, off its edge by the clearance if asked."""
         margin = TOUCH * self._resolution + (clearance if self.clear_of_edge else 0.0)
         return np.asarray(((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1))
 
     def _blocked(self, a: FloatArray, b: FloatArray, reach: float) -> BoolArray:
-        """Tell which segments meet an obstacle cell or come within ``reach`` of one [cells]."""
+        """Return which segments meet an obstacle cell or come within ``reach`` of one [cells]."""
         low = self._cell(np.minimum(a, b) - reach - TOUCH)
         high = self._cell(np.maximum(a, b) + reach + TOUCH)
         middle = self._cell((a + b) / 2)
-        blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # of those that are, the most
+        blocked = self._obstacles[middle[:, 1], middle[:, 0]]  # finds most blocked ones cheaply
         near = np.flatnonzero(~blocked & (self._count(low, high) > 0))
         blocked[near] = self._hits(a[near], b[near], low[near], high[near], reach)
         return blocked
@@ -68,7 +68,7 @@ class ObstacleField:
         return np.clip(np.floor(uv), 0, (columns - 1, rows - 1)).astype(np.int64)
 
     def _count(self, low: IndexArray, high: IndexArray) -> FloatArray:
-        """Count the obstacle cells in boxes of cells, corners included (summed-area table)."""
+        """Count the obstacle cells in boxes with inclusive corners (summed-area table)."""
         (c0, r0), (c1, r1) = low.T, high.T + 1
         sums = self._sums
         counts: FloatArray = sums[r1, c1] - sums[r0, c1] - sums[r1, c0] + sums[r0, c0]
@@ -95,7 +95,7 @@ class ObstacleField:
     def _pairs(
         self, low: IndexArray, high: IndexArray, sizes: IndexArray
     ) -> tuple[IndexArray, IndexArray]:
-        """List (segment, (column, row)) for every obstacle cell in every segment's box."""
+        """List each segment with every obstacle cell (column, row) in its box."""
         segment = np.repeat(np.arange(len(low)), sizes)
         offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
         width = (high - low + 1)[segment, 0]
@@ -119,7 +119,7 @@ def _pieces(a: FloatArray, b: FloatArray) -> tuple[IndexArray, FloatArray, Float
 
 
 def _touch(a: FloatArray, b: FloatArray, cell: IndexArray, reach: float) -> BoolArray:
-    """Tell which segments come within ``reach`` of their closed unit cell (units of a cell)."""
+    """Return which segments come within ``reach`` of their closed cell [cells]."""
     centre = cell + 0.5
     hit = _cross(a - centre, b - centre)
     if reach > 0.0:
@@ -130,7 +130,7 @@ def _touch(a: FloatArray, b: FloatArray, cell: IndexArray, reach: float) -> Bool
 
 
 def _cross(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Separating axes: does segment a -> b meet the closed unit square around 0?"""
+    """Return which segments meet the closed unit square around 0, by separating axes."""
     middle, half = (a + b) / 2, np.abs(b - a) / 2
     apart = (np.abs(middle) > 0.5 + half + TOUCH).any(axis=1)
     across = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
@@ -140,7 +140,7 @@ def _cross(a: FloatArray, b: FloatArray) -> BoolArray:
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Distance from segments a -> b that miss it to the unit square around 0."""
+    """Distance from segments a -> b to the unit square around 0, which they do not meet."""
     ends = np.stack((a, b))
     best = np.hypot(*np.maximum(np.abs(ends) - 0.5, 0.0).T).min(axis=1)
     along = b - a
@@ -158,11 +158,10 @@ def nearest_free_cell(
     clearance: float,
     clear_of_edge: bool = True,
 ) -> tuple[float, float]:
-    """Return ``xy`` if nobody is blocked there, else the nearest free cell's centre [m].
+    """Return ``xy`` if it is clear, else the centre of the nearest clear cell [m].
 
-    A cell is free if its centre keeps the clearance from obstacles, and from the map's edge with
-    ``clear_of_edge``. Where none is within ``tolerance`` [m] of ``xy``, or ``xy`` is not on the
-    map, it comes back as it is.
+    Returns ``xy`` unchanged if no clear cell lies within ``tolerance`` [m], or if it is off the
+    map.
     """
     if tolerance == 0.0:
         return xy
@@ -181,7 +180,7 @@ def nearest_free_cell(
 
 
 def _cell_centres(risk_map: RiskMap, uv: FloatArray, reach: float) -> FloatArray:
-    """Centres (K, 2) in map axes of the free cells of the square within ``reach`` of ``uv``."""
+    """Centres (K, 2) in map axes of the free cells in the square within ``reach`` of ``uv``."""
     size = risk_map.size
     low_row, low_column = risk_map.cells(np.clip(uv - reach, 0.0, size))
     high_row, high_column = risk_map.cells(np.clip(uv + reach, 0.0, size))

@@ -1,4 +1,4 @@
-"""Occupancy grids: cell values -1..100, and how they are read as losses and obstacles."""
+"""Occupancy grids, and the conversion of their values -1..100 to losses and obstacles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap:
-    """An occupancy grid: values (H, W) int8, row 0 the lowest; [m]; (x, y, yaw) [m, m, rad]."""
+    """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad]."""
 
     values: npt.NDArray[np.int8]
     resolution: float
@@ -24,16 +24,13 @@ class OccupancyMap:
 
 @dataclass(frozen=True)
 class OccupancyOptions:
-    """How cell values of an occupancy grid are read as losses.
+    """How values of an occupancy grid are converted to losses.
 
-    A value v in 0..100 means alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
-    least ``obstacle_threshold`` are obstacles; -1 (unknown) is an obstacle unless
-    ``unknown_alpha`` >= 0 gives it a loss.
+    A value v in 0..100 gives alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
+    least ``obstacle_threshold`` are obstacles. Unknown cells (-1) are obstacles unless
+    ``unknown_alpha`` >= 0 gives them a loss.
 
-    Raises
-    ------
-    InvalidOption
-        A number is not finite or out of range.
+    Raises InvalidOption if a number is not finite or out of range.
     """
 
     alpha_min: float = 1.0
@@ -69,12 +66,9 @@ def risk_map_from_occupancy(
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     options: OccupancyOptions | None = None,
 ) -> RiskMap:
-    """Read an occupancy grid (H, W) of values -1..100 as a risk map.
+    """Convert an occupancy grid (H, W) of values -1..100 to a risk map.
 
-    Raises
-    ------
-    InvalidRiskMap
-        A value is outside -1..100, or the map is malformed.
+    Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
     """
     options = options or OccupancyOptions()
     grid = np.asarray(values)
@@ -93,12 +87,9 @@ def risk_map_from_occupancy(
 def check_occupancy(
     values: npt.NDArray[np.number[Any]], resolution: float, origin: tuple[float, float, float]
 ) -> None:
-    """Check an occupancy grid without making a risk map of it, which takes far longer.
+    """Check an occupancy grid without the far slower conversion to a risk map.
 
-    Raises
-    ------
-    InvalidRiskMap
-        A value is outside -1..100, or the map is malformed.
+    Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
     """
     check_place(resolution, origin)
     bad = ~((values >= -1) & (values <= 100))  # NaN too

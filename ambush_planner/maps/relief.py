@@ -1,4 +1,4 @@
-"""Slope, and how deep a place lies below the ground around it."""
+"""Slope of the terrain, and depth of each cell below the terrain around it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from scipy.ndimage import distance_transform_edt, maximum_filter1d
 
 from .elevation import Elevation, HeightArray
 
-# A disc of more rows than this is covered by as many rectangles as this.
-MOST_RECTANGLES = 16
+# Largest number of rectangles that approximate a disc.
+MAX_RECTANGLES = 16
 
 
 def slope(elevation: Elevation) -> HeightArray:
-    """Rise over run of each cell (H, W): 0.42 is 42 %, or 23 degrees.
+    """Rise over run of each cell (H, W): 0.42 is 42 %, or 23 degrees; NaN if unknown.
 
-    The length of the gradient by central differences, so over two cells; at the border by
-    one-sided ones. Exact on planes, and inside on surfaces of second degree. Beside unknown ground
-    the nearest known height stands for what is missing; NaN where the height is not known.
+    The norm of the gradient by central differences, one-sided at the border: exact on planes and,
+    off the border, on quadratic surfaces. Unknown neighbours take the nearest known height.
 
     Source: L. W. Zevenbergen, C. R. Thorne, *Quantitative analysis of land surface topography*,
     Earth Surface Processes and Landforms 12, 1987.
@@ -30,12 +29,11 @@ def slope(elevation: Elevation) -> HeightArray:
 
 
 def relative_depth(elevation: Elevation, radius: float) -> HeightArray:
-    """How far the highest ground within ``radius`` [m] lies above each cell (H, W) [m], >= 0.
+    """Height of the highest known terrain within ``radius`` [m] above each cell (H, W) [m], >= 0.
 
-    0 on crests and plains, large in gorges: whoever holds that ground fires down. The distance is
-    that of cells' centres; discs of more than ``MOST_RECTANGLES`` rows are covered from inside
-    by rectangles, to at least 95 % of the radius in each direction. NaN where the height is not
-    known; unknown ground around does not count.
+    0 on crests and plains, large in gorges; NaN if the cell's height is unknown. Distances are
+    between cell centres. Discs of more than ``MAX_RECTANGLES`` rows are approximated from inside by
+    rectangles, to at least 95 % of the radius in each direction.
     """
     known = np.where(np.isnan(elevation.heights), -np.inf, elevation.heights)
     highest = known.copy()
@@ -47,19 +45,19 @@ def relative_depth(elevation: Elevation, radius: float) -> HeightArray:
 
 
 def disc_rectangles(radius: float) -> list[tuple[int, int]]:
-    """Half sizes (rows, columns) of centred rectangles whose union is a disc; all in cells."""
+    """Half sizes (rows, columns) of centred rectangles whose union is a disc [cells]."""
     reach = math.floor(radius)
-    if reach < MOST_RECTANGLES:
+    if reach < MAX_RECTANGLES:
         rows = np.arange(reach + 1)
     else:
-        angles = np.linspace(0.0, math.pi / 2.0, MOST_RECTANGLES + 1)
+        angles = np.linspace(0.0, math.pi / 2.0, MAX_RECTANGLES + 1)
         rows = np.unique(np.floor(radius * np.sin(angles)).astype(np.int64))
     columns = np.floor(np.sqrt(radius**2 - rows**2)).astype(np.int64)
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 
 def _filled(heights: HeightArray) -> npt.NDArray[np.float32]:
-    """Heights with those of the nearest known cells where they are not known."""
+    """Replace unknown heights by those of the nearest known cells."""
     unknown = np.isnan(heights)
     if not unknown.any():
         return heights

@@ -1,9 +1,9 @@
-"""The risk map: what an ambush costs at each place, and where nobody can drive.
+"""The risk map: the loss for being ambushed in each cell, and the obstacles.
 
-Axes. Row 0 is the lowest row and column 0 the left one, as in ``nav_msgs/OccupancyGrid``. *Map
-axes* (u, v) are metres along the columns and the rows from the lower left corner of cell (0, 0);
-the centre of cell (row, column) lies at ((column + 0.5), (row + 0.5)) * resolution. *World*
-coordinates (x, y) follow by the rotation and the translation of ``origin``.
+Row 0 is the lowest row and column 0 the leftmost, as in ``nav_msgs/OccupancyGrid``. *Map axes*
+(u, v) measure metres along columns and rows from the lower left corner of cell (0, 0); the centre
+of cell (row, column) lies at (column + 0.5, row + 0.5) * resolution. *World* coordinates (x, y)
+result from the rotation and translation of ``origin``.
 """
 
 from __future__ import annotations
@@ -18,30 +18,26 @@ from scipy.ndimage import distance_transform_edt
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidRiskMap
 
-# Losses outside of this range leave no room for the products that a certificate is made of.
+# Range of nonzero losses, in which the products in a certificate neither overflow nor underflow.
 LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
 
 
 @dataclass(frozen=True, eq=False)
 class RiskMap:
-    """Loss for being ambushed, cell by cell.
+    """Loss for being ambushed in each cell.
 
     Parameters
     ----------
     alpha : (H, W) float, >= 0
-        Loss for being ambushed in each cell; what stands in obstacle cells, NaN for example, is
-        never used.
+        Loss for being ambushed in each cell; ignored in obstacle cells, so it may be NaN there.
     obstacles : (H, W) bool
-        Cells that nobody can drive through.
+        Cells that cannot be driven through.
     resolution : float
-        Edge of a cell [m].
+        Cell size [m].
     origin : (x, y, yaw)
         World pose of the lower left corner of cell (0, 0) [m, m, rad].
 
-    Raises
-    ------
-    InvalidRiskMap
-        A shape, the resolution, the origin or a loss is not as above.
+    Raises InvalidRiskMap if a shape, the resolution, the origin or a loss is invalid.
     """
 
     alpha: FloatArray
@@ -71,7 +67,7 @@ class RiskMap:
         return columns * self.resolution, rows * self.resolution
 
     def nearest_free_alpha(self) -> FloatArray:
-        """Loss (H, W) of each cell or, in obstacles, of the nearest free cell; 0 without any."""
+        """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
         if self.obstacles.all():
             return np.zeros_like(self.alpha)
         nearest = distance_transform_edt(
@@ -80,23 +76,23 @@ class RiskMap:
         return np.asarray(self.alpha[tuple(nearest)])
 
     def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:
-        """Turn world positions (..., 2) into map axes (..., 2) [m]."""
+        """Convert world positions (..., 2) to map axes (..., 2) [m]."""
         return to_map_axes(self.origin, xy)
 
     def to_world(self, uv: npt.ArrayLike) -> FloatArray:
-        """Turn positions in map axes (..., 2) into world positions (..., 2) [m]."""
+        """Convert positions in map axes (..., 2) to world positions (..., 2) [m]."""
         return to_world(self.origin, uv)
 
     def contains(self, uv: npt.ArrayLike) -> BoolArray:
-        """Tell which positions in map axes (..., 2) lie on the map or its outer edge."""
+        """Return which positions in map axes (..., 2) lie on the map or its outer edge."""
         uv = np.asarray(uv, dtype=np.float64)
         inside: BoolArray = np.all((uv >= 0.0) & (uv <= self.size), axis=-1)
         return inside
 
     def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
-        """Return (rows, columns) of the cells that hold positions in map axes (..., 2).
+        """Return (rows, columns) of the cells that contain positions in map axes (..., 2).
 
-        Positions must be on the map; the upper and right border belong to the last cells.
+        The upper and right border belong to the last cells. Positions must lie on the map.
         """
         rows, columns = self.alpha.shape
         index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
@@ -104,21 +100,21 @@ class RiskMap:
 
 
 def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:
-    """Turn world positions (..., 2) into the axes of a map at ``origin`` (..., 2) [m]."""
+    """Convert world positions (..., 2) to the axes of a map at ``origin`` (..., 2) [m]."""
     x0, y0, yaw = origin
     shifted = np.asarray(xy, dtype=np.float64) - (x0, y0)
     return shifted if yaw == 0.0 else shifted @ _rotation(yaw)
 
 
 def to_world(origin: tuple[float, float, float], uv: npt.ArrayLike) -> FloatArray:
-    """Turn positions in the axes of a map at ``origin`` (..., 2) into world positions [m]."""
+    """Convert positions in the axes of a map at ``origin`` (..., 2) to world positions [m]."""
     x0, y0, yaw = origin
     uv = np.asarray(uv, dtype=np.float64)
     return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
 
 
 def _rotation(yaw: float) -> FloatArray:
-    """Matrix whose columns are the map's axes in the world."""
+    """Matrix whose columns are the map axes in the world."""
     return np.array([[math.cos(yaw), -math.sin(yaw)], [math.sin(yaw), math.cos(yaw)]])
 
 

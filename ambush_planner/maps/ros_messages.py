@@ -1,4 +1,4 @@
-"""Read maps, poses and paths from ROS messages, whichever library decoded them; no ROS needed."""
+"""Read maps, poses and paths from ROS messages decoded by any library; needs no ROS."""
 
 from __future__ import annotations
 
@@ -13,20 +13,18 @@ from ..errors import InvalidPose, InvalidRiskMap
 from .occupancy import OccupancyOptions, check_occupancy, risk_map_from_occupancy
 from .risk_map import RiskMap
 
-# Tolerance of a quaternion's squared norm, as Nav2 checks it; covers rounding to float32.
+# Tolerance of a quaternion's squared norm, as in Nav2; covers rounding to float32.
 _UNIT_TOLERANCE = 1e-4
 
 
 def occupancy_from_ros(
     message: Any,
 ) -> tuple[npt.NDArray[np.int8], float, tuple[float, float, float]]:
-    """Return cell values (H, W), the resolution [m] and the origin (x, y, yaw), all checked.
+    """Return the checked cell values (H, W), resolution [m] and origin (x, y, yaw).
 
-    Raises
-    ------
-    InvalidRiskMap
-        The map has no frame or no cells, its data is not width * height long, its resolution is
-        not positive, its origin not a pose in the plane, or a cell's value outside -1..100.
+    Raises InvalidRiskMap if the map has no frame or no cells, its data does not match width *
+    height, its resolution is not positive, its origin is not a planar pose, or a value is outside
+    -1..100.
     """
     info = message.info
     if not message.header.frame_id:
@@ -48,18 +46,12 @@ def occupancy_from_ros(
 
 
 def risk_map_from_ros(message: Any, options: OccupancyOptions) -> RiskMap:
-    """Read the map's cell values as losses.
-
-    Raises
-    ------
-    InvalidRiskMap
-        The message is malformed, or a cell's value is outside -1..100.
-    """
+    """Convert the map's cell values to losses; raises InvalidRiskMap."""
     return risk_map_from_occupancy(*occupancy_from_ros(message), options)
 
 
 def pose_from_ros(pose: Any) -> tuple[float, float, float]:
-    """Return (x, y, yaw) [m, m, rad] of a pose in the plane."""
+    """Return (x, y, yaw) [m, m, rad] of a planar pose."""
     q = pose.orientation
     yaw = math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
     return pose.position.x, pose.position.y, yaw
@@ -68,10 +60,7 @@ def pose_from_ros(pose: Any) -> tuple[float, float, float]:
 def position_from_ros(pose: Any, name: str) -> tuple[float, float]:
     """Return (x, y) [m] of the pose called ``name``.
 
-    Raises
-    ------
-    InvalidPose
-        A number is not finite, or the orientation is not a unit quaternion.
+    Raises InvalidPose if a number is not finite, or the orientation is not a unit quaternion.
     """
     if fault := _pose_fault(pose.pose):
         raise InvalidPose(f'{name}: {fault}')
@@ -85,7 +74,7 @@ def path_from_ros(path: Any) -> FloatArray:
 
 
 def _pose_fault(pose: Any) -> str | None:
-    """Say what is wrong with a pose's numbers, if anything is."""
+    """Describe what is wrong with a pose's numbers, if anything."""
     p, q = pose.position, pose.orientation
     if not all(map(math.isfinite, (p.x, p.y, p.z))):
         return f'position ({p.x}, {p.y}, {p.z}) is not finite'
@@ -101,7 +90,7 @@ def _pose_fault(pose: Any) -> str | None:
 def _tilt_fault(q: Any) -> str | None:
     if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
         return (
-            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only a '
-            'rotation about z is possible'
+            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only '
+            'rotation about z is supported'
         )
     return None

@@ -1,21 +1,21 @@
-"""The risk map that follows from the ground.
+"""Risk map from terrain.
 
-Four shares, each 0..1, say what makes an ambush costly in a cell:
+Four factors, each 0..1, make an ambush in a cell costly:
 
-* depth: relative depth within weapon range, over ``FULL_DEPTH`` = 0.4 times the weapon range (full
-  at 120 m of higher ground within 300 m): fire from above, and nowhere to go.
-* exposure: share of the ground within weapon range from which the vehicle is seen.
-* approach: 1 - distance of the nearest hidden ground / weapon range, the mean over all directions:
-  so near somebody comes unseen.
-* slope: over ``slope_limit``: the steeper, the slower, the longer under fire.
+* depth: relative depth within weapon range, divided by ``FULL_DEPTH`` = 0.4 times the weapon range
+  (1 if terrain within 300 m is 120 m higher): the vehicle is fired at from above and cannot leave.
+* exposure: share of the terrain within weapon range from which the vehicle is visible.
+* approach: 1 - distance to the nearest hidden terrain / weapon range, averaged over all directions:
+  an attacker can come that close unseen.
+* slope: divided by ``slope_limit``: on steep terrain the vehicle is slow and longer under fire.
 
-The value is round(99 risk), risk their weighted mean, times ``road_factor`` on roads: there the
-convoy is fast. Cells of slope over ``slope_limit`` are obstacles (100) unless a road leads through
-them; cells of unknown height are unknown (-1).
+The cell value is round(99 * risk), where risk is the weighted mean of the factors, multiplied by
+``road_factor`` on roads because the convoy drives fast there. Cells steeper than ``slope_limit``
+are obstacles (100) unless they contain a road; cells of unknown height are unknown (-1).
 
-The slope limit: off-road trucks are built to climb about 0.60 on firm, even ground; 30 % is taken
-off for soil, load and the steeper pitches that a cell hides. The weights are a judgement, not a
-measurement: who knows better sets them.
+Off-road trucks climb slopes of about 0.60 on firm, even ground. The default limit is 30 % lower to
+allow for soil, load and steeper spots within a cell. The weights are a judgement, not a
+measurement.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from .elevation import BoolArray, Elevation, HeightArray, InvalidTerrain
+from ..arrays import BoolArray
+from .elevation import Elevation, HeightArray, InvalidTerrain
 from .relief import relative_depth, slope
 from .visibility import ViewOptions, viewshed
 
@@ -37,23 +38,20 @@ FULL_DEPTH = 0.4
 
 @dataclass(frozen=True)
 class TerrainOptions:
-    """How ground is read as risk.
+    """How terrain is converted to risk.
 
     Parameters
     ----------
     view
         Weapon range, heights of vehicle and person.
     slope_limit
-        Rise over run that is not driven over.
+        Maximum drivable slope (rise/run).
     weights
-        Of depth, exposure, approach and slope; what counts is their ratio.
+        Weights of depth, exposure, approach and slope; only their ratio matters.
     road_factor
-        The risk on roads, over what it were there without a road: 0..1.
+        Factor 0..1 on the risk of cells with a road.
 
-    Raises
-    ------
-    InvalidTerrain
-        A number is out of range.
+    Raises InvalidTerrain if a number is out of range.
     """
 
     view: ViewOptions = field(default_factory=ViewOptions)
@@ -76,16 +74,16 @@ class TerrainOptions:
 
 @dataclass(frozen=True, eq=False)
 class TerrainMap:
-    """The risk map and what it follows from; all (H, W), row 0 in the south.
+    """A terrain risk map and the layers it was computed from; all (H, W), row 0 in the south.
 
     Attributes
     ----------
     values : int8
         As in an occupancy grid: 0..99 risk, 100 obstacle, -1 unknown.
     resolution : float
-        Edge of a cell [m].
+        Cell size [m].
     slope, depth, exposure, approach
-        Rise over run, [m], share, [m].
+        Rise over run; [m]; share 0..1; [m].
     roads : bool
     """
 
@@ -104,14 +102,12 @@ def terrain_map(
     roads: BoolArray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TerrainMap:
-    """Make the risk map of the ground; ``roads`` (H, W) marks cells that a road leads through.
+    """Compute the risk map of terrain; ``roads`` (H, W) marks cells that contain a road.
 
-    ``progress`` is told the share of the work that is done.
+    ``progress`` is called with the completed share of the work.
 
-    Raises
-    ------
-    InvalidTerrain
-        The weapon range is shorter than a cell, or ``roads`` has another shape.
+    Raises InvalidTerrain if the weapon range is shorter than a cell, or ``roads`` has another
+    shape.
     """
     options = options or TerrainOptions()
     shape = elevation.heights.shape
@@ -134,7 +130,7 @@ def _values(
     layers: tuple[HeightArray, HeightArray, HeightArray, HeightArray, BoolArray],
     options: TerrainOptions,
 ) -> npt.NDArray[np.int8]:
-    """Cell values by the formulas at the top of this file."""
+    """Compute cell values by the formulas in the module docstring."""
     steepness, depth, exposure, approach, roads = layers
     reach = options.view.weapon_range
     shares = (

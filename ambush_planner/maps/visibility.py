@@ -1,19 +1,19 @@
-"""Who sees a vehicle: the ground from which each cell can be seen, and what is hidden from it.
+"""Visibility: the terrain from which each cell is visible, and the terrain hidden from it.
 
-From each cell rays go out in evenly spaced directions (W. R. Franklin, C. K. Ray, *Higher isn't
-necessarily better: visibility algorithms and experiments*, 1994, algorithm R2, with a fixed
-number of rays in place of one for each cell of the rim). Along a ray the ground is read where it
-crosses the centres of columns (of rows, on rays that are steeper than 45 degrees), linearly between
-the two cells there; farther out only at some of the crossings, at most 1/12 of the distance apart,
-where 64 rays are 1/10 of it apart. (On rough ground, with a range of 60 cells, exposure comes out
-within 0.006 of that by all lines of sight, in the mean.) With
+Rays leave each cell in evenly spaced directions (W. R. Franklin, C. K. Ray, *Higher isn't
+necessarily better: visibility algorithms and experiments*, 1994, algorithm R2, with a fixed number
+of rays instead of one per rim cell). Heights are sampled where a ray crosses the centres of columns
+(of rows, if it is steeper than 45 degrees), interpolated between the two cells there. Far samples
+are thinned out, to at most 1/12 of the distance apart; 64 rays are 1/10 of the distance apart. (On
+rough terrain, with a range of 60 cells, the mean exposure is within 0.006 of that by all lines of
+sight.) With
 
-    g = (ground there - height of the vehicle's top) / distance
+    g = (terrain height - height of the vehicle's top) / distance
 
-a person who stands there sees the vehicle, and is seen from it, if g + person's height / distance
-is at least the largest g of the samples before. All cells take a step along a ray at once.
+a person at a sample sees the vehicle, and is seen from it, if g + person's height / distance is at
+least the largest g of the nearer samples. All cells advance along a ray together.
 
-Not modelled: vegetation and buildings that are not in the elevation model, the curvature of the
+Not modelled: vegetation and buildings missing from the elevation model, and the curvature of the
 Earth (0.02 m at 0.5 km, 0.3 m at 2 km).
 """
 
@@ -30,33 +30,31 @@ import numpy.typing as npt
 
 from .elevation import Elevation, HeightArray, InvalidTerrain
 
-# Samples are one cell apart out to this many cells, from there at this share of the distance.
+# Distance up to which samples are one cell apart [cells]; beyond it, the spacing grows with the
+# distance divided by this.
 DENSE_CELLS = 12
-# Cells (rows, columns) that are worked on at once: what they need stays in the processor's cache.
+# Rows and columns of cells processed at once, sized to the processor cache.
 TILE = (128, 512)
-# Sum of the weights of a ray's samples, but for rounding: it must stay below 2^16.
-_WHOLE = 60_000
+# Approximate sum of the weights of a ray's samples; must stay below 2^16.
+_TOTAL_WEIGHT = 60_000
 
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Who looks at what.
+    """Geometry of observer and vehicle.
 
     Parameters
     ----------
     weapon_range
-        How far a weapon reaches [m].
+        Range of a weapon [m].
     vehicle_height
-        Of what can be hit, over the ground [m].
+        Height of the vehicle's top above the terrain [m].
     person_height
-        Of whoever shoots or comes near, over the ground [m].
+        Eye height of an attacker above the terrain [m].
     rays
-        Number of directions, a multiple of 4; fewer where the range has few cells.
+        Number of directions, a multiple of 4; fewer are used if the range has few cells.
 
-    Raises
-    ------
-    InvalidTerrain
-        A number is out of range.
+    Raises InvalidTerrain if a number is out of range.
     """
 
     weapon_range: float = 300.0
@@ -75,16 +73,16 @@ class ViewOptions:
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """What is seen from where; both (H, W), NaN where the height is not known.
+    """Visibility of each cell; both (H, W), NaN if the height is unknown.
 
     Attributes
     ----------
     exposure
-        Share 0..1 of the known ground within weapon range from which a vehicle in the cell is seen.
+        Share 0..1 of the known terrain within weapon range from which a vehicle in the cell is
+        visible.
     approach
-        Distance of the nearest ground that is hidden from the vehicle [m], the mean over all
-        directions: so near somebody comes unseen. A direction whose ground is all in view counts
-        with the weapon range.
+        Distance to the nearest terrain hidden from the vehicle [m], averaged over all directions;
+        a direction without hidden terrain counts as the weapon range.
     """
 
     exposure: HeightArray
@@ -93,10 +91,9 @@ class Views:
 
 @dataclass(frozen=True)
 class Sample:
-    """A place on a ray between two cells.
+    """A point on a ray between two cells at offsets (row, column), with its distance [cells].
 
-    ``first`` and ``second`` are their offsets (row, column), ``share`` is what the second one has
-    of it; then come its distance [cells] and its weight.
+    ``share`` is the interpolation weight of ``second``; ``weight`` is that of the sample.
     """
 
     first: tuple[int, int]
@@ -111,18 +108,15 @@ def viewshed(
     options: ViewOptions | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Views:
-    """Find for all cells what is seen from them; ``progress`` is told the share that is done.
+    """Compute the visibility of all cells, on all processors available to this process.
 
-    Uses all processors that this process may use; the result does not depend on their number.
+    ``progress`` is called with the completed share of the work.
 
-    Raises
-    ------
-    InvalidTerrain
-        The weapon range is shorter than a cell.
+    Raises InvalidTerrain if the weapon range is shorter than a cell.
     """
     options = options or ViewOptions()
-    rays = rays_of(options.weapon_range / elevation.resolution, options.rays)
-    # The second cell of a sample may lie one farther than the sample.
+    rays = make_rays(options.weapon_range / elevation.resolution, options.rays)
+    # The second cell of a sample may lie one cell beyond it.
     reach = math.floor(options.weapon_range / elevation.resolution) + 1
     padded = np.pad(elevation.heights, reach, constant_values=np.nan)
     views = Views(np.empty_like(elevation.heights), np.empty_like(elevation.heights))
@@ -130,12 +124,13 @@ def viewshed(
 
     def work(tile: tuple[slice, slice]) -> None:
         rows, columns = tile
-        around = (slice(rows.start, rows.stop + 2 * reach),
-                  slice(columns.start, columns.stop + 2 * reach))
-        one = _Tile(padded[around], reach, elevation.resolution, options)
+        window = padded[
+            rows.start : rows.stop + 2 * reach, columns.start : columns.stop + 2 * reach
+        ]
+        cells = _Tile(window, reach, elevation.resolution, options)
         for ray in rays:
-            one.follow(ray)
-        views.exposure[tile], views.approach[tile] = one.result(len(rays))
+            cells.follow(ray)
+        views.exposure[tile], views.approach[tile] = cells.result(len(rays))
 
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         for done, _ in enumerate(pool.map(work, tiles), start=1):
@@ -146,20 +141,17 @@ def viewshed(
     return views
 
 
-def rays_of(reach: float, count: int) -> list[list[Sample]]:
-    """Samples of each ray, near to far, within ``reach`` cells; weights are shares of the area.
+def make_rays(reach: float, count: int) -> list[list[Sample]]:
+    """Samples of each ray within ``reach`` cells, near to far.
 
-    The weight of a sample is proportional to its distance times the length of the ray that it
-    stands for: rays diverge, so that far samples stand for more ground.
+    The weight of a sample is proportional to the area it represents: its distance times the length
+    of its part of the ray.
 
-    Raises
-    ------
-    InvalidTerrain
-        ``reach`` is under one cell.
+    Raises InvalidTerrain if ``reach`` is under one cell.
     """
     if reach < 1.0:
         raise InvalidTerrain(
-            f'the weapon range is {reach:g} cells: it must reach one cell at least; take a finer '
+            f'the weapon range is {reach:g} cells but must be at least one; choose a finer '
             'resolution or a longer range'
         )
     count = min(count, 8 * math.floor(reach))
@@ -174,14 +166,14 @@ def _ray(rise: float, run: float, reach: float) -> list[Sample]:
     while k <= reach * longer:
         crossings.append((k, max(1, k // DENSE_CELLS)))
         k += crossings[-1][1]
-    # On one ray, distance times length is proportional to k times gap. All rays stand for sectors
-    # of the same angle, so that each gets the same sum.
-    scale = _WHOLE / sum(k * gap for k, gap in crossings) if crossings else 0.0
+    # On one ray, distance times length is proportional to k times gap. All rays represent sectors
+    # of the same angle, so they get the same total weight.
+    scale = _TOTAL_WEIGHT / sum(k * gap for k, gap in crossings) if crossings else 0.0
     return [_sample(rise, run, k, max(1, int(k * gap * scale))) for k, gap in crossings]
 
 
 def _sample(rise: float, run: float, crossing: int, weight: int) -> Sample:
-    """Where a ray crosses the centre of a column or row for the n-th time."""
+    """Sample at a ray's n-th crossing of the centre of a column or row."""
     is_steep = abs(rise) > abs(run)
     longer, shorter = (rise, run) if is_steep else (run, rise)
     along = int(math.copysign(crossing, longer))
@@ -203,7 +195,7 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
 
 
 class _Tile:
-    """Cells that follow their rays together; ``window`` holds them and ``reach`` cells around."""
+    """Cells whose rays advance together; ``window`` holds them and ``reach`` cells around them."""
 
     def __init__(
         self, window: HeightArray, reach: int, resolution: float, options: ViewOptions
@@ -220,20 +212,20 @@ class _Tile:
         self._near = np.zeros(self._top.shape, np.float32)
 
     def _shifted(self, offset: tuple[int, int]) -> HeightArray:
-        """Heights that lie at an offset from the tile's cells."""
+        """Heights at an offset from the tile's cells."""
         row, column = self._reach + offset[0], self._reach + offset[1]
         rows, columns = (count - 2 * self._reach for count in self._window.shape)
         return self._window[row : row + rows, column : column + columns]
 
     def _heights(self, sample: Sample, out: HeightArray) -> None:
-        """Heights of the ground at a sample, seen from each of the tile's cells."""
+        """Interpolated terrain heights at a sample of each of the tile's cells."""
         first = self._shifted(sample.first)
         np.subtract(self._shifted(sample.second), first, out)
         np.multiply(out, np.float32(sample.share), out)
         np.add(out, first, out)
 
     def follow(self, ray: list[Sample]) -> None:
-        """Add what is seen along one ray."""
+        """Accumulate the visibility along one ray."""
         shape = self._top.shape
         horizon = np.full(shape, -np.inf, np.float32)
         angle, bar = np.empty(shape, np.float32), np.empty(shape, np.float32)
@@ -242,7 +234,7 @@ class _Tile:
         before = np.zeros(shape, np.uint8 if len(ray) < 256 else np.uint16)
         for sample in ray:
             distance = sample.distance * self._cell
-            # Comparisons with NaN are false: what is not known is neither seen nor hidden.
+            # Comparisons with NaN are false: unknown terrain is neither visible nor hidden.
             self._heights(sample, angle)
             np.subtract(angle, self._top, angle)
             np.multiply(angle, np.float32(1.0 / distance), angle)
@@ -260,7 +252,7 @@ class _Tile:
         self._near += np.array(edges, np.float32)[before]
 
     def _ground_on(self, ray: list[Sample]) -> npt.NDArray[np.float32] | np.float32:
-        """Weight of the ground on a ray that is known."""
+        """Weight of the known terrain along a ray."""
         if self._all_known:
             return np.float32(sum(sample.weight for sample in ray))
         total, heights = np.zeros(self._top.shape, np.float32), np.empty_like(self._top)
@@ -270,11 +262,11 @@ class _Tile:
         return total
 
     def result(self, rays: int) -> tuple[HeightArray, HeightArray]:
-        """Exposure and approach of the tile's cells, once all rays have been followed."""
+        """Exposure and approach of the tile's cells after all rays."""
         with np.errstate(invalid='ignore'):
             exposure = self._seen / self._ground
         unknown = np.isnan(self._top)
-        # A cell with no known ground around: nobody can be anywhere.
+        # Without known terrain around it, nobody can see a cell.
         exposure = np.where(self._ground > 0.0, exposure, np.float32(0.0))
         return (np.where(unknown, np.float32(np.nan), exposure),
                 np.where(unknown, np.float32(np.nan), self._near / rays))

@@ -1,4 +1,4 @@
-"""Which nodes are joined: 8-connected lattice or Delaunay triangulation; pairs (K, 2)."""
+"""Pairs (K, 2) of neighbouring nodes: 8-connected lattice or Delaunay triangulation."""
 
 from __future__ import annotations
 
@@ -10,26 +10,25 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from ..arrays import BoolArray, FloatArray, IndexArray
 from .node_sampling import PERIOD, shifts
 
-# Cocircular points have several Delaunay triangulations. Ties fall as if the odd rows of the plain
-# lattice were moved along by one part in a hundred thousand, which makes a herringbone of its
-# diagonals (rising in even rows of squares, falling in odd ones), and then the plane stretched and
-# sheared by about one part in a million: lines stay lines, so no slivers appear along a border.
+# Cocircular points have several Delaunay triangulations. Ties are broken by shifting odd lattice
+# rows by 1e-5 spacings, which alternates the diagonals from row to row, and by stretching and
+# shearing the plane by about 1e-6. Straight lines stay straight, so no slivers appear at a border.
 ROW_SHIFT = -1.0e-5
 TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
-# A triangle is flat if its height is less than this share of its longest side.
+# Height of a triangle, as a share of its longest side, below which it is flat.
 FLAT = 0.25
-# Lattice nodes beyond the border: no triangle of an inner node reaches further.
+# Rows and columns of lattice nodes added beyond the border; triangles of inner nodes stay within.
 FRAME = 3
-# Qhull takes three times as long a point for 40 000 points as for this many.
+# Target number of points per Qhull call; for 40 000 points it takes three times as long per point.
 PART = 2500
-# Corners round a square of side 1, well outside.
-AROUND = np.array([(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
-# Nodes and their mirror images lie on common circles: who is on one by rounding is not in it.
+# Corners of a square well outside the unit square.
+OUTER_SQUARE = np.array([(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
+# Share of a circle's radius that a node may lie inside it: nodes and mirror images are cocircular.
 ROUNDING = 1e-9
 
 
 def grid8_pairs(node_of: IndexArray) -> IndexArray:
-    """Join each node to its eight neighbours; ``node_of`` (rows, columns) is -1 where none is."""
+    """Join each node to its eight neighbours; ``node_of`` (rows, columns) is -1 without a node."""
     pairs = [
         _stack(node_of[:, :-1], node_of[:, 1:]),
         _stack(node_of[:-1, :], node_of[1:, :]),
@@ -45,8 +44,8 @@ def delaunay_pairs(
 ) -> tuple[IndexArray, IndexArray]:
     """Edges (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
 
-    Their mirror images (F, 2) beyond the map's edge keep nodes along it from being joined over long
-    distances, past all others: two nodes are joined where their Voronoi cells meet on the map.
+    Their mirror images (F, 2) beyond the map's edge prevent long edges between nodes along it: two
+    nodes are joined only if their Voronoi cells meet on the map.
     """
     triangles = _triangles_by_parts(np.concatenate((points, mirrored)))
     pairs = _triangle_edges(triangles)
@@ -57,29 +56,31 @@ def delaunay_pairs(
 def lattice_delaunay_pairs(
     free: BoolArray, others: FloatArray, method: str
 ) -> tuple[IndexArray, IndexArray]:
-    """Edges (K, 2) of the Delaunay triangulation of a lattice with gaps and a few nodes beside it.
+    """Delaunay triangulation of a lattice with gaps and a few additional nodes.
 
-    ``free`` (rows, columns) tells which lattice nodes there are; they are numbered row by row, and
-    the ``others`` (K, 2), in spacings from the map's corner, come last. The lattice is taken to go
-    on beyond its border, or nodes along it would be joined over long distances, past all others.
+    ``free`` (rows, columns) marks the existing lattice nodes, numbered row by row; the ``others``
+    (K, 2), in spacings from the map's corner, are numbered last. The lattice is continued beyond
+    its border to prevent long edges along it.
 
-    A lattice repeats itself, so its triangulation is worked out once for a tile (Qhull) and laid
-    over the map. A triangle whose corners are all there and whose circle holds none of the others
-    is one of those that are asked for. What lies between these is triangulated on its own, from the
-    nodes on its rim: a triangle there can have no other corners. Those (G, 3) are handed on, too.
+    A lattice is periodic, so its triangulation is computed once for a tile (Qhull) and repeated
+    over the map. Its triangles are kept if all their corners exist and their circumcircles contain
+    none of the others. The gaps between them are triangulated separately, from the nodes on their
+    rims: a triangle there can have no other corners.
+
+    Returns the edges (E, 2) and the triangles (G, 3) in the gaps.
     """
-    there = np.pad(free, FRAME, constant_values=True)
-    number = np.full(there.shape, -1, dtype=np.int64)
+    exists = np.pad(free, FRAME, constant_values=True)
+    number = np.full(exists.shape, -1, dtype=np.int64)
     number[FRAME:-FRAME, FRAME:-FRAME][free] = np.arange(int(free.sum()))
     number = np.concatenate((number.ravel(), int(free.sum()) + np.arange(len(others))))
-    # In the place of a lattice node they are joined as it would be.
+    # Ties are broken as for lattice nodes: one that replaces a lattice node gets the same edges.
     moved = ROW_SHIFT * (np.floor(others[:, 1]) % 2)
     others = (others + FRAME + np.stack((moved, np.zeros_like(moved)), axis=1)) @ TIE_BREAK
-    places = np.concatenate((_lattice_places(there.shape, method), others))
-    triangles = _tiled(there.shape, method)
-    kept = np.asarray(there.ravel()[triangles].all(axis=1))
-    kept[kept] = ~_circle_holds(places, triangles[kept], others, there.shape)
-    present = np.concatenate((there.ravel(), np.ones(len(others), dtype=bool)))
+    places = np.concatenate((_lattice_places(exists.shape, method), others))
+    triangles = _lattice_triangles(exists.shape, method)
+    kept = np.asarray(exists.ravel()[triangles].all(axis=1))
+    kept[kept] = ~_circle_contains(places, triangles[kept], others, exists.shape)
+    present = np.concatenate((exists.ravel(), np.ones(len(others), dtype=bool)))
     rim = np.zeros(len(places), dtype=bool)
     rim[triangles[~kept]] = True
     rim[-len(others):] = True
@@ -93,10 +94,8 @@ def lattice_delaunay_pairs(
 def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray) -> IndexArray:
     """Drop the longest sides of flat triangles (T, 3) whose two other sides are among the pairs.
 
-    The pairs are sorted, as they come from the functions above.
-
-    Along an obstacle the nodes nearest to it would otherwise be joined past those between them,
-    which lie only a little further off.
+    Otherwise nodes along an obstacle would be joined past those between them that lie only slightly
+    further off. The pairs must be sorted, as the functions above return them.
     """
     size = len(points)
     corners = points[triangles]
@@ -110,20 +109,20 @@ def without_slivers(points: FloatArray, pairs: IndexArray, triangles: IndexArray
     apex, a, b = (triangles[row, (longest + k) % 3] for k in range(3))
     known = pairs[:, 0] * size + pairs[:, 1]
 
-    def found(i: IndexArray, j: IndexArray) -> tuple[IndexArray, BoolArray]:
+    def find(i: IndexArray, j: IndexArray) -> tuple[IndexArray, BoolArray]:
         keys = np.minimum(i, j) * size + np.maximum(i, j)
-        at = np.minimum(np.searchsorted(known, keys), len(known) - 1)
-        return at, known[at] == keys
+        index = np.minimum(np.searchsorted(known, keys), len(known) - 1)
+        return index, known[index] == keys
 
     if len(known) == 0:
         return pairs
-    side, there = found(a, b)
-    there &= found(apex, a)[1] & found(apex, b)[1]
-    return np.delete(pairs, side[there], axis=0)
+    side, found = find(a, b)
+    found &= find(apex, a)[1] & find(apex, b)[1]
+    return np.delete(pairs, side[found], axis=0)
 
 
 def _lattice_places(shape: tuple[int, ...], method: str) -> FloatArray:
-    """Places [spacings] of all nodes of a framed lattice, row by row, with ties broken."""
+    """Positions [spacings] of all nodes of a framed lattice, row by row, with ties broken."""
     row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
     moved = shifts(method)[(row - FRAME) % PERIOD, (column - FRAME) % PERIOD]
     places = np.stack((column + ROW_SHIFT * ((row - FRAME) % 2), row), axis=1) + 0.5 + moved
@@ -133,7 +132,7 @@ def _lattice_places(shape: tuple[int, ...], method: str) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _tile(method: str) -> IndexArray:
-    """Triangles (T, 3, 2) of one tile as lattice (row, column) of their corners, each once."""
+    """Triangles (T, 3, 2) of one tile, as lattice (row, column) of their corners, each once."""
     side = PERIOD + 4 * FRAME
     triangles = Delaunay(_lattice_places((side, side), method)).simplices.astype(np.int64)
     corners = np.stack(np.divmod(triangles, side), axis=-1) - FRAME
@@ -142,8 +141,8 @@ def _tile(method: str) -> IndexArray:
     return tile
 
 
-def _tiled(shape: tuple[int, ...], method: str) -> IndexArray:
-    """Triangles (T, 3) of a whole framed lattice, by the indices of its nodes."""
+def _lattice_triangles(shape: tuple[int, ...], method: str) -> IndexArray:
+    """Triangles (T, 3) of a whole framed lattice, as indices of its nodes."""
     tiles = [np.arange(-1, -(-side // PERIOD) + 1) * PERIOD + FRAME for side in shape]
     origin = np.stack(np.meshgrid(*tiles, indexing='ij'), axis=-1).reshape(-1, 1, 1, 2)
     corners = (origin + _tile(method)).reshape(-1, 3, 2)
@@ -152,27 +151,26 @@ def _tiled(shape: tuple[int, ...], method: str) -> IndexArray:
     return triangles
 
 
-def _circle_holds(
+def _circle_contains(
     places: FloatArray, triangles: IndexArray, others: FloatArray, shape: tuple[int, ...]
 ) -> BoolArray:
-    """Tell whose circumcircle holds one of the others (a lattice's circles are small)."""
+    """Return which circumcircles contain one of the others; a lattice's circles are small."""
     around = np.zeros(shape, dtype=bool)
     column, row = np.floor(others).astype(np.int64).T
     for down, right in np.ndindex(2 * FRAME + 1, 2 * FRAME + 1):
         at = row + down - FRAME, column + right - FRAME
         around[np.clip(at[0], 0, shape[0] - 1), np.clip(at[1], 0, shape[1] - 1)] = True
-    holds = np.asarray(around.ravel()[triangles[:, 0]])
-    centre, radius = _circles(places[triangles[holds]])
-    holds[holds] = cKDTree(others).query(centre)[0] < radius
-    return holds
+    contains = np.asarray(around.ravel()[triangles[:, 0]])
+    centre, radius = _circles(places[triangles[contains]])
+    contains[contains] = cKDTree(others).query(centre)[0] < radius
+    return contains
 
 
 def _triangles_by_parts(points: FloatArray) -> IndexArray:
-    """What ``_triangles`` finds, from one square of the ground after the other.
+    """Compute ``_triangles`` square by square.
 
-    Four corners round a square's nodes make a whole fan of triangles round each of them. Those
-    whose circles lie in the square are triangles of all nodes, too; the corners of the others are
-    triangulated once more.
+    Each square's nodes are triangulated with four outer corners. Triangles whose circles lie within
+    the square belong to the whole triangulation; the corners of all others are triangulated again.
     """
     low, extent = points.min(axis=0), np.ptp(points, axis=0)
     if len(points) < 2 * PART or not extent.all():
@@ -184,7 +182,7 @@ def _triangles_by_parts(points: FloatArray) -> IndexArray:
     kept, rim = [], np.zeros(len(points), dtype=bool)
     for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
         corner = low + side * square[part[0]]
-        places = np.concatenate((points[part], corner + side * AROUND))
+        places = np.concatenate((points[part], corner + side * OUTER_SQUARE))
         triangles = _triangles(places)
         centre, radius = _circles(places[triangles])
         gap = np.minimum(centre - corner, corner + side - centre).min(axis=1)
@@ -199,16 +197,16 @@ def _triangles_by_parts(points: FloatArray) -> IndexArray:
 def _gap_triangles(
     places: FloatArray, present: BoolArray, rim: BoolArray, rounding: float = 0.0
 ) -> IndexArray:
-    """Delaunay triangles of the nodes that are present, with all corners on the rim of gaps.
+    """Delaunay triangles of the nodes present that have all corners on the rim of gaps.
 
-    ``rounding`` is the share of a circle's radius that others may come into it.
+    Other nodes may lie inside a circle by the share ``rounding`` of its radius.
     """
     chosen = np.flatnonzero(rim & present)
     triangles = _triangles(places[chosen])
     if triangles.shape[1] == 2:
         return np.empty((0, 3), dtype=np.int64)
     triangles = chosen[triangles]
-    # Outside the gaps circles hold nodes that are not on a rim.
+    # Outside the gaps, circles contain nodes that are not on a rim.
     others = np.flatnonzero(present & ~rim)
     if len(others) == 0:
         return triangles
@@ -220,7 +218,7 @@ def _gap_triangles(
 
 
 def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Centres (T, 2) and radii (T,) of the circles round triangles (T, 3, 2); inf without area."""
+    """Centres (T, 2) and radii (T,) of the circumcircles of triangles (T, 3, 2); inf if flat."""
     a = corners[:, 0]
     (bx, by), (cx, cy) = (corners[:, 1] - a).T, (corners[:, 2] - a).T
     with np.errstate(divide='ignore', invalid='ignore'):
@@ -231,12 +229,12 @@ def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _triangles(points: FloatArray) -> IndexArray:
-    """Triangles (T, 3); where all points lie on a line, the links (T, 2) of their chain."""
+    """Delaunay triangles (T, 3), or the links (T, 2) of a chain if all points are collinear."""
     if len(points) >= 3:
         try:
             return Delaunay(points).simplices.astype(np.int64)
         except QhullError:
-            pass  # all points on one line: a chain joins them
+            pass  # the points are collinear
     order = np.lexsort(points.T).astype(np.int64)
     return _stack(order[:-1], order[1:])
 

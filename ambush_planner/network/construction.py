@@ -1,4 +1,4 @@
-"""From a risk map to a network (the paper's section III, table I)."""
+"""Construction of a network on a risk map (the paper's section III, table I)."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from ..errors import (
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_flag, check_whole
-from .layout import FreeSpace, joined
+from .layout import FreeSpace, connect_nodes
 from .network import Network
 from .node_sampling import lattice_points, lattice_shape
-from .passages import COVERED, passage_nodes, way_by_cells
+from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
 from .shortest_paths import reachable_from
 
 METHODS = (
@@ -43,28 +43,25 @@ METHODS = (
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """How the network is laid over the map.
+    """How the network is built.
 
     Parameters
     ----------
     method
-        'uniform_delaunay' (a lattice that prefers no direction), 'lattice_delaunay' (the square
-        one, the paper's Method 3), 'uniform_grid8' (2), 'random_delaunay' (1) or
-        'gradient_delaunay' (the paper's outlook).
+        'uniform_delaunay' (an isotropic lattice), 'lattice_delaunay' (a square lattice, the paper's
+        Method 3), 'uniform_grid8' (Method 2), 'random_delaunay' (Method 1) or 'gradient_delaunay'
+        (the paper's outlook).
     spacing
         Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has.
         0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
-        Distance that nodes and edges keep from obstacle cells [m]; 0: they do not touch any.
+        Minimum distance of nodes and edges from obstacle cells [m]; 0: they do not touch any.
     clear_of_edge
-        Keep the clearance from the map's outer edge, too. Without it nothing touches the edge.
+        Also keep the clearance from the map's outer edge, which is never touched in any case.
     seed
-        Seed of random sampling. It decides where nodes lie, never which route is drawn.
+        Seed of random sampling. It affects node positions, never which route is drawn.
 
-    Raises
-    ------
-    InvalidOption
-        A value is out of range or of another type.
+    Raises InvalidOption if a value is out of range or of another type.
     """
 
     method: str = 'uniform_delaunay'
@@ -84,29 +81,29 @@ class NetworkOptions:
         check_flag('clear_of_edge', self.clear_of_edge)
 
 
-# A spacing that is far too small for the map is a mistake, not a wish for 10^9 nodes.
+# Largest number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
-# Of the lattice, to tell how much of it is free: to some 2 % of it.
-_TRIED = 4096
-# What is raised where an end is off the map, and where it is blocked; else it is a stop.
-REFUSED: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
+# Lattice positions sampled to estimate the free share of the map, to about 2 %.
+_SAMPLES = 4096
+# Errors raised for an end off the map and for a blocked one; all other positions are stops.
+POSITION_ERRORS: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
     'start': (StartOutsideMap, StartBlocked),
     'goal': (GoalOutsideMap, GoalBlocked),
 }
 
 
 @dataclass(frozen=True, eq=False)
-class Roads:
-    """What can be driven, from any place to any other.
+class TripGraph:
+    """Undirected graph of the drivable places of a trip, for any order of its stops.
 
     Parameters
     ----------
     points : (N, 2), alpha : (N,)
         The nodes [m] and their losses; 0 at start, stops and goal.
     pairs : (P, 2)
-        The nodes that are joined, in both directions.
+        The pairs of joined nodes.
     visits : tuple of int
-        The nodes of start, stops and goal, as they were given; the same one where they meet.
+        The nodes of start, stops and goal in the given order; equal positions share a node.
     """
 
     points: FloatArray
@@ -115,7 +112,7 @@ class Roads:
     visits: tuple[int, ...]
 
     def network(self, visits: Sequence[int]) -> Network:
-        """The network for driving from one of these nodes to the next: a layer for each leg."""
+        """The network for driving from each of these nodes to the next: a layer for each leg."""
         count, legs = len(self.points), len(visits) - 1
         both = np.concatenate((self.pairs, self.pairs[:, ::-1]))
         layers = []
@@ -142,115 +139,111 @@ def build_network(
     options: NetworkOptions | None = None,
     stops: Iterable[npt.ArrayLike] = (),
 ) -> Network:
-    """Build the network for driving from start to goal, by way of stops; world positions [m].
+    """Build the network for driving from start to goal via stops; world positions [m].
 
-    Start, stops and goal are nodes at exactly the given positions; each takes the place of its
-    nearest lattice node (random sampling: nearest sample). No node lies on the map's outer edge.
-    Every pair of joined nodes gives two directed edges, except into the source and out of the
-    target of a leg. Where no route leads through, nodes are added in the narrow places of a way
-    that the map's cells show. Same inputs, options and seed give the same network, bit for bit.
+    Start, stops and goal are nodes at exactly the given positions; each replaces its nearest
+    lattice node (random sampling: nearest sample). Every pair of joined nodes gives two directed
+    edges, except into the source and out of the target of a leg. If the mesh is too coarse for a
+    narrow passage that the map's cells show, nodes are added there. The same inputs, options and
+    seed give the same network, bit for bit.
 
     Raises
     ------
     StartBlocked, StopBlocked, GoalBlocked
         The position is not finite, off the map, or within the clearance of an obstacle.
     InvalidNetwork
-        Two positions that follow one another are the same.
+        Two consecutive positions are equal.
     InvalidOption
-        The spacing asks for more than ``MAX_CANDIDATES`` nodes.
+        The spacing requires more than ``MAX_CANDIDATES`` nodes.
     NoRoute
         No route leads from start to goal, or to a stop.
     """
-    roads = lay_roads(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
-    return roads.network(roads.visits)
+    graph = build_trip_graph(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
+    return graph.network(graph.visits)
 
 
-def lay_roads(
+def build_trip_graph(
     risk_map: RiskMap,
     start_xy: npt.ArrayLike,
     goal_xy: npt.ArrayLike,
     options: NetworkOptions,
     stops: Iterable[npt.ArrayLike] = (),
-) -> Roads:
-    """Lay the nodes and join them; raises as ``build_network``."""
+) -> TripGraph:
+    """Place the nodes and join them; raises as ``build_network``."""
     field = ObstacleField(risk_map, options.clear_of_edge)
-    asked = _asked(risk_map, field, [start_xy, *stops, goal_xy], options)
-    # Different places only, start and goal last.
-    places = list(dict.fromkeys([asked[-1], *asked[:1], *asked[-2:0:-1]]))[::-1]
+    positions = _checked_positions(risk_map, field, [start_xy, *stops, goal_xy], options)
+    # Distinct positions, start and goal last.
+    places = list(dict.fromkeys([positions[-1], *positions[:1], *positions[-2:0:-1]]))[::-1]
     ends = np.array(places)
     uv_ends = risk_map.to_map_axes(ends)
-    ground = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
-    begin = places.index(asked[0])
-    uv, pairs = joined(ground, np.empty((0, 2)))
-    if apart := _apart(pairs, len(uv), len(ends), begin):
-        uv, pairs = _through_passages(ground, begin, apart)
+    space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
+    start = places.index(positions[0])
+    uv, pairs = connect_nodes(space, np.empty((0, 2)))
+    if unreachable := _unreachable_ends(pairs, len(uv), len(ends), start):
+        uv, pairs = _add_passage_nodes(space, start, unreachable)
     points = risk_map.to_world(uv)
     points[-len(ends):] = ends
     first = len(uv) - len(ends)
     alpha = risk_map.alpha[risk_map.cells(uv)]
     alpha[first:] = 0.0
-    return Roads(points, alpha, pairs, tuple(first + places.index(place) for place in asked))
+    visits = tuple(first + places.index(position) for position in positions)
+    return TripGraph(points, alpha, pairs, visits)
 
 
-def _apart(pairs: IndexArray, count: int, ends: int, begin: int) -> list[int]:
-    """Which of the last ``ends`` nodes no way leads to from the one at ``begin`` among them."""
+def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> list[int]:
+    """Which of the last ``ends`` nodes cannot be reached from number ``start`` of them."""
     first = count - ends
     both = np.concatenate((pairs, pairs[:, ::-1]))
-    return np.flatnonzero(~reachable_from(both, count, first + begin)[first:]).tolist()
+    return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
 
 
-def _through_passages(
-    ground: FreeSpace, begin: int, apart: list[int]
+def _add_passage_nodes(
+    space: FreeSpace, start: int, unreachable: list[int]
 ) -> tuple[FloatArray, IndexArray]:
-    """Lay nodes along the narrow parts of ways by cells, where the network alone finds none.
+    """Add nodes in narrow passages on paths over cells from end ``start`` to unreachable ends.
 
-    ``apart`` are the ends to which no route leads from the one at ``begin``.
-
-    Raises
-    ------
-    NoRoute
-        There is no such way, or the method has no place for more nodes.
+    Raises NoRoute if no such path exists or the added nodes do not connect the ends.
     """
-    options, passage = ground.options, np.empty((0, 2))
-    for end in apart:
-        way, room = _way_to(ground, begin, end)
-        if options.method != 'uniform_grid8':
-            passage = np.concatenate((passage, passage_nodes(way, room, ground.spacing)))
-            passage = np.unique(passage, axis=0) if len(apart) > 1 else passage
-    passage = passage[ground.field.clear_points(passage, options.clearance)]
-    uv, pairs = joined(ground, passage)
-    left = _apart(pairs, len(uv), len(ground.uv_ends), begin)
-    if not left:
+    options, nodes = space.options, np.empty((0, 2))
+    for end in unreachable:
+        path, margin = _cell_path_between(space, start, end)
+        if options.method != 'uniform_grid8':  # which has no place for further nodes
+            nodes = np.concatenate((nodes, passage_nodes(path, margin, space.spacing)))
+            nodes = np.unique(nodes, axis=0) if len(unreachable) > 1 else nodes
+    nodes = nodes[space.field.clear_points(nodes, options.clearance)]
+    uv, pairs = connect_nodes(space, nodes)
+    still = _unreachable_ends(pairs, len(uv), len(space.uv_ends), start)
+    if not still:
         return uv, pairs
-    way, room = _way_to(ground, begin, left[0])
-    finer = max(float(room.min()) / COVERED, ground.risk_map.resolution / 2)
+    _, margin = _cell_path_between(space, start, still[0])
+    finer = max(float(margin.min()) / MAX_NODE_DISTANCE, space.risk_map.resolution / 2)
     raise NoRoute(
-        f'{_from_to(ground, begin, left[0])} keeps clear of the obstacles at a spacing of '
-        f'{ground.spacing:g} m; the map has a way, which a spacing of '
-        f'{min(finer, ground.spacing / 2):.3g} m would find'
+        f'{_no_route_text(space, start, still[0])} keeps clear of the obstacles at a spacing of '
+        f'{space.spacing:g} m; the map has one, which a spacing of '
+        f'{min(finer, space.spacing / 2):.3g} m would find'
     )
 
 
-def _from_to(ground: FreeSpace, begin: int, end: int) -> str:
-    ends = ground.risk_map.to_world(ground.uv_ends[[begin, end]])
+def _no_route_text(space: FreeSpace, start: int, end: int) -> str:
+    ends = space.risk_map.to_world(space.uv_ends[[start, end]])
     return 'no route from ({:.3f}, {:.3f}) to ({:.3f}, {:.3f})'.format(*ends[0], *ends[1])
 
 
-def _way_to(ground: FreeSpace, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
-    """The way by cells from one end to another, and its room; raises NoRoute without one."""
-    options, ends = ground.options, ground.uv_ends[[begin, end]]
-    way, room = way_by_cells(ground.risk_map, ground.field, ends, options.clearance)
-    if len(way) == 0:
+def _cell_path_between(space: FreeSpace, start: int, end: int) -> tuple[FloatArray, FloatArray]:
+    """The widest path over cells from one end to another, with its margins; raises NoRoute."""
+    options, ends = space.options, space.uv_ends[[start, end]]
+    path, margin = widest_cell_path(space.risk_map, space.field, ends, options.clearance)
+    if len(path) == 0:
         clearance = f' at a clearance of {options.clearance:g} m' if options.clearance else ''
         raise NoRoute(
-            f'{_from_to(ground, begin, end)}: obstacles cut the map in two between them'
-            f'{clearance}; neither the spacing of {ground.spacing:g} m nor any other leads through'
+            f'{_no_route_text(space, start, end)}: obstacles separate them{clearance}; a spacing '
+            f'other than {space.spacing:g} m does not help'
         )
-    return way, room
+    return path, margin
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """Spacing [m]: as given, or (0) for about ``target_nodes`` nodes on the free cells."""
+    """Spacing [m] as given, or for about ``target_nodes`` nodes on the free cells if it is 0."""
     spacing = options.spacing
     if spacing == 0.0:
         free_area = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
@@ -265,48 +258,41 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
 
 
 def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """About how many nodes a network would have, found without building it.
+    """Estimate a network's number of nodes from some lattice positions, without building it.
 
-    Of the positions of the lattice, some are tried; random samples are as many, and about as
-    many of them are free.
-
-    Raises
-    ------
-    InvalidOption
-        The spacing asks for more than ``MAX_CANDIDATES`` nodes.
+    Raises InvalidOption if the spacing requires more than ``MAX_CANDIDATES`` nodes.
     """
     spacing = chosen_spacing(risk_map, options)
     rows, columns = lattice_shape(risk_map, spacing)
     if rows * columns == 0:
         return 0.0
-    tried = np.random.default_rng(0).integers(rows * columns, size=_TRIED)
-    cells = np.stack((tried // columns, tried % columns), axis=1)
+    samples = np.random.default_rng(0).integers(rows * columns, size=_SAMPLES)
+    cells = np.stack((samples // columns, samples % columns), axis=1)
     uv = lattice_points(cells, spacing, options.method)
     field = ObstacleField(risk_map, options.clear_of_edge)
     free = field.clear_points(uv, options.clearance)
     return rows * columns * float(free.mean())
 
 
-def _asked(
+def _checked_positions(
     risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike], options: NetworkOptions
 ) -> list[tuple[float, float]]:
-    """Start, stops and goal as positions, if all can be driven from one to the next."""
+    """Start, stops and goal as positions, checked; start and goal are reported first."""
     last = len(given) - 1
     names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
-    # The ends first: what is wrong with them concerns everybody.
     for k in (0, last, *range(1, last)):
         _check_position(risk_map, field, given[k], names[k], options)
-    asked = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
-    for (one, a), (other, b) in pairwise(zip(names, asked, strict=True)):
+    positions = [(float(x), float(y)) for x, y in np.asarray(given, dtype=np.float64)]
+    for (one, a), (other, b) in pairwise(zip(names, positions, strict=True)):
         if a == b:
             raise InvalidNetwork(f'{one} and {other} are the same position, {a}')
-    return asked
+    return positions
 
 
 def _check_position(
     risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str, options: NetworkOptions
 ) -> None:
-    off_map, blocked = REFUSED.get(name, (StopOutsideMap, StopBlocked))
+    off_map, blocked = POSITION_ERRORS.get(name, (StopOutsideMap, StopBlocked))
     try:
         position = np.asarray(xy, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as cause:

@@ -1,4 +1,4 @@
-"""Where an ambusher can hide in obstacles: cells from which he reaches the network."""
+"""Hiding places: ambush sites in obstacle cells within reach of the network."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from .network import Network
 def with_hiding_places(
     network: Network, risk_map: RiskMap, reach: float, spacing: float
 ) -> Network:
-    """The network with obstacle cells as nodes that no edge leads to, the last in each layer.
+    """Append obstacle cells to each layer as nodes without edges.
 
-    Their loss is that of the nearest free cell. Taken are the cells within ``reach`` [m] of some
-    edge or not much further, one in each square of half a ``spacing`` [m].
+    Includes all cells within ``reach`` [m] of an edge, and some slightly further, thinned to one
+    per square of half a ``spacing`` [m]. Their loss is that of the nearest free cell.
     """
     step = max(int(spacing / 2.0 / risk_map.resolution), 1)
     rows, columns = np.nonzero(risk_map.obstacles)
@@ -32,7 +32,7 @@ def with_hiding_places(
 
 
 def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
-    """The network with more nodes (K, 2) of losses (K,), in each layer, that no edge leads to."""
+    """Append nodes (K, 2) with losses (K,) and without edges to each layer."""
     legs, number = network.legs, np.arange(len(network.points))
     moved = number + number // network.place_count * len(points)
     layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))

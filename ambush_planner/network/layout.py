@@ -1,4 +1,4 @@
-"""A network laid on the ground: where nodes lie, and which of them are joined on free ground."""
+"""Layout of a network: its nodes, and the pairs of them joined by obstacle-free edges."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .node_sampling import (
     gradient_points,
     lattice_points,
     lattice_shape,
-    mirrored,
+    mirrored_points,
     nearest_cells,
     random_points,
 )
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """What a network is laid on: ``uv_ends`` (E, 2) are its ends in map axes [m], all different."""
+    """The map, options and distinct ends ``uv_ends`` (E, 2) in map axes [m] of a network."""
 
     risk_map: RiskMap
     field: ObstacleField
@@ -42,35 +42,35 @@ class FreeSpace:
     options: NetworkOptions
 
 
-def joined(ground: FreeSpace, passage: FloatArray) -> tuple[FloatArray, IndexArray]:
-    """Nodes in map axes, the ends last, and the pairs that are joined on free ground.
+def connect_nodes(space: FreeSpace, extra: FloatArray) -> tuple[FloatArray, IndexArray]:
+    """Nodes in map axes, the ends last, and the pairs of them joined by clear edges.
 
-    ``passage`` (K, 2) are nodes beside the lattice or the samples.
+    ``extra`` (K, 2) are nodes in addition to the lattice or the samples.
     """
-    uv, pairs, triangles = _nodes_and_pairs(ground, np.concatenate((passage, ground.uv_ends)))
+    uv, pairs, triangles = _nodes_and_pairs(space, np.concatenate((extra, space.uv_ends)))
     a, b = uv[pairs[:, 0]], uv[pairs[:, 1]]
-    clear = ground.field.clear_segments(a, b, ground.options.clearance)
+    clear = space.field.clear_segments(a, b, space.options.clearance)
     return uv, without_slivers(uv, pairs[clear], triangles)
 
 
 def _nodes_and_pairs(
-    ground: FreeSpace, others: FloatArray
+    space: FreeSpace, others: FloatArray
 ) -> tuple[FloatArray, IndexArray, IndexArray]:
-    """Return nodes in map axes, the pairs that connectivity joins, and triangles that may be flat.
+    """Nodes in map axes, the joined pairs, and the triangles that may be flat.
 
-    ``others`` (K, 2), the ends last, are the last nodes.
+    ``others`` (K, 2), which include the ends, are the last nodes.
     """
-    options, spacing = ground.options, ground.spacing
+    options, spacing = space.options, space.spacing
     if options.method in ('random_delaunay', 'gradient_delaunay'):
-        return _samples(ground, others)
+        return _sampled_nodes_and_pairs(space, others)
     none = np.empty((0, 3), dtype=np.int64)
-    shape = lattice_shape(ground.risk_map, spacing)
+    shape = lattice_shape(space.risk_map, spacing)
     uv = lattice_points(all_cells(shape), spacing, options.method)
-    free = ground.field.clear_points(uv, options.clearance).reshape(shape)
+    free = space.field.clear_points(uv, options.clearance).reshape(shape)
     if free.size == 0:
-        ends = range(len(ground.uv_ends))
-        return ground.uv_ends, np.array(list(combinations(ends, 2))), none
-    taken = nearest_cells(shape, spacing, options.method, ground.uv_ends)
+        ends = range(len(space.uv_ends))
+        return space.uv_ends, np.array(list(combinations(ends, 2))), none
+    taken = nearest_cells(shape, spacing, options.method, space.uv_ends)
     free[tuple(taken.T)] = False
     uv = np.concatenate((uv[free.ravel()], others))
     if options.method == 'uniform_grid8':
@@ -78,22 +78,22 @@ def _nodes_and_pairs(
     return uv, *lattice_delaunay_pairs(free, others / spacing, options.method)
 
 
-def _samples(
-    ground: FreeSpace, others: FloatArray
+def _sampled_nodes_and_pairs(
+    space: FreeSpace, others: FloatArray
 ) -> tuple[FloatArray, IndexArray, IndexArray]:
-    options = ground.options
+    options = space.options
     sample = random_points if options.method == 'random_delaunay' else gradient_points
-    uv = sample(ground.risk_map, ground.spacing, options.seed)
-    uv = uv[ground.field.clear_points(uv, options.clearance)]
-    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in ground.uv_ends if len(uv)}
+    uv = sample(space.risk_map, space.spacing, options.seed)
+    uv = uv[space.field.clear_points(uv, options.clearance)]
+    taken = {int(np.argmin(((uv - end) ** 2).sum(axis=1))) for end in space.uv_ends if len(uv)}
     uv = np.concatenate((np.delete(uv, sorted(taken), axis=0), others))
-    return uv, *delaunay_pairs(uv, mirrored(ground.risk_map, ground.spacing, uv))
+    return uv, *delaunay_pairs(uv, mirrored_points(space.risk_map, space.spacing, uv))
 
 
 def _grid8_with_ends(free: BoolArray, cells: IndexArray) -> IndexArray:
-    """Join the 8-connected lattice, the ends in the cells of the nodes they replaced.
+    """Join the 8-connected lattice, with the ends in the cells of the nodes they replaced.
 
-    Ends in the same cell are joined with each other, and each with the cell's neighbours.
+    Ends in the same cell are joined to each other, and each to the cell's neighbours.
     """
     node_of = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
     first = int(free.sum())

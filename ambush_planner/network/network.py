@@ -17,12 +17,12 @@ from ..errors import InvalidNetwork
 class Network:
     """A directed network with a loss at each node, validated.
 
-    No edge enters the source and none leaves the target: with such edges the flow equations also
-    allow circulations through them that never connect the two, and the value comes out too low.
-    Given edges of that kind are dropped with a warning and kept in ``dropped_edges``.
+    Edges into the source or out of the target are dropped with a warning and kept in
+    ``dropped_edges``: they would allow flow circulations that never connect the two, and the value
+    would come out too low.
 
-    A trip with stops is driven in several ``legs``. Each leg has a layer, a copy of all places in
-    the same order; the edges that end a leg lead to the stop's copy in the next layer.
+    A trip with stops has several ``legs``. Each leg has a layer, a copy of all places in the same
+    order; the edges that end a leg lead to the stop's copy in the next layer.
 
     Parameters
     ----------
@@ -33,14 +33,12 @@ class Network:
     edges : (M, 2) int
         (tail, head) of each directed edge; no self-loops, no duplicates.
     source, target : int
-        Where every route starts and ends.
+        First and last node of every route.
     legs : int
         Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
 
-    Raises
-    ------
-    InvalidNetwork
-        Something is not as above; the message names the field, the place and the value.
+    Raises InvalidNetwork if an input is invalid; the message names the field, the index and the
+    value.
     """
 
     points: FloatArray
@@ -82,9 +80,9 @@ class Network:
 
     @cached_property
     def edge_exposure(self) -> FloatArray:
-        """Integral of alpha along each edge (M,) [loss x m]: its length times its ends' mean.
+        """Integral of alpha along each edge (M,) [loss x m]: its length times the mean of its ends.
 
-        A node without a loss of its own, the source, a stop or the target, takes the other one's.
+        Source, stops and target, which have no loss of their own, take that of the other end.
         """
         is_end = np.zeros(len(self.points), dtype=bool)
         is_end[self.ends] = True
@@ -95,7 +93,7 @@ class Network:
 
     @property
     def place_count(self) -> int:
-        """Number of different places, N / legs; the first so many nodes stand for them."""
+        """Number of distinct places, N / legs; the nodes of the first layer represent them."""
         return len(self.points) // self.legs
 
     @property
@@ -105,7 +103,7 @@ class Network:
 
     @cached_property
     def stops(self) -> IndexArray:
-        """Nodes (legs - 1,) at which a leg begins that is not the first, in this order."""
+        """First nodes (legs - 1,) of all legs but the first, in order."""
         count = self.place_count
         return frozen_array(
             np.unique(self.heads[self.heads // count != self.tails // count]), np.int64

@@ -1,4 +1,4 @@
-"""Where the nodes lie: on a lattice, at random, or at random and dense where alpha changes."""
+"""Node positions: on a lattice, at random, or at random and denser where alpha changes."""
 
 from __future__ import annotations
 
@@ -7,30 +7,31 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..maps.risk_map import RiskMap
 
-# Nodes of the even lattice lie off the square one by up to this much along each axis [spacings].
-# Measured on an empty map for 0.25, 0.3, 0.35, over 20 spacings: shortest route over straight line
-# in the worst direction from any of 24 places, best of six patterns: 1.107, 1.108, 1.103; smallest
-# angle 19, 15, 11 degrees.
-MOVED = 0.25
-PATTERN = 2
-# The pattern of these moves repeats itself after so many nodes.
+# Largest offset of 'uniform_delaunay' nodes from the square lattice along each axis [spacings].
+# Measured for 0.25, 0.3, 0.35 on an empty map, over 20 spacings from 24 places: worst ratio of
+# shortest route to straight line, best of six patterns: 1.107, 1.108, 1.103; smallest angle 19,
+# 15, 11 degrees.
+MAX_SHIFT = 0.25
+# Seed of the best pattern of offsets.
+PATTERN_SEED = 2
+# Rows and columns after which the pattern of offsets repeats.
 PERIOD = 32
-# As far inside as this, nodes have a mirror image beyond the map's edge [spacings].
-MIRRORED = 4.0
+# Distance from the map's edge within which nodes have a mirror image beyond it [spacings].
+MIRROR_DISTANCE = 4.0
 
 
 def shifts(method: str) -> FloatArray:
-    """How far (PERIOD, PERIOD, 2) nodes lie off the square lattice [spacings], by (row, column).
+    """Offsets (PERIOD, PERIOD, 2) of nodes from the square lattice [spacings], by (row, column).
 
-    On 'uniform_delaunay' no direction is preferred, because nodes are moved as if at random; the
-    moves are always the same ones. Other lattices are square.
+    They are pseudorandom but fixed for 'uniform_delaunay', so that no direction is preferred, and 0
+    for other lattices.
     """
     if method != 'uniform_delaunay':
         return np.zeros((PERIOD, PERIOD, 2))
-    # A bit generator's numbers never change from version to version.
-    raw = np.random.PCG64(PATTERN).random_raw(PERIOD * PERIOD * 2)
+    # Unlike Generator methods, a bit generator's raw output is stable between numpy versions.
+    raw = np.random.PCG64(PATTERN_SEED).random_raw(PERIOD * PERIOD * 2)
     unit = (raw >> np.uint64(11)) * 2.0**-53
-    moves = (2.0 * unit.reshape(PERIOD, PERIOD, 2) - 1.0) * MOVED
+    moves = (2.0 * unit.reshape(PERIOD, PERIOD, 2) - 1.0) * MAX_SHIFT
     return np.asarray(moves, dtype=np.float64)
 
 
@@ -42,7 +43,7 @@ def lattice_shape(risk_map: RiskMap, spacing: float) -> tuple[int, int]:
 
 
 def lattice_points(cells: IndexArray, spacing: float, method: str) -> FloatArray:
-    """Places (K, 2) in map axes [m] of the lattice nodes ``cells`` (K, 2) = (row, column)."""
+    """Positions (K, 2) in map axes [m] of the lattice nodes ``cells`` (K, 2) = (row, column)."""
     row, column = cells.T
     square = np.stack((column, row), axis=1) + 0.5
     places: FloatArray = (square + shifts(method)[row % PERIOD, column % PERIOD]) * spacing
@@ -68,28 +69,27 @@ def nearest_cells(
 
 
 def random_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
-    """As many uniform random samples in map axes as the lattice has nodes."""
+    """Uniform random samples in map axes, as many as the lattice has nodes."""
     rows, columns = lattice_shape(risk_map, spacing)
     rng = np.random.default_rng(seed)
     return rng.random((rows * columns, 2)) * risk_map.size
 
 
-def mirrored(risk_map: RiskMap, spacing: float, uv: FloatArray) -> FloatArray:
-    """Mirror images (F, 2) of the nodes near the map's outer edge, beyond that edge [m]."""
+def mirrored_points(risk_map: RiskMap, spacing: float, uv: FloatArray) -> FloatArray:
+    """Mirror images (F, 2) beyond the map's outer edge of the nodes near it [m]."""
     images = []
     for axis, side in ((0, 0.0), (1, 0.0), (0, risk_map.size[0]), (1, risk_map.size[1])):
-        near = uv[np.abs(uv[:, axis] - side) < MIRRORED * spacing].copy()
+        near = uv[np.abs(uv[:, axis] - side) < MIRROR_DISTANCE * spacing].copy()
         near[:, axis] = 2.0 * side - near[:, axis]
         images.append(near)
     return np.concatenate(images)
 
 
 def gradient_points(risk_map: RiskMap, spacing: float, seed: int) -> FloatArray:
-    """As many random samples as the lattice has nodes, denser where alpha changes.
+    """Random samples in map axes, as many as the lattice has nodes, denser where alpha changes.
 
-    The density is proportional to 1 + |grad alpha| / mean |grad alpha|: half of the samples lie
-    as ``random_points`` would lay them, half follow the gradient (the paper's outlook, section
-    III-B). Obstacle cells take part with the loss that stands in them.
+    The density is proportional to 1 + |grad alpha| / mean |grad alpha| (the paper's outlook,
+    section III-B). Obstacle cells take the loss of the nearest free cell.
     """
     rows, columns = lattice_shape(risk_map, spacing)
     rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""Passages that lie between the nodes of a network: found on the cells of the map itself."""
+"""Passages too narrow for a network's mesh, found on the cells of the map itself."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 
-# No point is further from the nearest node of a lattice than this [spacings]: where there is as
-# much room round a line, the nodes next to it are joined along it.
-COVERED = 1.1
-# How much a way by narrow places costs: it is taken where there is no other.
-NARROW = 10.0
+# Upper bound of the distance from any point to the nearest lattice node [spacings]. Along a line
+# with that much free space around it, the nodes next to it are joined.
+MAX_NODE_DISTANCE = 1.1
+# Additional cost of the narrowest cells, relative to that of the widest.
+NARROW_COST = 10.0
 
 
-def way_by_cells(
+def widest_cell_path(
     risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """The widest way from cell to cell: centres (K, 2) in map axes and the room there (K,) [m].
+    """The widest path over cells: centres (K, 2) in map axes and their margins (K,) [m].
 
-    Cells follow one another across a side, and their centres keep the clearance; the room is what
-    is left beyond it. Empty where no way leads from the first of ``uv_ends`` (2, 2) to the other.
+    Consecutive cells share a side, and their centres keep the clearance; the margin is the distance
+    to obstacles in excess of it. Empty if no path joins the two ``uv_ends`` (2, 2).
     """
     free = _free_cells(risk_map, field, clearance)
     ends = np.stack(risk_map.cells(uv_ends), axis=1)
@@ -32,26 +32,26 @@ def way_by_cells(
     regions = label(free)[0]
     if regions[tuple(ends[0])] != regions[tuple(ends[1])]:
         return np.empty((0, 2)), np.empty(0)
-    ground = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
-    room = distance_transform_edt(ground)[1:-1, 1:-1] - 0.5
-    room = np.asarray(room * risk_map.resolution - clearance, dtype=np.float64)
-    cells = _cheapest(regions == regions[tuple(ends[0])], room, ends)
-    return _centres(risk_map, cells), room[tuple(cells.T)]
+    passable = np.pad(~risk_map.obstacles, 1, constant_values=not field.clear_of_edge)
+    margin = distance_transform_edt(passable)[1:-1, 1:-1] - 0.5
+    margin = np.asarray(margin * risk_map.resolution - clearance, dtype=np.float64)
+    cells = _cheapest_cell_path(regions == regions[tuple(ends[0])], margin, ends)
+    return _centres(risk_map, cells), margin[tuple(cells.T)]
 
 
-def passage_nodes(way: FloatArray, room: FloatArray, spacing: float) -> FloatArray:
-    """Nodes (K, 2) along the narrow parts of a way by cells, the closer the narrower.
+def passage_nodes(path: FloatArray, margin: FloatArray, spacing: float) -> FloatArray:
+    """Nodes (K, 2) along the narrow parts of a path over cells, closer where it is narrower.
 
-    Together with the lattice's nodes they lead along it.
+    Together with the lattice nodes they connect the path's ends.
     """
     kept: list[int] = []
     before = -2
-    for k in np.flatnonzero(room < COVERED * spacing).tolist():
-        near = k == before + 1 and np.hypot(*(way[k] - way[kept[-1]])) < 0.7 * room[k]
+    for k in np.flatnonzero(margin < MAX_NODE_DISTANCE * spacing).tolist():
+        near = k == before + 1 and np.hypot(*(path[k] - path[kept[-1]])) < 0.7 * margin[k]
         if not near:
             kept.append(k)
         before = k
-    return way[kept]
+    return path[kept]
 
 
 def _free_cells(risk_map: RiskMap, field: ObstacleField, clearance: float) -> BoolArray:
@@ -66,19 +66,19 @@ def _centres(risk_map: RiskMap, cells: IndexArray) -> FloatArray:
     return np.asarray((cells[:, ::-1] + 0.5) * risk_map.resolution, dtype=np.float64)
 
 
-def _cheapest(free: BoolArray, room: FloatArray, ends: IndexArray) -> IndexArray:
-    """Cells (K, 2) of the cheapest way between two cells across the sides of free ones."""
+def _cheapest_cell_path(free: BoolArray, margin: FloatArray, ends: IndexArray) -> IndexArray:
+    """Cells (K, 2) of the cheapest path between two cells across the sides of free ones."""
     number = np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
     pairs = np.concatenate([
         np.stack((a[(a >= 0) & (b >= 0)], b[(a >= 0) & (b >= 0)]))
         for a, b in ((number[:, 1:], number[:, :-1]), (number[1:], number[:-1]))
     ], axis=1)
-    scale = max(float(room.max()), np.finfo(float).tiny)
-    cost = 1.0 + NARROW * (1.0 - np.clip(room[free] / scale, 0.0, 1.0)) ** 2
+    scale = max(float(margin.max()), np.finfo(float).tiny)
+    cost = 1.0 + NARROW_COST * (1.0 - np.clip(margin[free] / scale, 0.0, 1.0)) ** 2
     graph = csr_matrix((cost[pairs[0]] + cost[pairs[1]], tuple(pairs)), (len(cost),) * 2)
     source, target = number[tuple(ends.T)]
     before = dijkstra(graph, directed=False, indices=source, return_predecessors=True)[1]
-    way = [int(target)]
-    while way[-1] != source:
-        way.append(int(before[way[-1]]))
-    return np.argwhere(free)[way[::-1]]
+    path = [int(target)]
+    while path[-1] != source:
+        path.append(int(before[path[-1]]))
+    return np.argwhere(free)[path[::-1]]

@@ -1,4 +1,4 @@
-"""Shortest paths and reachability: scipy's graph routines behind the network's own arrays."""
+"""Shortest paths and reachability on edge arrays, by scipy's graph routines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def edge_matrix(edges: IndexArray, weights: FloatArray, count: int) -> csr_matri
 
 
 def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
-    """Nodes (count,) that some path from ``node`` reaches."""
+    """Which nodes (count,) can be reached from ``node``."""
     found = breadth_first_order(
         edge_matrix(edges, np.ones(len(edges)), count), node, return_predecessors=False
     )
@@ -25,12 +25,12 @@ def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
 
 
 def on_some_route(edges: IndexArray, count: int, source: int, target: int) -> BoolArray:
-    """Nodes (count,) that lie on some path from ``source`` to ``target``."""
+    """Which nodes (count,) lie on some path from ``source`` to ``target``."""
     return reachable_from(edges, count, source) & reachable_from(edges[:, ::-1], count, target)
 
 
 def distances_from(edges: IndexArray, weights: FloatArray, count: int, node: int) -> FloatArray:
-    """Least weight of a path from ``node`` to each node (count,); inf where there is none."""
+    """Least weight of a path from ``node`` to each node (count,); inf if there is none."""
     distance: FloatArray = dijkstra(edge_matrix(edges, weights, count), indices=node)
     return distance
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray
 from ..game.game import Game
-from ..game.hits import worst_loss
+from ..game.hits import meeting_probability, worst_loss
 from ..game.route_sampler import route_strategy, shortest_route
 from ..game.strategy import Strategy
 
@@ -21,8 +21,9 @@ class Measures:
     """One planner's row of the table.
 
     ``expected_length`` is E [m]; ``p_first`` is P_1, the probability of an ambush by the
-    equilibrium ambusher; ``p_repeated`` and ``v_repeated`` are P_inf and V_inf, probability and
-    mean loss of an ambush by an ambusher who has learnt the planner's strategy.
+    equilibrium ambusher (with several ambushers, the expected number that the convoy meets);
+    ``p_repeated`` and ``v_repeated`` are P_inf and V_inf, probability and mean loss of an ambush
+    by an ambusher who has learnt the planner's strategy.
     """
 
     planner: str
@@ -41,7 +42,7 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
     no better than the equilibrium.
     """
     game, q = strategy.game, strategy.ambush_probability
-    p_first = _meeting_probability(game, strategy.edge_probability, q)
+    p_first = meeting_probability(game, strategy.edge_probability, q)
     stochastic = Measures(
         'stochastic', strategy.expected_length, p_first, p_first, strategy.value
     )
@@ -64,18 +65,13 @@ def risk_avoiding_route(game: Game) -> IndexArray:
     return shortest_route(game.network, np.flatnonzero(tied))
 
 
-def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
-    """P = sum_j q_j x_j (the paper's equation 8)."""
-    return float(q[game.sites] @ (game.hits @ p))
-
-
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
     return Measures(
         planner,
         float(p @ game.network.lengths),
-        _meeting_probability(game, p, q),
+        meeting_probability(game, p, q),
         1.0 if worst > 0.0 else 0.0,
         worst,
     )

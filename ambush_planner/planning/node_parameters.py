@@ -1,4 +1,4 @@
-"""The values of all parameters, read into one frozen record."""
+"""The values of all parameters of the node, read into one frozen record."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
-from .parameters import CHOSEN, COMPRESSIONS, PARAMETERS
+from .parameters import AUTOMATIC, PARAMETERS
 from .plan import DriveOptions, PlanningOptions
 
+# Cell value of an obstacle in Nav2's costmaps (inscribed).
 _COSTMAP_OBSTACLE = 99
-# In groups of the core's options, but not of these.
-_NOT_THE_CORES = ('map.preset', 'strategy.max_gap')
+# Parameters that are not fields of the options that their groups are named after.
+_OTHER_PARAMETERS = ('map.preset', 'strategy.max_gap')
 
 _Options = TypeVar('_Options')
 
@@ -32,7 +33,7 @@ class RecordingOptions:
     Raises
     ------
     InvalidOption
-        The directory is empty, or the compression is not one of those there are.
+        The directory is empty, or its home directory is unknown.
     """
 
     enabled: bool
@@ -47,15 +48,11 @@ class RecordingOptions:
             Path(self.directory).expanduser()
         except RuntimeError as error:
             raise InvalidOption(f'directory {self.directory!r}: {error}') from error
-        if self.compression not in COMPRESSIONS:
-            raise InvalidOption(
-                f'compression must be one of {", ".join(COMPRESSIONS)}, got {self.compression!r}'
-            )
 
 
 @dataclass(frozen=True)
 class RobotOptions:
-    """Where the robot is: its frame ('': unknown), and how old a transform may be [s]."""
+    """The robot's frame ('': unknown), and the maximum age of its transforms [s]."""
 
     frame: str = ''
     max_age: float = math.inf
@@ -63,9 +60,9 @@ class RobotOptions:
 
 @dataclass(frozen=True)
 class NodeParameters:
-    """All parameters, as the parts of the planner take them.
+    """All parameters, grouped for the parts of the planner.
 
-    ``values`` are those of ``PARAMETERS`` by their names.
+    ``values`` are the plain values by the names of ``PARAMETERS``.
     """
 
     occupancy: OccupancyOptions
@@ -92,18 +89,26 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
     InvalidOption
         A value is out of range, or values contradict each other.
     """
+    for name, parameter in PARAMETERS.items():
+        if parameter.choices and values[name] not in parameter.choices:
+            choices = ', '.join(parameter.choices)
+            raise InvalidOption(f'{name} must be one of {choices}, got {values[name]!r}')
     if not math.isfinite(values['route.path_spacing']):
         raise InvalidOption(
             f'route.path_spacing must be finite [m], got {values["route.path_spacing"]}'
         )
+    occupancy = _options(OccupancyOptions, 'map', values)
+    if values['map.preset'] == 'costmap':
+        threshold = min(occupancy.obstacle_threshold, _COSTMAP_OBSTACLE)
+        occupancy = replace(occupancy, obstacle_threshold=threshold)
     limit = values['max_planning_time']
     return NodeParameters(
-        occupancy=_occupancy(values),
+        occupancy=occupancy,
         planning=PlanningOptions(
             _options(NetworkOptions, 'network', values),
             _options(GameOptions, 'game', values),
             _options(StrategyOptions, 'strategy', values, time_limit=limit),
-            _drive(values),
+            _drive_options(values['route.tube'], values['route.turning_radius']),
             values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
@@ -114,37 +119,18 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
         replan_tolerance=values['replan.tolerance'],
         max_gap=values['strategy.max_gap'],
         queue_size=values['queue.size'],
-        trip_order=_choice(values, 'trip.order'),
+        trip_order=values['trip.order'],
         error_hold=values['diagnostics.error_hold'],
         seed=values['seed'],
         values=MappingProxyType(dict(values)),
     )
 
 
-def _occupancy(values: Mapping[str, Any]) -> OccupancyOptions:
-    preset = _choice(values, 'map.preset')
-    options = _options(OccupancyOptions, 'map', values)
-    if preset == 'alpha':
-        return options
-    return replace(
-        options, obstacle_threshold=min(options.obstacle_threshold, _COSTMAP_OBSTACLE)
-    )
-
-
-def _choice(values: Mapping[str, Any], name: str) -> str:
-    choices, value = PARAMETERS[name].choices, values[name]
-    if value not in choices:
-        raise InvalidOption(f'{name} must be one of {", ".join(choices)}, got {value!r}')
-    chosen: str = value
-    return chosen
-
-
-def _drive(values: Mapping[str, Any]) -> DriveOptions:
-    tube, radius = values['route.tube'], values['route.turning_radius']
-    if tube < 0.0 and tube != CHOSEN:
-        raise InvalidOption(f'route.tube must be >= 0 [m], or -1 to be chosen, got {tube}')
+def _drive_options(tube: float, turning_radius: float) -> DriveOptions:
+    if tube < 0.0 and tube != AUTOMATIC:
+        raise InvalidOption(f'route.tube must be >= 0 [m], or -1 for automatic, got {tube}')
     try:
-        return DriveOptions(None if tube == CHOSEN else tube, radius)
+        return DriveOptions(None if tube == AUTOMATIC else tube, turning_radius)
     except InvalidOption as error:
         raise InvalidOption(f'route.{error}') from error
 
@@ -152,11 +138,11 @@ def _drive(values: Mapping[str, Any]) -> DriveOptions:
 def _options(
     kind: Callable[..., _Options], group: str, values: Mapping[str, Any], **others: Any
 ) -> _Options:
-    """Make the options that ``group`` holds; errors call them by their parameters' names."""
+    """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
     options = {
         name.removeprefix(start): values[name]
-        for name in values if name.startswith(start) and name not in _NOT_THE_CORES
+        for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS
     }
     try:
         return kind(**options, **others)

@@ -23,7 +23,7 @@ from ..game.flow_program import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, Roads, lay_roads
+from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from .plan import (
@@ -78,12 +78,14 @@ def plan_trip(
     options, begin = options or PlanningOptions(), time.monotonic()
     asked = list(stops)
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    roads = lay_roads(risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place])
+    graph = build_trip_graph(
+        risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place]
+    )
     chosen, found = tuple(range(len(asked))), order
     if order == 'given' or len(asked) < 2:
-        strategy = solve_on_network(risk_map, roads.network(roads.visits), options, warm)
+        strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm)
     else:
-        strategy, chosen, found = _StopOrderSearch(risk_map, roads, options).run()
+        strategy, chosen, found = _StopOrderSearch(risk_map, graph, options).run()
     made = make_plan(risk_map, strategy, options, begin)
     return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
 
@@ -106,9 +108,9 @@ def trip_network(
 ) -> Network:
     """The network of a plan whose stops are ``visited`` in this sequence."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
-    roads = lay_roads(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
-    nodes = roads.visits
-    return roads.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
+    graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
+    nodes = graph.visits
+    return graph.network([nodes[0], *(nodes[1 + k] for k in np.argsort(places)), nodes[-1]])
 
 
 def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
@@ -136,16 +138,16 @@ class _StopOrderSearch:
     bounds come from minimum cuts between pairs of ends; each solved order adds another.
     """
 
-    def __init__(self, risk_map: RiskMap, roads: Roads, options: PlanningOptions) -> None:
-        self._map, self._roads, self._options = risk_map, roads, options
+    def __init__(self, risk_map: RiskMap, graph: TripGraph, options: PlanningOptions) -> None:
+        self._map, self._graph, self._options = risk_map, graph, options
         self._game = replace(options.game, ambush_radius=reach(risk_map, options))
         self._deadline = time.monotonic() + options.strategy.time_limit
-        self._ends = sorted(set(roads.visits))
+        self._ends = sorted(set(graph.visits))
         at = {node: k for k, node in enumerate(self._ends)}
-        self._visits = np.array([at[node] for node in roads.visits])
-        both = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
-        steps = np.hypot(*(roads.points[both[:, 1]] - roads.points[both[:, 0]]).T)
-        self._lengths = self._end_distances(both, steps, len(roads.points))
+        self._visits = np.array([at[node] for node in graph.visits])
+        both = np.concatenate((graph.pairs, graph.pairs[:, ::-1]))
+        steps = np.hypot(*(graph.points[both[:, 1]] - graph.points[both[:, 0]]).T)
+        self._lengths = self._end_distances(both, steps, len(graph.points))
 
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
@@ -204,8 +206,8 @@ class _StopOrderSearch:
         return *best, 'best'
 
     def _network(self, order: IndexArray) -> Network:
-        nodes = self._roads.visits
-        return self._roads.network([nodes[0], *(nodes[1 + k] for k in order), nodes[-1]])
+        nodes = self._graph.visits
+        return self._graph.network([nodes[0], *(nodes[1 + k] for k in order), nodes[-1]])
 
     def _solve(self, order: IndexArray, length: float, limit: float) -> Strategy:
         """The strategy for one order, within the common budget."""
@@ -223,7 +225,7 @@ class _StopOrderSearch:
         k = game.ambushers
         options = replace(self._game, ambush_radius=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
-            cut = solve_by_min_cut(make_game(self._roads.network(pair), options))
+            cut = solve_by_min_cut(make_game(self._graph.network(pair), options))
             q = np.zeros(game.node_count)
             q[: len(cut.q)] = capped_at_one(k * cut.q, k)
             yield self._bound_of(game, q)

@@ -1,18 +1,29 @@
-"""Recordings of departures: MCAP files as rosbag2 writes them, and back from them."""
+"""Recordings of departures: MCAP files that rosbag2 and Foxglove take, and what is read from them.
 
-from .messages import Attachment, RecordedMessage, type_name
-from .reader import RecordedDeparture, read_departure, recordings_in
+``Recorder`` writes a departure's messages, metadata and strategy as one file. ``read_recording``
+reads the file, ``RecordedDeparture`` holds what the departure was drawn from, ``Verifier`` checks
+that the recorded route and path follow from it. Nothing here needs a ROS node; reading and
+verifying need no ROS installation.
+"""
+
+from .messages import RecordedMessage, type_name
+from .recorded_departure import RecordedDeparture, read_departure
+from .recorded_departures import read_departures, recordings_in, source_findings
 from .recorder import Recorder
 from .recording_errors import RecordingFailed, UnreadableRecording
+from .recording_file import RecordingFile, read_recording
 
 __all__ = [
-    'Attachment',
     'RecordedDeparture',
     'RecordedMessage',
     'Recorder',
     'RecordingFailed',
+    'RecordingFile',
     'UnreadableRecording',
     'read_departure',
+    'read_departures',
+    'read_recording',
     'recordings_in',
+    'source_findings',
     'type_name',
 ]

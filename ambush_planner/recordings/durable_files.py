@@ -6,12 +6,14 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+TEMPORARY = '.tmp'
+
 
 def write_durably(path: Path, data: bytes) -> None:
     """Put ``data`` at ``path`` (mode 0600) in one step, replacing what is there.
 
-    The data goes to a temporary file beside it, is flushed to the disk and only then renamed:
-    a reader sees the old content or the new one, never a part.
+    The data goes to a temporary file in the same folder, is flushed to the disk, and is then
+    renamed: a reader sees the old content or the new one, never a part.
 
     Raises
     ------
@@ -19,9 +21,8 @@ def write_durably(path: Path, data: bytes) -> None:
         Nothing was changed at ``path`` and no temporary file is left, unless the final flush of
         the folder failed: then the file is in place, but may not survive a power cut.
     """
-    temporary = path.with_name(f'{path.name}.tmp')
+    temporary = path.with_name(f'{path.name}{TEMPORARY}')
     try:
-        # An earlier failure may have left one behind that could not be removed at the time.
         temporary.unlink(missing_ok=True)
         _write_new_file(temporary, data)
         os.replace(temporary, path)
@@ -29,18 +30,16 @@ def write_durably(path: Path, data: bytes) -> None:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
-    flush_folder(path.parent)
+    _flush_folder(path.parent)
 
 
 def make_private_folders(path: Path) -> None:
-    """Make the folder ``path`` and those above it that are missing; those there stay as they are.
-
-    Each new one has mode 0700, and its parent is flushed to the disk.
+    """Make the folder ``path`` and the missing ones above it, with mode 0700.
 
     Raises
     ------
     FileExistsError
-        ``path`` or one above it is there, and is not a folder.
+        ``path`` or one above it exists and is not a folder.
     OSError
         One of them cannot be made.
     """
@@ -49,7 +48,7 @@ def make_private_folders(path: Path) -> None:
             try:
                 make_private_folder(folder)
             except FileExistsError:
-                if not folder.is_dir():  # made by another process meanwhile
+                if not folder.is_dir():  # another process may have made it meanwhile
                     raise
 
 
@@ -59,15 +58,15 @@ def make_private_folder(path: Path) -> None:
     Raises
     ------
     FileExistsError
-        Something of this name is already there.
+        Something of this name exists.
     OSError
         The parent does not exist or is not writable.
     """
     path.mkdir(mode=0o700)
-    flush_folder(path.parent)
+    _flush_folder(path.parent)
 
 
-def flush_folder(path: Path) -> None:
+def _flush_folder(path: Path) -> None:
     """Flush the names in the folder ``path`` to the disk."""
     descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
@@ -77,7 +76,7 @@ def flush_folder(path: Path) -> None:
 
 
 def _write_new_file(path: Path, data: bytes) -> None:
-    # O_EXCL and O_NOFOLLOW: never write through a link or into a file that someone put there.
+    # O_EXCL and O_NOFOLLOW: never write through a link or into a file of another user.
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
     with os.fdopen(os.open(path, flags, 0o600), 'wb') as file:
         file.write(data)

@@ -1,144 +1,96 @@
-"""Recorded departures as plain records, those of one strategy or map sharing one."""
+"""Recorded departures in folders: listed, read, and compared by their random sources."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
-import numpy as np
+from .recorded_departure import RecordedDeparture, SharedParts, read_departure
+from .recording_errors import UnreadableRecording, reading_from
 
-from ..arrays import IndexArray, frozen_array
-from ..game.acyclic import is_acyclic
-from ..game.hits import worst_loss
-from ..game.strategy import Strategy
-from ..maps.risk_map import RiskMap
-from ..planning.conditioning import ConditionedStrategy
-from ..planning.node_parameters import NodeParameters
-from ..planning.plan import Plan
-from . import UnreadableRecording, read_departure
-from .metadata import LEAST_BITS, Metadata
-from .recorded_case import Case
-from .verify_plan import ground_then
+if TYPE_CHECKING:
+    from .verify import Verdict
+
+# Minimum bit length of the 256-bit seed; honest seeds fall below it with probability 2^-64.
+LEAST_BITS = 192
 
 
-@dataclass(frozen=True, eq=False)
-class Departure:
-    """One departure with what it was drawn from; every checksum and stated hash held.
+def recordings_in(path: Path | str) -> list[Path]:
+    """List the recordings in a file, a session folder or a recording.directory.
 
-    ``strategy`` is the recorded one. ``law`` is what the route was drawn from: the same, or, where
-    the map had changed, the strategy on condition that its routes are clear on the newest map.
+    Returns
+    -------
+    list of Path
+        The file itself; or the files of a folder by their numbers, followed by those of all
+        session folders in it, in the order of time.
+
+    Raises
+    ------
+    UnreadableRecording
+        The path does not exist, or the folder holds no recording.
     """
-
-    path: Path
-    sha256: str
-    stamp_ns: int
-    metadata: Metadata
-    parameters: NodeParameters
-    strategy: Strategy
-    law: Strategy
-    risk_map: RiskMap
-    route: IndexArray
+    path = Path(path)
+    with reading_from(path):
+        if not path.is_dir():
+            path.stat()
+            return [path]
+        # The names of session folders contain the times at which the sessions began.
+        folders = sorted((each for each in path.iterdir() if each.is_dir()), key=_natural_order)
+        found = [
+            file for folder in (path, *folders)
+            for file in sorted(folder.glob('*.mcap'), key=_natural_order)
+        ]
+    if not found:
+        raise UnreadableRecording(path, 'there is no .mcap file in this folder; name another one')
+    return found
 
 
 def read_departures(
     paths: Iterable[Path], unreadable: Callable[[UnreadableRecording], None]
-) -> list[Departure]:
-    """Read recordings, the earliest departure first; one that was copied counts once.
+) -> list[RecordedDeparture]:
+    """Read recordings, the earliest departure first; copies count once.
 
-    ``unreadable`` is called with the error of each file that cannot be read; others are used.
+    ``unreadable`` is called with the error of each file that cannot be read.
     """
-    known: dict[str, Departure] = {}
-    shared: dict[Hashable, Any] = {}
+    known: dict[str, RecordedDeparture] = {}
+    shared = SharedParts()
     for path in paths:
         try:
-            departure = _departure(Case(read_departure(path)), shared)
-            other = known.setdefault(departure.metadata.id, departure)
-            if other.metadata.sha256 != departure.metadata.sha256:
-                raise UnreadableRecording(
-                    path, f'it has the departure_id of {other.path.name}, but another content'
-                )
+            departure = read_departure(path, shared)
         except UnreadableRecording as error:
             unreadable(error)
-    return sorted(known.values(), key=lambda each: (each.stamp_ns, each.metadata.number))
-
-
-def source_findings(departures: Iterable[tuple[str, Metadata]]) -> list[str]:
-    """Say which departures were not drawn from fresh random numbers of full length.
-
-    ``departures``: a name for each, and its metadata. Two sources nearer to each other than 192
-    bits, a counter's say, come by chance once in 2^64.
-    """
-    found, values = [], []
-    for name, metadata in departures:
-        source = metadata.route_entropy_source
-        if len(source) == 1 and source[0].bit_length() < LEAST_BITS:
-            found.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
         else:
-            values.append((tuple(source), name, metadata.id))
-    values.sort()
-    for (one, first, id_), (other, name, other_id) in zip(values, values[1:], strict=False):
+            known.setdefault(departure.id, departure)
+    return sorted(known.values(), key=lambda each: (each.stamp_ns, each.number))
+
+
+def source_findings(departures: Iterable[RecordedDeparture | Verdict]) -> list[str]:
+    """Report departures that were not drawn from fresh random numbers of full length.
+
+    Sources that differ only in their last 192 bits, like those of a counter, come by chance with
+    probability 2^-64.
+    """
+    findings, sources = [], []
+    for each in departures:
+        source, name = each.route_entropy_source, each.path.name
+        if len(source) == 1 and source[0].bit_length() < LEAST_BITS:
+            findings.append(f'{name}: its random source has fewer than {LEAST_BITS} bits')
+        else:
+            sources.append((tuple(source), name, each.id))
+    sources.sort()
+    for (one, first, id_), (other, name, other_id) in zip(sources, sources[1:], strict=False):
         near = one == other or (
             len(one) == len(other) == 1 and (other[0] - one[0]).bit_length() < LEAST_BITS
         )
         if near and id_ != other_id:
             same = 'the same' if one == other else 'nearly the same'
-            found.append(f'{name}: its random source is {same} as that of {first}')
-    return found
+            findings.append(f'{name}: its random source is {same} as that of {first}')
+    return findings
 
 
-def _departure(case: Case, shared: dict[Hashable, Any]) -> Departure:
-    metadata, parameters = case.metadata, case.parameters
-
-    def once(make: Callable[[], Any], *key: Hashable) -> Any:
-        if key not in shared:
-            shared[key] = make()
-        return shared[key]
-
-    strategy = once(case.strategy, 'strategy', metadata.sha256['strategy'],
-                    parameters.planning.game)
-    risk_map = once(case.risk_map, 'map', metadata.sha256['map'], parameters.occupancy)
-    # Published anew, a map may be serialised to other bytes.
-    risk_map = once(lambda: risk_map, 'content', _content(risk_map))
-    law = once(
-        lambda: _law(case, strategy), 'law', id(strategy), id(risk_map),
-        metadata.sha256['map_changes'], parameters.occupancy, parameters.planning,
-    ) if case.recorded.map_changes else strategy
-    route = frozen_array(metadata.route, np.int64)
-    if route.max() >= len(strategy.network.points):
-        raise case.unreadable('the recorded route leaves the recorded network')
-    return Departure(
-        case.path, case.recorded.sha256, case.recorded.stamp_ns, metadata, parameters, strategy,
-        law, risk_map, route,
-    )
-
-
-def _law(case: Case, strategy: Strategy) -> Strategy:
-    """The strategy on condition that its routes are clear on the map as it had changed.
-
-    One with cycles has no such law, and comes back as it is.
-    """
-    # Bottleneck and corridors do not decide which edges are lost.
-    options = case.parameters.planning
-    plan = Plan(strategy.network, strategy, None, None, options, 0.0, None, 0.0)
-    ground, newest = ground_then(case, plan)
-    lost = ground.lost(newest)
-    if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
-        strategy.network, strategy.edge_probability
-    ):
-        return strategy
-    share, p = ConditionedStrategy(strategy).avoiding(lost)
-    if share <= 0.0:
-        raise case.unreadable('map_changes: no route of the recorded strategy is left')
-    return replace(
-        strategy, edge_probability=frozen_array(p, np.float64),
-        visit_probability=frozen_array(strategy.game.visits(p), np.float64),
-        value=worst_loss(strategy.game, p),
-    )
-
-
-def _content(risk_map: RiskMap) -> str:
-    digest = hashlib.sha256(risk_map.alpha.tobytes() + risk_map.obstacles.tobytes())
-    return f'{digest.hexdigest()} {risk_map.alpha.shape} {risk_map.resolution} {risk_map.origin}'
+def _natural_order(path: Path) -> list[tuple[int, str]]:
+    """Sort names with their numbers as numbers: ``run_2`` before ``run_10``."""
+    parts = re.split(r'(\d+)', path.stem)
+    return [(int(part), '') if part.isdecimal() else (-1, part) for part in parts]

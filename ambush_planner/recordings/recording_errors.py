@@ -1,4 +1,4 @@
-"""The errors of the recording: each says which file or folder, why, and what to do."""
+"""Errors of recordings: each names the file or folder, the reason, and what to do."""
 
 from __future__ import annotations
 
@@ -10,34 +10,26 @@ from ..errors import AmbushPlannerError, shown
 
 
 class _AtPath(AmbushPlannerError):
-    """What went wrong at a file or folder.
+    """An error with a file or folder: its ``path``, and the ``reason`` in words."""
 
-    Attributes
-    ----------
-    path
-        The file or folder.
-    reason
-        What is wrong, in the operating system's words where it was the one to refuse.
-    """
-
-    _said = ''
+    _sentence = ''
 
     def __init__(self, path: Path, reason: str) -> None:
-        super().__init__(self._said.format(shown(path), reason))
+        super().__init__(self._sentence.format(shown(path), reason))
         self.path = path
         self.reason = reason
 
 
 class RecordingFailed(_AtPath):
-    """A departure could not be recorded; planning is not affected, the next one tries again."""
+    """A departure could not be recorded. The departure itself is not affected."""
 
-    _said = 'recording failed at {}: {}'
+    _sentence = 'recording failed at {}: {}'
 
 
 class UnreadableRecording(_AtPath):
     """A file or folder is not a whole recording of a departure."""
 
-    _said = '{} is not readable as a recording: {}'
+    _sentence = '{} is not readable as a recording: {}'
 
 
 @contextmanager

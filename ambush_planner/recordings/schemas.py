@@ -10,13 +10,9 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
-
-from ament_index_python.packages import get_package_share_directory
+from typing import NamedTuple
 
 from .recording_errors import RecordingFailed
 
@@ -24,16 +20,13 @@ _SEPARATOR = '=' * 80
 _EVENT = '_Event'
 
 
-@dataclass(frozen=True)
-class MessageDefinition:
-    """One message type, described so that a reader without ROS can decode it.
+class MessageDefinition(NamedTuple):
+    """A message type, described so that a reader without ROS can decode it.
 
-    ``name`` is like ``nav_msgs/msg/Path``, ``encoding`` that of the text (``ros2msg`` or
-    ``ros2idl``), ``text`` its definition, followed by those of all types that it uses, and
-    ``type_hash`` the REP 2011 hash, ``RIHS01_...``.
+    ``encoding`` is ``ros2msg`` or ``ros2idl``, ``text`` the type's definition and those of all
+    types it uses, ``type_hash`` the REP 2011 hash, ``RIHS01_...``.
     """
 
-    name: str
     encoding: str
     text: str
     type_hash: str
@@ -41,9 +34,7 @@ class MessageDefinition:
 
 @cache
 def load_definition(name: str) -> MessageDefinition:
-    """Read the definition of the message type ``name`` from the installed packages.
-
-    Dependencies follow the type itself depth first, each once, as rosbag2 orders them.
+    """Read the definition of a type like ``nav_msgs/msg/Path`` from the installed packages.
 
     Raises
     ------
@@ -53,22 +44,31 @@ def load_definition(name: str) -> MessageDefinition:
     event = '/srv/' in name and name.endswith(_EVENT)
     described = json.loads(_read_interface(name.removesuffix(_EVENT) if event else name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in described['type_hashes']}
-    dependencies = _dependencies(name, described['type_description_msg'])
-    text = _event_idl(name, dependencies) if event else _message_text(name, dependencies)
-    return MessageDefinition(name, 'ros2idl' if event else 'ros2msg', text, hashes[name])
-
-
-def _message_text(name: str, dependencies: list[str]) -> str:
+    used = _types_used(name, described['type_description_msg'])
+    if event:
+        return MessageDefinition('ros2idl', _event_idl(name, used), hashes[name])
     parts = [_read_interface(name, 'msg')]
-    for dependency in dependencies:
-        package, _, short_name = dependency.split('/')
-        text = _read_interface(dependency, 'msg')
-        parts.append(f'{_SEPARATOR}\nMSG: {package}/{short_name}\n{text}')
-    return '\n'.join(parts)
+    for other in used:
+        text = _read_interface(other, 'msg')
+        parts.append(f'{_SEPARATOR}\nMSG: {other.replace("/msg/", "/")}\n{text}')
+    return MessageDefinition('ros2msg', '\n'.join(parts), hashes[name])
 
 
-def _event_idl(name: str, dependencies: list[str]) -> str:
-    """The event's struct (REP 2012), then the file with its request and response, and the rest."""
+def _types_used(name: str, description: dict) -> list[str]:
+    """Return the types that a type is made of, each once."""
+    fields = {
+        entry['type_name']: entry['fields']
+        for entry in (description['type_description'], *description['referenced_type_descriptions'])
+    }
+    found = [name]
+    for each in found:  # grows meanwhile
+        nested = (field['type']['nested_type_name'] for field in fields[each])
+        found += [type_ for type_ in dict.fromkeys(nested) if type_ and type_ not in found]
+    return found[1:]
+
+
+def _event_idl(name: str, used: list[str]) -> str:
+    """Return the event's struct (REP 2012), its service's file, and those of all other types."""
     service = name.removesuffix(_EVENT)
     package, kind, short_name = service.split('/')
     scoped = f'{package}::{kind}::{short_name}'
@@ -79,33 +79,13 @@ def _event_idl(name: str, dependencies: list[str]) -> str:
         f'      sequence<{scoped}_Response, 1> response;\n'
         '    };\n  };\n};\n'
     )
-    used = [type_ for type_ in dependencies if not type_.startswith(f'{service}_')]
-    texts = {type_: _without_includes(_read_interface(type_, 'idl')) for type_ in (service, *used)}
-    parts = {name: event, **texts}
+    parts = {name: event}
+    for type_ in (service, *used):
+        if not type_.startswith(f'{service}_'):
+            lines = _read_interface(type_, 'idl').splitlines(True)
+            # Included types follow in this text, and parsers without a file system refuse includes.
+            parts[type_] = ''.join(line for line in lines if not line.startswith('#include'))
     return '\n'.join(f'{_SEPARATOR}\nIDL: {type_}\n{text}' for type_, text in parts.items())
-
-
-def _without_includes(idl: str) -> str:
-    """What is included stands in the same text, and parsers without a file system refuse it."""
-    return ''.join(line for line in idl.splitlines(True) if not line.startswith('#include'))
-
-
-def _dependencies(name: str, description: Mapping[str, Any]) -> list[str]:
-    described = {
-        entry['type_name']: entry['fields']
-        for entry in (description['type_description'], *description['referenced_type_descriptions'])
-    }
-    found: list[str] = []
-
-    def visit(type_: str) -> None:
-        for field in described[type_]:
-            nested = field['type']['nested_type_name']
-            if nested and nested not in found:
-                found.append(nested)
-                visit(nested)
-
-    visit(name)
-    return found
 
 
 def _read_interface(name: str, extension: str) -> str:
@@ -122,6 +102,9 @@ def _read_interface(name: str, extension: str) -> str:
 
 
 def _share_folder(package: str) -> Path:
+    # Reading recordings needs neither ROS nor this module's definitions.
+    from ament_index_python.packages import get_package_share_directory
+
     try:
         return Path(get_package_share_directory(package))
     except (LookupError, OSError):

@@ -1,291 +1,263 @@
-"""Checks a recorded departure: planned and drawn again from what was recorded, is it the same?
+"""Verifies recorded departures: network, certificate, route and path follow from what is recorded.
 
-Each check leans on the one before: the stated hashes hold for what was recorded; the trip follows
-from the recorded poses; the map, the trip and the parameters give the recorded network and
-strategy; the recorded strategy and the source of randomness give the recorded route; and all that
-was published follows from these. What that cannot show stands in the help of ``ambush_verify``.
+The network is built again from the recorded map and options, the certificate is judged on it, and
+route and path are drawn again from the recorded entropy. That needs no second solve: the
+certificate alone proves how close the strategy is to the best one.
 """
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
-from ..errors import AmbushPlannerError
-from ..game.strategy import Strategy
-from ..maps.ros_messages import occupancy_from_ros
-from ..planning.plan import PlanningOptions, PlanRequest, WarmStart
-from ..ros.departure_record import planner_version, software_versions
-from ..worker.process import WorkerProcess
-from . import UnreadableRecording, read_departure
-from .bag_folder import BagFile, describe_file
-from .metadata import Metadata
-from .recorded_case import Case
-from .verify_file import file_faults
-from .verify_messages import (
-    call_faults,
-    kind_faults,
-    marker_faults,
-    path_faults,
-    solve_seconds,
-    status_faults,
-    time_faults,
-)
-from .verify_plan import (
-    PlannedAgain,
-    certificate_faults,
-    changed_route_faults,
-    ground_then,
-    route_faults,
-    source_faults,
-    strategy_faults,
-    was_hurried,
-)
-from .verify_trip import PosedTrip, ends_faults, metadata_faults, posed_trip
+import numpy as np
 
-# There and back again, as the node keeps plans.
+from ..errors import AmbushPlannerError, TimeLimit
+from ..game.acyclic import is_acyclic
+from ..game.revaluation import open_gap
+from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
+from ..maps.risk_map import RiskMap
+from ..planning.plan import PlanningOptions, Route, add_hiding_places, departure_path, reach
+from ..planning.trip import trip_network
+from .recorded_departure import (
+    RecordedDeparture,
+    RecordedTrip,
+    SharedParts,
+    departure_in,
+    ground_of,
+)
+from .recorded_departures import LEAST_BITS, source_findings
+from .recording_errors import UnreadableRecording
+from .recording_file import read_recording
+from .strategy_file import NUMBERS
+
+# Rounding between releases of numpy and scipy, relative and absolute.
+_TOLERANCE = 1e-9
+# Rounding of path poses [m, rad].
+_POSE_TOLERANCE = 1e-6
+# Strategies and maps kept in memory, as the node keeps plans.
 _KEPT = 4
 
 
 @dataclass(eq=False)
 class Verdict:
-    """What was found about one recorded departure, or is being found out.
+    """What was found about one file.
 
     Attributes
     ----------
-    path
-        The file.
-    sha256
-        Of the file; empty if it could not be read.
-    nodes, value
-        Of its strategy; 0 and nan if that could not be read.
-    problems
-        What does not hold; each begins with the part of the recording that it is about.
-    notes
-        What could not be checked, and how the computers differ.
-    metadata, file
-        What the file says, and how ``metadata.yaml`` lists it; None if it could not be read.
+    readable
+        Whether the file is a whole recording.
+    problems, notes
+        What does not hold, each beginning with the part of the recording that it concerns; and
+        remarks that are no problems.
+    id, number, nodes, value, route_entropy_source
+        Of the departure and its strategy; empty, 0 or nan if they cannot be read. The strategy
+        itself is not kept, since a folder may hold thousands.
     """
 
     path: Path
-    sha256: str = ''
-    nodes: int = 0
-    value: float = math.nan
+    readable: bool = False
     problems: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    metadata: Metadata | None = field(default=None, repr=False)
-    file: BagFile | None = field(default=None, repr=False)
-
-    @property
-    def number(self) -> int:
-        """Which departure of its session it is; 0 if that could not be read."""
-        return self.metadata.number if self.metadata else 0
+    id: str = ''
+    number: int = 0
+    nodes: int = 0
+    value: float = math.nan
+    route_entropy_source: list[int] = field(default_factory=list, repr=False)
 
     @property
     def holds(self) -> bool:
-        """Whether all that was checked holds."""
+        """Whether everything that was checked holds."""
         return not self.problems
-
-    @property
-    def readable(self) -> bool:
-        """Whether it is a departure at all."""
-        return self.metadata is not None
 
 
 class Verifier:
-    """Verifies departures one after the other; those of one strategy take one solve.
+    """Verifies departures one after the other; those of one strategy share its checks.
 
-    Solves run in a worker process like the node's, with its number of threads, as another number
-    rounds otherwise. Also a context manager, which ends it.
-
-    Parameters
-    ----------
-    planning
-        Called with a file before it is planned again, which may take long.
+    With ``replan`` each strategy is also solved again, from cold, and the values are compared.
     """
 
-    def __init__(self, planning: Callable[[Path], None] = lambda path: None) -> None:
-        self._planning = planning
-        self._kept = {kind: _Cache() for kind in ('strategy', 'plan', 'comparison', 'markers')}
-        self._seen: dict[str, tuple[Path, Mapping[str, str]]] = {}
-        self._worker: WorkerProcess | None = None
-
-    def __enter__(self) -> Verifier:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._worker is not None:
-            self._worker.close()
-            self._worker = None
+    def __init__(self, replan: bool = False) -> None:
+        self._replan = replan
+        self._shared = SharedParts(_KEPT)
+        self._network_problems = lru_cache(_KEPT)(network_problems)
+        self._ground = lru_cache(_KEPT)(ground_of)
+        self._replan_problems = lru_cache(_KEPT)(replan_problems)
 
     def verify(self, path: Path) -> Verdict:
-        """Verify one file; never raises for what is in it."""
-        check = Verdict(path)
+        """Verify one file; problems are in the verdict and never raised."""
+        verdict = Verdict(path)
         try:
-            self._check(check)
+            file = read_recording(path)
+            verdict.readable = True
+            departure = departure_in(file, self._shared)
+            verdict.id, verdict.number = departure.id, departure.number
+            verdict.nodes = len(departure.strategy.network.points)
+            verdict.value = departure.strategy.value
+            verdict.route_entropy_source = departure.route_entropy_source
+            if departure.parameters.seed >= 0:
+                verdict.notes.append('drawn with a fixed seed: anyone who knows it can foresee it')
+            verdict.problems += self._problems(departure)
         except UnreadableRecording as error:
-            check.problems.append(error.reason)
+            verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
-            check.problems.append(str(error))
-        except (ArithmeticError, AttributeError, LookupError, MemoryError, TypeError,
-                ValueError) as error:
-            # A forger can put numbers of any type and size where they stop a computation. The
-            # error's own words are left out: they may hold what belongs into no log.
-            check.problems.append(f'it cannot be computed again ({type(error).__name__})')
-        return check
+            verdict.problems.append(f'map, trip and parameters cannot be planned with: {error}')
+        return verdict
 
-    def _check(self, check: Verdict) -> None:
-        recorded = read_departure(check.path)
-        check.metadata, check.sha256 = recorded.metadata, recorded.sha256
-        check.file = describe_file(check.path.name, recorded.content)
-        case = Case(recorded)
-        check.problems += file_faults(recorded)
-        check.problems += self._copy_faults(case.metadata, check.path)
-        for faults in (metadata_faults, kind_faults, call_faults, time_faults, source_faults):
-            check.problems += faults(case)
-        strategy = self._kept['strategy'].get(_strategy_key(case), case.strategy)
-        check.nodes, check.value = len(strategy.network.points), strategy.value
-        check.problems += self._marker_faults(case, strategy)
-        certificate = certificate_faults(strategy, case.parameters.planning)
-        check.problems += certificate
-        if not certificate and not case.recorded.map_changes:
-            check.problems += route_faults(case, strategy)
-        trip = posed_trip(case)
-        check.problems += trip.faults
-        check.notes += [*trip.notes, *_version_notes(case.metadata)]
-        if case.parameters.seed >= 0:
-            check.notes.append('drawn with a fixed seed: who knows it can foretell the route')
-        self._check_plan(check, case, strategy, trip)
+    def _problems(self, departure: RecordedDeparture) -> list[str]:
+        strategy, planning = departure.strategy, departure.parameters.planning
+        problems = [
+            *self._network_problems(
+                strategy, departure.risk_map, planning, departure.trip,
+                departure.parameters.trip_order,
+            ),
+            *certificate_problems(strategy, departure.stated, planning),
+            *source_problems(departure),
+        ]
+        if not problems:
+            problems += self._draw_problems(departure)
+        if not problems and self._replan:
+            problems += self._replan_problems(strategy, planning)
+        return problems
 
-    def _check_plan(
-        self, check: Verdict, case: Case, strategy: Strategy, trip: PosedTrip
-    ) -> None:
-        """Plan again, and compare; the rest cannot be checked where that fails.
-
-        The game is solved only on the network that was recorded.
-        """
-        start: WarmStart | None = None
-        key = (*_plan_key(case, trip), start and _strategy_key(case))
-        try:
-            again = self._kept['plan'].get(key, lambda: self._plan(case, trip, start))
-            if again.goal_xy != case.metadata.trip.goal_xy:
-                check.problems.append(
-                    'trip: its goal is not where the goal pose and the tolerance lead to'
-                )
-            apart = ends_faults(case, again.spacing)
-            check.problems += apart
-            if faults := again.network_faults(strategy.network):
-                check.problems += faults
-                return
-            plan = again.plan
-        except AmbushPlannerError as error:
-            check.problems.append(f'map, trip and parameters cannot be planned with: {error}')
-            return
-        hurried = was_hurried(strategy, case.parameters.planning, solve_seconds(case))
-        if plan.stops_xy != case.metadata.trip.stops:
-            if hurried:
-                check.notes.append(
-                    'not checked: whether another order of the stops follows, as its solve took '
-                    'long for its max_planning_time'
-                )
-            else:
-                check.problems.append('trip: its stops are visited in another order than follows')
-            return
-        faults, notes = self._kept['comparison'].get(
-            (key, _strategy_key(case), hurried),
-            lambda: strategy_faults(strategy, plan.strategy, hurried),
+    def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
+        """Draw route and path again as the node does."""
+        parameters, newest = departure.parameters, departure.newest
+        plan, ground = self._ground(
+            departure.strategy, departure.planned_on, parameters.occupancy, parameters.planning
         )
-        # On the recorded strategy, which may differ by rounding, or where time was up.
-        used = replace(plan, strategy=strategy)
-        check.problems += [*faults, *status_faults(case, used if hurried else plan, hurried)]
-        check.notes += notes
-        if apart:
-            return
-        ground, newest = ground_then(case, used)
-        if not check.problems and case.recorded.map_changes:
-            check.problems += changed_route_faults(case, ground, newest)
-        fitted = ground.fitted(newest, case.metadata.ends)
-        check.problems += path_faults(case, fitted, trip)
-
-    def _plan(self, case: Case, trip: PosedTrip, start: WarmStart | None) -> PlannedAgain:
-        self._planning(case.path)
-        if self._worker is None or not self._worker.alive:
-            self._worker = WorkerProcess()
-        return PlannedAgain(PlanRequest(
-            *occupancy_from_ros(case.message('map')),
-            case.parameters.occupancy,
-            case.metadata.trip.start_xy,
-            trip.goal_xy,
-            case.metadata.trip.tolerance,
-            _options(case),
-            trip.stops_xy,
-            case.parameters.trip_order,
-            start,
-        ), case.metadata.trip.stops, self._worker.solve)
-
-    def _marker_faults(self, case: Case, strategy: Strategy) -> list[str]:
-        """Markers are made once for a strategy: the same bytes stand in each of its departures."""
-        data = tuple(
-            (each.topic, each.data) for each in case.recorded.messages
-            if each.type.endswith('/MarkerArray')
+        drawn = ground.draw(np.random.default_rng(departure.route_entropy_source), newest)
+        if drawn is None or not np.array_equal(drawn.nodes, departure.route):
+            return ['route: it is not the one that the recorded entropy draws']
+        rows = departure_path(
+            ground.fitted(newest, departure.ends), Route(drawn.nodes, drawn.points),
+            parameters.path_spacing or plan.spacing, departure.ends,
         )
-        return self._kept['markers'].get(
-            (_strategy_key(case), case.metadata.frame, data), lambda: marker_faults(case, strategy)
-        )
-
-    def _copy_faults(self, metadata: Metadata, path: Path) -> list[str]:
-        first, hashes = self._seen.setdefault(metadata.id, (path, metadata.sha256))
-        if hashes == metadata.sha256:
-            return []
-        return [f'departure_id: it is also that of {first.name}, which holds something else']
-
-
-class _Cache:
-    """The last few results by what they follow from."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[Hashable, Any] = OrderedDict()
-
-    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return what is kept under the key, or make it."""
-        if key not in self._kept:
-            self._kept[key] = make()
-            if len(self._kept) > _KEPT:
-                self._kept.popitem(last=False)
-        self._kept.move_to_end(key)
-        return self._kept[key]
-
-
-def _strategy_key(case: Case) -> Hashable:
-    return case.metadata.sha256['strategy'], case.parameters.planning.game
-
-
-def _plan_key(case: Case, trip: PosedTrip) -> tuple[Hashable, ...]:
-    return (
-        case.metadata.sha256['map'], case.metadata.trip, trip.goal_xy, trip.stops_xy,
-        case.parameters.trip_order, case.parameters.occupancy, _options(case),
-    )
-
-
-def _options(case: Case) -> PlanningOptions:
-    """The recorded options; whoever verifies has all the time that it takes."""
-    options = case.parameters.planning
-    return replace(options, strategy=replace(options.strategy, time_limit=math.inf))
-
-
-def _version_notes(metadata: Metadata) -> list[str]:
-    """Tell what was recorded with another version than it is verified with."""
-    here = {'ambush_planner': planner_version(), **software_versions()}
-    there = {'ambush_planner': metadata.planner_version, **metadata.versions}
-    others = [name for name in here if there.get(name) != here[name]]
-    if not others:
+        poses = departure.path_poses
+        if poses.shape != rows.shape or not (
+            np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
+            # The first and last poses have the headings that start and goal were given with.
+            and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
+                            rtol=0.0, atol=_POSE_TOLERANCE)
+        ):
+            return ['path: its poses are not those of the recorded route']
         return []
-    return [f'recorded with {_in_words(there, others)}, verified with {_in_words(here, others)}']
 
 
-def _in_words(versions: Mapping[str, Any], names: list[str]) -> str:
-    return ' and '.join(f'{name} {str(versions.get(name))[:20]!r}' for name in names)
+def network_problems(
+    strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions, trip: RecordedTrip,
+    order: str,
+) -> list[str]:
+    """Build the network again and compare it bit for bit; then compare the game's budgets.
+
+    Raises
+    ------
+    AmbushPlannerError
+        Map, trip and options allow no network.
+    """
+    recorded = strategy.network
+    laid = trip_network(
+        risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order
+    )
+    network = add_hiding_places(laid, risk_map, planning)
+    ends = attrgetter('source', 'target', 'legs')
+    if ends(recorded) != ends(network) or not all(
+        np.array_equal(getattr(recorded, name), getattr(network, name))
+        for name in ('points', 'edges', 'alpha')
+    ):
+        return ['network: it does not follow from the recorded map, trip and parameters']
+    if strategy.game.ambush_radius != reach(risk_map, planning):
+        return ['strategy: it is for another reach of an ambush than the parameters give']
+    problems = []
+    if planning.strategy.length_weight == 0.0:
+        for what, budget in zip(
+            ('length', 'exposure'), make_budgets(strategy.game, planning.strategy), strict=True
+        ):
+            stated = getattr(strategy, f'{what}_budget')
+            if not math.isclose(stated, budget.limit, rel_tol=_TOLERANCE):
+                problems.append(
+                    f'strategy: its {what} budget is {stated:.9g}, the parameters give '
+                    f'{budget.limit:.9g}'
+                )
+    return problems
+
+
+def certificate_problems(
+    strategy: Strategy, stated: Mapping[str, float], planning: PlanningOptions
+) -> list[str]:
+    """Check what the planner promises of every strategy, from its probabilities alone."""
+    problems = []
+    # The route entropy is a difference of two numbers of the edge entropy's size.
+    rounding = _TOLERANCE * max(1e-3, abs(strategy.edge_entropy))
+    for name in NUMBERS:
+        found = getattr(strategy, name)
+        if not math.isclose(stated[name], found, rel_tol=_TOLERANCE, abs_tol=rounding):
+            problems.append(
+                f'strategy: its {name} is stated as {stated[name]:.12g}, its probabilities give '
+                f'{found:.12g}'
+            )
+    if planning.strategy.solver == 'max_entropy' and not is_acyclic(
+        strategy.network, strategy.edge_probability
+    ):
+        problems.append('strategy: its routes run in cycles')
+    for what in ('length', 'exposure'):
+        mean, budget = getattr(strategy, f'expected_{what}'), getattr(strategy, f'{what}_budget')
+        if not mean <= budget * (1.0 + CERTIFICATE_TOLERANCE):
+            problems.append(f'strategy: its {what}, {mean:.9g}, exceeds its budget of {budget:.9g}')
+    gap = open_gap(strategy, planning.strategy)
+    if not gap <= planning.max_gap * strategy.value:
+        problems.append(f'strategy: its certificate does not close, the gap is {gap:.3g}')
+    return problems
+
+
+def source_problems(departure: RecordedDeparture) -> list[str]:
+    """Check that the random source is one that the node makes."""
+    seed, source = departure.parameters.seed, departure.route_entropy_source
+    if seed >= 0:
+        expected = source == [seed, departure.number]
+        return [] if expected else ['random source: it does not follow from the parameter seed']
+    if len(source) != 1 or source[0].bit_length() < LEAST_BITS:
+        return [f'random source: it has fewer than {LEAST_BITS} bits']
+    return []
+
+
+def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
+    """Solve the game again, from cold and without a time limit, and compare the values."""
+    options = replace(planning.strategy, time_limit=math.inf)
+    game = replace(planning.game, ambush_radius=strategy.game.ambush_radius)
+    try:
+        again = solve(strategy.network, game, options)
+    except TimeLimit as late:
+        if late.strategy is None:
+            raise
+        again = late.strategy
+    # Values differ within the slack that was asked for, and as far as a solve was cut short.
+    slack = options.risk_slack if options.solver == 'max_entropy' else 0.0
+    allowed = (slack + 2.0 * CERTIFICATE_TOLERANCE) * again.value + max(
+        open_gap(strategy, options), open_gap(again, options)
+    )
+    if abs(strategy.value - again.value) <= allowed:
+        return []
+    return [f'strategy: its value is {strategy.value:.9g}, solved again {again.value:.9g}']
+
+
+def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
+    """Compare the departures of a folder: what does not hold, and notes on missing numbers."""
+    departures = [each for each in verdicts if each.id]
+    problems = [f'random source: {each}' for each in source_findings(departures)]
+    numbers: dict[Path, set[int]] = {}
+    for each in departures:
+        numbers.setdefault(each.path.parent, set()).add(each.number)
+    notes = []
+    for folder, found in numbers.items():
+        if missing := max(found) - min(found) + 1 - len(found):
+            notes.append(
+                f'{folder.name}: {missing} departures between the first and the last have no '
+                'recording: recording was off, it failed, or files are missing'
+            )
+    return problems, notes
+

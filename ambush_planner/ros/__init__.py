@@ -1,1 +1,7 @@
-"""The node: parameters, conversions, transforms, requests, diagnostics."""
+"""The ROS node: one room of the package that needs rclpy.
+
+``planner_node`` wires the parts and has the lifecycle; ``subscriptions`` and ``inputs`` take what
+arrives, ``requests`` and ``compute_path`` answer, and ``dispatcher`` takes a request to its
+departure by ``plan_cache`` and ``displayed_plan``; ``reporter`` publishes the diagnostics.
+docs/architecture.md follows a request through these files.
+"""

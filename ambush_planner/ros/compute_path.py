@@ -1,10 +1,9 @@
-"""Nav2's action ComputePathToPose: a departure, by the interface of Nav2's planner server."""
+"""Nav2's action ComputePathToPose: a departure with the interface of Nav2's planner server."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
 from functools import partial
-from importlib import import_module
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
@@ -15,69 +14,70 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Header
 
-from .conversions import pose_to_ros
+from .conversions import installed_type, pose_to_ros
 from .departure_record import Departure
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoStart, code_of
 from .qos import REQUESTS
-from .requests import Requests, planned
+from .requests import Requests, plan_response
 
 NAME = '~/compute_path_to_pose'
-_KEPT = 10  # s, as Nav2's planner server keeps results
-# What Nav2 calls it, where it has no name of its own for it.
+# Time for which results are kept [s], as by Nav2's planner server.
+_RESULT_TIMEOUT = 10
+# Nav2's names of codes that it lacks.
 _NAV2_CODES = {'NO_START': 'TF_ERROR'}
 
 
 class ComputePath:
-    """The action, where ``nav2_msgs`` is installed; ``server`` is None where it is not.
+    """The action, if ``nav2_msgs`` is installed; if not, ``server`` is None.
 
-    A goal is a request of ``get_plan`` without tolerance: answered, recorded and, where it fails,
-    logged as one. Goals are kept as accepted, not executed, while they wait, since rclpy would poll
-    whatever awaits something; one that is cancelled is taken back alone.
+    A goal is treated like a request of ``get_plan`` without tolerance. While they wait, goals are
+    accepted but not executing: rclpy polls coroutines that await. Cancelling a goal leaves the
+    solves of others alone.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests) -> None:
-        self._node, self._guard, self._requests = node, error_boundary, requests
+        self._node, self._error_boundary, self._requests = node, error_boundary, requests
         self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
-        # One group: no goal ends while a request to cancel it is half-way through.
+        # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
-        self._action: Any = _installed()
+        self._action = installed_type('nav2_msgs.action', 'ComputePathToPose')
         self.server = None if self._action is None else ActionServer(
             node, self._action, NAME, self._result, callback_group=group,
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
-            cancel_service_qos_profile=REQUESTS, result_timeout=_KEPT,
+            cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
         )
 
     def close(self) -> None:
-        """End the action, before the node is destroyed."""
+        """Destroy the action server; to be called before the node is destroyed."""
         if self.server is not None:
             self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
-        departure = self._requests.begin_plan(lambda: self._plan_request(handle.request))
+        departure = self._requests.start_plan(lambda: self._plan_request(handle.request))
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 
     def _departed(self, departure: Future[Departure]) -> None:
         self._wake.trigger()
         if not departure.cancelled() and departure.exception() is None:
-            self._requests.answered(departure.result(), planned(departure.result()))
+            self._requests.answered(departure.result(), plan_response(departure.result()))
 
     def _cancel(self, handle: Any) -> CancelResponse:
-        """Take a goal back, unless its route is drawn."""
+        """Cancel a goal, unless its route has been drawn."""
         _, departure = self._waiting.get(bytes(handle.goal_id.uuid), (None, None))
         if departure is None or not departure.cancel():
             return CancelResponse.REJECT
         return CancelResponse.ACCEPT
 
     def _finish(self) -> None:
-        """Answer the goals whose departures have come, failed, or been cancelled."""
+        """Answer the goals whose departures have left, failed or been cancelled."""
         for key, (handle, departure) in list(self._waiting.items()):
             if departure.done():
                 del self._waiting[key]
-                self._guard.attempt(NAME, 'request', partial(
+                self._error_boundary.attempt(NAME, 'request', partial(
                     handle.execute, partial(self._result, departure=departure)
                 ))
 
@@ -86,13 +86,15 @@ class ComputePath:
         if departure.cancelled():
             handle.canceled()
             return result
-        done, error = self._guard.attempt('compute_path_to_pose', 'request', departure.result)
+        done, error = self._error_boundary.attempt(
+            'compute_path_to_pose', 'request', departure.result
+        )
         if done is None:
             code = code_of(error or RuntimeError())
             result.error_code = getattr(
                 self._action.Result, _NAV2_CODES.get(code, code), self._action.Result.UNKNOWN
             )
-            if hasattr(result, 'error_msg'):  # not yet in Nav2's first release for Jazzy
+            if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
                 result.error_msg = str(error)
             handle.abort()
             return result
@@ -102,40 +104,31 @@ class ComputePath:
         return result
 
     def _plan_request(self, goal: Any) -> GetPlan.Request:
-        """What is asked for, as a request of get_plan.
+        """Return the goal as a request of get_plan.
 
         Raises
         ------
         InvalidPlanner
-            Another planner is meant.
+            The goal is for another planner.
         NoStart, FrameMismatch
-            There is no start, or it has no frame.
+            The start is missing or has no frame.
         """
         name = self._node.get_name()
         if goal.planner_id not in ('', name):
             raise InvalidPlanner(
-                f'planner_id is {goal.planner_id[:80]!r}; here there is {name!r} only (or leave it '
-                'empty)'
+                f'planner_id is {goal.planner_id[:80]!r}, but must be {name!r} or empty'
             )
         if not goal.use_start:
             return GetPlan.Request(start=self._robot_here(), goal=goal.goal)
         if not goal.start.header.frame_id:
-            raise FrameMismatch('use_start is true, and the header.frame_id of the start is empty')
+            raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
         return GetPlan.Request(start=goal.start, goal=goal.goal)
 
     def _robot_here(self) -> PoseStamped:
         frame = self._requests.robot().frame
         if not frame:
             raise NoStart(
-                'use_start is false, so the route begins at the robot: set robot_base_frame to its '
-                'frame, or give a start'
+                'use_start is false, so the route begins at the robot: set robot_base_frame, or '
+                'give a start'
             )
         return PoseStamped(header=Header(frame_id=frame), pose=pose_to_ros(0.0, 0.0))
-
-
-def _installed() -> Any:
-    """The type of the action; None without ``nav2_msgs``, which comes with Nav2, not from PyPI."""
-    try:
-        return import_module('nav2_msgs.action').ComputePathToPose
-    except ImportError:
-        return None

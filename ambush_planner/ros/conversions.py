@@ -1,7 +1,6 @@
-"""Messages to arrays and back: whole arrays at a time, in named pairs.
+"""Convert arrays to ROS messages, whole arrays at a time; ``maps/ros_messages.py`` reads them.
 
-Every number is cast before it goes into a message: rclpy writes other types than the field's own
-into memory as they are.
+Every number is cast before it is assigned: rclpy copies the memory of other types unconverted.
 """
 
 from __future__ import annotations
@@ -9,6 +8,7 @@ from __future__ import annotations
 import array
 import math
 from collections.abc import Mapping
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -21,18 +21,10 @@ from std_msgs.msg import Header
 from ..arrays import FloatArray
 
 _new: Any = object.__new__
-# Of Jazzy's messages; where others are used, they are made by their constructors.
-_SLOTS_ARE_KNOWN = all(
-    kind.__slots__ == [*(f'_{name}' for name in names), '_check_fields']
-    for kind, names in (
-        (Point, 'xyz'), (Quaternion, 'xyzw'), (Pose, ('position', 'orientation')),
-        (PoseStamped, ('header', 'pose')),
-    )
-)
 
 
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
-    """Return the pose at (x, y) [m] that looks along yaw [rad]."""
+    """Return the pose at (x, y) [m] with heading yaw [rad]."""
     half = 0.5 * float(yaw)
     return Pose(
         position=Point(x=float(x), y=float(y)),
@@ -54,10 +46,7 @@ def occupancy_to_ros(
 
 
 def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> PathMessage:
-    """Return the path along ``poses`` (L, 3) = (x, y, yaw).
-
-    The first pose is the start's and the last one the goal's, as they were given.
-    """
+    """Return the path along ``poses`` (L, 3) = (x, y, yaw), from exactly start to exactly goal."""
     result = stamped_poses(poses, header)
     result[0].pose = start
     result[-1].pose = goal
@@ -67,11 +56,8 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
 def stamped_poses(poses: FloatArray, header: Header) -> list[PoseStamped]:
     """Return the poses (L, 3) = (x, y, yaw) as messages that share one header.
 
-    Without the constructors, which take eight times as long: a path of 500 poses took 7 ms of a
-    departure's answer.
+    The constructors are bypassed: 500 poses take 1 ms instead of 12 ms of an answer.
     """
-    if not _SLOTS_ARE_KNOWN:
-        return [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in poses.tolist()]
     check = header._check_fields
     return [_stamped_pose(x, y, 0.5 * yaw, header, check) for x, y, yaw in poses.tolist()]
 
@@ -88,38 +74,22 @@ def _stamped_pose(x: float, y: float, half: float, header: Header, check: bool) 
     return stamped
 
 
-def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Return the fields of a message, those of messages in it too, as JSON can hold them.
+def installed_type(module: str, name: str) -> Any:
+    """Return an interface's type, or None if its package, which PyPI lacks, is not installed."""
+    try:
+        return getattr(import_module(module), name)
+    except ImportError:
+        return None
 
-    For messages of numbers and texts, without arrays. ``but`` are left out.
+
+def fields_of(message: Any, but: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Return the fields of a message, nested ones included, as JSON values, except ``but``.
+
+    For messages of numbers and strings, without arrays.
     """
     values = {name: getattr(message, name) for name in _field_names(message) if name not in but}
     return {name: fields_of(value) if _field_names(value) else value
             for name, value in values.items()}
-
-
-def message_of(kind: Any, fields: Mapping[str, Any], but: tuple[str, ...] = ()) -> Any:
-    """Return the message with these fields, whatever they hold; the way back from ``fields_of``.
-
-    Raises
-    ------
-    ValueError
-        They are not those of the message, or of other types.
-    """
-    message = kind()
-    if set(fields) != set(_field_names(message)) - set(but):
-        raise ValueError(f'they are not the fields of a {kind.__name__}')
-    for name, value in fields.items():
-        default = getattr(message, name)
-        if _field_names(default) and isinstance(value, dict):
-            value = message_of(type(default), value)
-        if type(value) is not type(default):
-            raise ValueError(f'{name} is not a {type(default).__name__}')
-        try:
-            setattr(message, name, value)
-        except AssertionError as error:
-            raise ValueError(f'{name} is out of its range') from error
-    return message
 
 
 def _field_names(message: Any) -> Mapping[str, str]:

@@ -1,46 +1,48 @@
-"""The risk map in force: read from a message, then from updates of some of its cells."""
+"""The current risk map: read from a message, then changed by updates of some of its cells."""
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
-from std_msgs.msg import Header
+from rclpy.serialization import serialize_message
 
 from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.ros_messages import occupancy_from_ros
-from .cdr import GridUpdate, grid_bytes, grid_cells
 
 
 @dataclass(frozen=True, eq=False)
-class Received:
-    """A message as it came in.
+class ReceivedMessage:
+    """A message with the full name of its topic.
 
-    ``topic`` is the full name, ``type`` the name of the type of ``data``, the message serialised;
-    ``message`` is what the planner needs of it.
+    ``serialised`` are the bytes that arrived, of the message type called ``type``; None if the
+    planner made the message itself.
     """
 
     topic: str
     type: str
     message: Any
-    data: bytes
     qos: QoSProfile
+    serialised: bytes | None = None
+
+    @cached_property
+    def data(self) -> bytes:
+        """The serialised message."""
+        if self.serialised is not None:
+            return self.serialised
+        return bytes(serialize_message(self.message))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CurrentMap(OccupancyMap):
-    """A map that was accepted, with the message that brought it.
+    """A valid map with the message that it came in."""
 
-    ``received.message`` has the header and the info but no cells, which are in memory only once,
-    in ``received.data``.
-    """
-
-    received: Received
+    received: ReceivedMessage
 
     @property
     def frame(self) -> str:
@@ -49,7 +51,7 @@ class CurrentMap(OccupancyMap):
         return name
 
     def same_ground(self, other: CurrentMap) -> bool:
-        """Whether a cell of one map is the same piece of ground on the other."""
+        """Whether each cell covers the same ground on both maps."""
         return (
             self.values.shape == other.values.shape
             and (self.frame, self.resolution, self.origin)
@@ -57,50 +59,51 @@ class CurrentMap(OccupancyMap):
         )
 
     def same_map(self, other: CurrentMap) -> bool:
-        """Whether two maps differ in their time stamps at most."""
+        """Whether two maps differ at most in their time stamps."""
         return self.same_ground(other) and np.array_equal(self.values, other.values)
 
 
-def map_from(received: Received) -> CurrentMap:
-    """Read a map; raises InvalidRiskMap where it is malformed."""
-    message: OccupancyGrid = received.message
-    values, resolution, origin = occupancy_from_ros(message)
-    shared = grid_cells(message, received.data)
-    if shared is not None:
-        received = replace(received, message=_without_cells(message))
-        values = shared
-    return CurrentMap(values, resolution, origin, received=received)
+def map_from(received: ReceivedMessage) -> CurrentMap:
+    """Read a map; raises InvalidRiskMap if it is malformed."""
+    return CurrentMap(*occupancy_from_ros(received.message), received=received)
 
 
-def changed_map(present: CurrentMap, update: GridUpdate) -> CurrentMap:
-    """Return the map with the cells of the update; raises InvalidRiskMap where it does not fit."""
-    if update.frame != present.frame:
-        raise InvalidRiskMap(
-            f'map update: it is given in the frame {update.frame[:80]!r}, the map in '
-            f'{present.frame!r}'
-        )
-    (rows, columns), (height, width) = update.values.shape, present.values.shape
-    if update.x < 0 or update.y < 0 or update.x + columns > width or update.y + rows > height:
-        raise InvalidRiskMap(
-            f'map update: {columns} x {rows} cells from ({update.x}, {update.y}) on do not lie '
-            f'within the map of {width} x {height}'
-        )
+def updated_map(present: CurrentMap, update: Any) -> CurrentMap:
+    """Return the map with the cells of a map_msgs/OccupancyGridUpdate.
+
+    Raises
+    ------
+    InvalidRiskMap
+        The update is malformed or does not fit the map.
+    """
     try:
-        check_occupancy(update.values, present.resolution, present.origin)
+        return _updated_map(present, update)
     except InvalidRiskMap as error:
         raise InvalidRiskMap(f'map update: {error}') from error
-    values = present.values.copy()
-    values[update.y:update.y + rows, update.x:update.x + columns] = update.values
-    head = _without_cells(present.received.message)
-    head.header = Header(frame_id=update.frame, stamp=update.stamp)
-    data = grid_bytes(head, values)
-    shared = grid_cells(head, data)
-    received = replace(present.received, message=head, data=data)
-    return CurrentMap(
-        values if shared is None else shared, present.resolution, present.origin,
-        received=received,
-    )
 
 
-def _without_cells(message: OccupancyGrid) -> OccupancyGrid:
-    return OccupancyGrid(header=message.header, info=copy(message.info))
+def _updated_map(present: CurrentMap, update: Any) -> CurrentMap:
+    (height, width), frame = present.values.shape, update.header.frame_id
+    rows, columns, x, y = update.height, update.width, update.x, update.y
+    if len(update.data) != rows * columns:
+        raise InvalidRiskMap(
+            f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
+            f'{rows * columns}'
+        )
+    if frame != present.frame:
+        raise InvalidRiskMap(
+            f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
+        )
+    if x < 0 or y < 0 or x + columns > width or y + rows > height:
+        raise InvalidRiskMap(
+            f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
+            f'{width} x {height}'
+        )
+    new = np.frombuffer(update.data, np.int8).reshape(rows, columns)
+    check_occupancy(new, present.resolution, present.origin)
+    cells = present.received.message.data[:]
+    values = np.frombuffer(cells, np.int8).reshape(height, width)
+    values[y:y + rows, x:x + columns] = new
+    message = OccupancyGrid(header=update.header, info=present.received.message.info, data=cells)
+    received = replace(present.received, message=message, serialised=None)
+    return CurrentMap(values, present.resolution, present.origin, received=received)

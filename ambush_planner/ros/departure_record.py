@@ -1,4 +1,4 @@
-"""A departure as it happened, and what a recording keeps of it."""
+"""A departure that leaves, and the messages, metadata and files of its recording."""
 
 from __future__ import annotations
 
@@ -12,32 +12,29 @@ from typing import Any
 
 import numpy as np
 import scipy
-from builtin_interfaces.msg import Time
-from nav_msgs.srv import GetPlan
 from rclpy.serialization import serialize_message
+from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
 
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
-from ..recordings import Attachment, RecordedMessage, type_name
+from ..recordings import RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
-from ..recordings.metadata import VIA, metadata_texts
 from ..recordings.strategy_file import STRATEGY_FILE
-from .cdr import plan_event_bytes
 from .conversions import fields_of
-from .current_map import Received
+from .current_map import ReceivedMessage
 from .departure_path import DeparturePath
 from .inputs import Trip
 from .plan_cache import CachedPlan
 from .qos import LATEST
 
-# `ros2 bag play` sends them that much before the request, which needs them.
-INPUTS_LEAD_NS = 500_000_000
+# Lead of recorded inputs over the request [ns], so that `ros2 bag play` sends them first.
+_INPUTS_LEAD = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
-    """What somebody asked for: a service's type and full name, and the request."""
+    """A service call: the service's type and full name, and the request."""
 
     kind: Any
     name: str
@@ -46,22 +43,22 @@ class ServiceCall:
 
 @dataclass(frozen=True, eq=False)
 class Departure:
-    """One convoy's departure; times in nanoseconds of the node's clock, the end last.
+    """One convoy's departure; times are nanoseconds of the node's clock.
 
     Attributes
     ----------
     trip
-        What was asked for, on the newest map.
+        The requested trip, on the newest map.
     held
-        The plan that it left on, perhaps of an older map and a nearby trip.
+        The plan it left on, which may be of an older map and a nearby trip.
     path
-        From the pose asked for, along the route, to the goal.
+        From the requested start pose along the route to the goal.
     published, others
         The path, and markers and diagnostics, as they were published.
     trouble
-        What went wrong with the recordings, if anything did.
+        What went wrong with earlier recordings; empty if nothing did.
     response
-        What was answered, once it is; at ``end_ns``.
+        The answer, given at ``end_ns``; None until then.
     """
 
     id: str
@@ -82,14 +79,14 @@ class Departure:
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
-    """Return inputs and publications, and request and answer where that is asked for.
+    """Return inputs and publications, and with ``recording.service_events`` request and answer.
 
-    Inputs are from half a second before the request. Nothing else is earlier than that or later
-    than the answer: markers may be of a departure before, and the clock may have been set since.
+    Inputs get a time half a second before the request. All others get one between request and
+    answer: markers may be older, and the clock may have been set back since.
     """
     trip, begin = departure.trip, departure.begin_ns
     planned_on = departure.held.trip.map.received
-    before = max(0, begin - INPUTS_LEAD_NS)
+    before = max(0, begin - _INPUTS_LEAD)
     inputs = [
         _received(each, before) for each in (planned_on, trip.start, trip.goal, trip.via) if each
     ]
@@ -99,110 +96,79 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     ]
     if not departure.parameters.recording.service_events:
         return [*inputs, *published]
-    return [*inputs, _request(departure), *published, _response(departure)]
-
-
-def recorded_metadata(departure: Departure, strategy: bytes, changes: bytes) -> dict[str, str]:
-    """Return what is needed to plan and draw the departure again, and hashes of all of it."""
-    trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
-    planned_on = planned.map.received
-    roles: dict[str, Received | RecordedMessage] = {
-        'map': planned_on, 'start': trip.start, 'goal': trip.goal, 'path': departure.published,
-        **({VIA: trip.via} if trip.via else {}),
-    }
-    return metadata_texts(
-        inputs={role: each.topic for role, each in roles.items()},
-        contents={
-            **{role: each.data for role, each in roles.items()},
-            'strategy': strategy, 'map_changes': changes,
-        },
-        json_entries={
-            'parameters': dict(departure.parameters.values),
-            'versions': dict(software_versions()),
-            'route_entropy_source': departure.entropy_source,
-            'route': departure.route.nodes.tolist(),
-            'trip': {
-                'start': list(planned.start_xy), 'goal': list(plan.goal_xy),
-                'stops': [*map(list, plan.stops_xy)], 'tolerance': trip.goal_tolerance,
-            },
-            'ends': [*map(list, departure.held.ends(trip))],
-            'call': _call(departure),
-        },
-        texts={
-            'planner_version': planner_version(),
-            'service': departure.call.name.rsplit('/', 1)[-1],
-            'departure': str(departure.number),
-            'departure_id': departure.id,
-            'frame': trip.map.frame,
-        },
+    request = _event(
+        departure, ServiceEventInfo.REQUEST_RECEIVED, begin, request=[departure.call.request]
     )
+    response = _event(
+        departure, ServiceEventInfo.RESPONSE_SENT, departure.end_ns, response=[departure.response]
+    )
+    return [*inputs, request, *published, response]
 
 
-def map_changes(departure: Departure) -> bytes:
-    """Return the cells in which the newest map differs from the one that was planned on, if any."""
-    newest, planned = departure.trip.map, departure.held.trip.map
-    return b'' if newest is planned else map_changes_file(planned.values, newest.values)
+def metadata_entries(departure: Departure) -> dict[str, Any]:
+    """Return the metadata record: what the departure was, and what it takes to draw it again."""
+    trip, planned, plan = departure.trip, departure.held.trip, departure.held.plan
+    roles: dict[str, ReceivedMessage | RecordedMessage | None] = {
+        'map': planned.map.received, 'start': trip.start, 'goal': trip.goal, 'via': trip.via,
+        'path': departure.published,
+    }
+    call = departure.call
+    return {
+        'departure_id': departure.id,
+        'departure': departure.number,
+        'frame': trip.map.frame,
+        'versions': dict(software_versions()),
+        'parameters': dict(departure.parameters.values),
+        'topics': {role: each.topic for role, each in roles.items() if each},
+        'trip': {
+            'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy,
+        },
+        'ends': departure.held.ends(trip),
+        'route': departure.route.nodes.tolist(),
+        'route_entropy_source': departure.entropy_source,
+        'call': {
+            'service': call.name, 'type': type_name(call.kind),
+            'request_ns': departure.begin_ns, 'response_ns': departure.end_ns,
+            'request': fields_of(call.request),
+            # The path in an answer is the recorded one.
+            'response': fields_of(departure.response, but=('plan',)),
+        },
+    }
 
 
-def attachments(strategy: bytes, changes: bytes) -> list[Attachment]:
-    """Return the files of a departure as they stand in its recording."""
-    files = {STRATEGY_FILE: strategy, **({MAP_CHANGES_FILE: changes} if changes else {})}
-    return [Attachment(name, 'application/zip', data) for name, data in files.items()]
+def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
+    """Return the attached files: the strategy, and changes of the map since the plan, if any."""
+    files = {STRATEGY_FILE: strategy}
+    newest, planned_on = departure.trip.map, departure.held.trip.map
+    if newest is not planned_on and (
+        changes := map_changes_file(planned_on.values, newest.values)
+    ):
+        files[MAP_CHANGES_FILE] = changes
+    return files
 
 
-def _received(received: Received, stamp_ns: int) -> RecordedMessage:
+def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:
     return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
 
 
-def _call(departure: Departure) -> dict[str, Any]:
-    answer = fields_of(departure.response, but=('plan',))  # the path that is recorded
-    return {
-        'service': departure.call.name, 'type': type_name(departure.call.kind),
-        'request_ns': departure.begin_ns, 'response_ns': departure.end_ns,
-        'request': fields_of(departure.call.request), 'response': answer,
-    }
-
-
-def _request(departure: Departure) -> RecordedMessage:
-    asked = ServiceEventInfo.REQUEST_RECEIVED
-    return _event(departure, asked, departure.begin_ns, request=[departure.call.request])
-
-
-def _response(departure: Departure) -> RecordedMessage:
-    answered = ServiceEventInfo.RESPONSE_SENT
-    return _event(departure, answered, departure.end_ns, response=[departure.response])
-
-
-def _event(departure: Departure, what: int, stamp_ns: int, **content: list) -> RecordedMessage:
-    """Return the message that service introspection would publish, which rosbag2 knows."""
-    seconds, nanoseconds = divmod(stamp_ns, 1_000_000_000)
+def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any]) -> RecordedMessage:
+    """Return the message that service introspection would publish, which rosbag2 plays."""
     info = ServiceEventInfo(
-        event_type=what,
-        stamp=Time(sec=seconds, nanosec=nanoseconds),
+        event_type=what, stamp=Time(nanoseconds=stamp_ns).to_msg(),
         sequence_number=departure.number,
     )
     kind = departure.call.kind.Event
+    data = serialize_message(kind(info=info, **content))
     topic = f'{departure.call.name}/_service_event'
-    event = kind(info=info, **content)
-    if kind is GetPlan.Event and 'response' in content:
-        data = plan_event_bytes(event, departure.published.data)
-    else:
-        data = serialize_message(event)
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
 
 
 @cache
-def planner_version() -> str:
-    """The version of the planner; it does not change while it runs."""
-    return _version_of('ambush_planner')
-
-
-@cache
 def software_versions() -> Mapping[str, str]:
-    """The versions of what the planner computes with."""
+    """The versions of the planner and of the software that it computes with."""
     return MappingProxyType({
-        'python': platform.python_version(), 'numpy': np.__version__, 'scipy': scipy.__version__,
-        'rclpy': _version_of('rclpy'),
+        'ambush_planner': _version_of('ambush_planner'), 'python': platform.python_version(),
+        'numpy': np.__version__, 'scipy': scipy.__version__, 'rclpy': _version_of('rclpy'),
     })
 
 

@@ -1,4 +1,4 @@
-"""What the node tells about itself: one status with stable keys, never a route or a seed."""
+"""The node's status as a diagnostics message: stable keys, and never a route or a seed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
-from ..game.bottleneck import Bottleneck
 from ..game.revaluation import open_gap
-from ..planning.changed_ground import Standing
+from ..planning.changed_ground import Assessment
 from ..planning.plan import DRAWN, Plan
 from ..worker.solve_errors import SolveCancelled
 from .error_codes import OK_CODE, code_of
@@ -21,7 +20,7 @@ _DIFFERENT = f'different_paths_of_{DRAWN}'
 
 
 class Problem(NamedTuple):
-    """What is wrong: a code (``errors.code_of``), the message for people, and the level."""
+    """An error: its code (``error_codes.code_of``), a message, and the level."""
 
     code: str
     message: str
@@ -30,13 +29,20 @@ class Problem(NamedTuple):
 
 @dataclass(frozen=True)
 class Status:
-    """The node's state; ``problems`` by what they concern: 'request', 'map' or 'recording'.
+    """The node's status.
 
-    ``lifecycle`` is the state of the node: unconfigured, inactive, active or finalized.
-    ``warnings`` are texts by what they concern: 'parameters' or 'alpha_map'. ``standing`` tells how
-    the plan stands on the map in force; ``stale`` says in words, if it is so, that the plan has to
-    be solved anew. ``tight_turns`` are those of the last departure's path
-    that are tighter than was asked for.
+    Attributes
+    ----------
+    lifecycle
+        unconfigured, inactive, active or finalized.
+    problems
+        By what they concern: 'request', 'map' or 'recording'.
+    warnings
+        Texts by what they concern: 'parameters' or 'alpha_map'.
+    assessment, stale
+        How good the displayed plan is on the current map; why it is stale, '' if it is not.
+    tight_turns
+        Number of turns of the last path that are tighter than ``route.turning_radius``.
     """
 
     lifecycle: str = 'active'
@@ -45,7 +51,7 @@ class Status:
     problems: Mapping[str, Problem] = field(default_factory=dict)
     warnings: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
-    standing: Standing | None = None
+    assessment: Assessment | None = None
     stale: str = ''
     departures: int = 0
     departure_id: str = ''
@@ -54,7 +60,7 @@ class Status:
 
     @property
     def state(self) -> str:
-        """'solving', 'waiting' (for inputs) or 'ready'; where it is not active, its lifecycle's."""
+        """'solving', 'waiting' (for inputs) or 'ready'; if not active, the lifecycle state."""
         if self.lifecycle != 'active':
             return self.lifecycle
         if self.solving:
@@ -62,8 +68,8 @@ class Status:
         return 'waiting' if self.missing else 'ready'
 
     def with_problem(self, concern: str, error: Exception) -> Status:
-        """Return the status with ``error`` as what is wrong with ``concern``."""
-        # Somebody wanted a solve to end: nothing has failed.
+        """Return the status with ``error`` as the problem of ``concern``."""
+        # A solve that was cancelled on request has not failed.
         level = (
             DiagnosticStatus.WARN if isinstance(error, SolveCancelled) else DiagnosticStatus.ERROR
         )
@@ -71,7 +77,7 @@ class Status:
         return replace(self, problems={**self.problems, concern: problem})
 
     def without_problem(self, concern: str) -> Status:
-        """Return the status with nothing wrong with ``concern``."""
+        """Return the status without a problem of ``concern``."""
         rest = {key: value for key, value in self.problems.items() if key != concern}
         return replace(self, problems=rest)
 
@@ -84,7 +90,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'code': code,
         'message': message,
         **_strategy_values(status.plan),
-        **_standing_values(status.standing, status.stale),
+        **_assessment_values(status.assessment, status.stale),
         'departures': str(status.departures),
         'departure_id': status.departure_id,
         'tight_turns': str(status.tight_turns),
@@ -100,11 +106,10 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
 
 
 def _summary(status: Status) -> tuple[bytes, str, str]:
-    """(level, code, message): problems first, the last request's before all others."""
-    concerns = [concern for concern in ('request', 'map', 'recording')
-                if concern in status.problems]
-    if concerns:
-        problems = [status.problems[concern] for concern in concerns]
+    """Return (level, code, message): problems first, that of the last request before others."""
+    concerns = ('request', 'map', 'recording')
+    problems = [status.problems[each] for each in concerns if each in status.problems]
+    if problems:
         message = '; '.join(problem.message for problem in problems)
         return max(problem.level for problem in problems), problems[0].code, message
     if status.lifecycle != 'active':
@@ -113,65 +118,79 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     if status.warnings or waiting:
         message = '; '.join((*waiting, *status.warnings.values()))
         return DiagnosticStatus.WARN, OK_CODE, message
-    if status.stale:
-        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {status.stale}'
-    if status.plan is not None and (warning := _gap_warning(status.plan)):
-        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
-    if status.tight_turns:
-        return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {_tight_warning(status)}'
-    if status.plan is not None and (warning := _warning(status.plan.bottleneck)):
+    warning = (
+        status.stale or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
+        or _tight_turns_warning(status.tight_turns)
+        or _bottleneck_warning(status.plan)
+    )
+    if warning:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
 
 
-def _gap_warning(plan: Plan) -> str:
-    """Say so where the time was up before the strategy was the best."""
-    gap = open_gap(plan.strategy, plan.options.strategy)
-    if gap == 0.0:
+def _gap_warning(plan: Plan | None) -> str:
+    """Return a warning if the time limit ended the search for the best strategy."""
+    gap = open_gap(plan.strategy, plan.options.strategy) if plan else 0.0
+    if plan is None or gap == 0.0:
         return ''
     return (
-        f'time was up before the best strategy was found: beyond strategy.risk_slack, the value '
-        f'{plan.strategy.value:.4g} may be {gap:.3g} over the least one; allow more '
-        'max_planning_time, or choose a larger network.spacing'
+        f'time was up before the best strategy was found: besides strategy.risk_slack, the value '
+        f'{plan.strategy.value:.4g} may be up to {gap:.3g} above the minimum; increase '
+        'max_planning_time or network.spacing'
     )
 
 
-def _tight_warning(status: Status) -> str:
-    turns = '1 turn' if status.tight_turns == 1 else f'{status.tight_turns} turns'
+def _counting_gap_warning(plan: Plan | None) -> str:
+    """Return a warning if counting each route once left the value over its slack."""
+    if plan is None or not plan.strategy.counting_gap:
+        return ''
     return (
-        f'{turns} of the last path tighter than route.turning_radius, for want of room: a larger '
-        'network.clearance or network.spacing leaves more'
+        f'routes come back into the reach of an ambush, and no strategy was found closer to the '
+        f'bound: the value is {plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
     )
 
 
-def _warning(bottleneck: Bottleneck) -> str:
-    """Say so where there is no game, or where the minimum cut hugs the start or the goal."""
+def _tight_turns_warning(count: int) -> str:
+    if not count:
+        return ''
+    turns = '1 turn of the last path is' if count == 1 else f'{count} turns of the last path are'
+    return (
+        f'{turns} tighter than route.turning_radius, for lack of room; increase '
+        'network.clearance or network.spacing'
+    )
+
+
+def _bottleneck_warning(plan: Plan | None) -> str:
+    """Return a warning if the value is 0, or if the minimum cut lies close to start or goal."""
+    if plan is None:
+        return ''
+    bottleneck = plan.bottleneck
     if not bottleneck.value > 0.0:
         return (
-            'the value is 0: no ambush that is possible costs anything, so the routes are random '
-            'but need not be; check the map and game.secured_radius'
+            'the value is 0: no possible ambush causes a loss; check the map and '
+            'game.secured_radius'
         )
     if not bottleneck.near_ends:
         return ''
     return (
         f'{len(bottleneck.sites)} nodes decide the value {bottleneck.value:.4g}, '
         f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; if '
-        f'that ground were secured (game.secured_radius), it would be '
+        f'that ground were secured (game.secured_radius), the value would be '
         f'{bottleneck.secured_value:.4g}'
     )
 
 
-def _standing_values(standing: Standing | None, stale: str) -> dict[str, str]:
-    """The strategy in force on the newest map."""
+def _assessment_values(assessment: Assessment | None, stale: str) -> dict[str, str]:
+    """Return the numbers of the displayed plan on the current map."""
     return {
-        'current_value': '' if standing is None else f'{standing.value:.9g}',
-        'current_gap': '' if standing is None else f'{standing.gap:.9g}',
-        'stale': '' if standing is None else 'yes' if stale else 'no',
+        'current_value': '' if assessment is None else f'{assessment.value:.9g}',
+        'current_gap': '' if assessment is None else f'{assessment.gap:.9g}',
+        'stale': '' if assessment is None else 'yes' if stale else 'no',
     }
 
 
 def _strategy_values(plan: Plan | None) -> dict[str, str]:
-    """The strategy in force; the keys are there, and empty, as long as there is none."""
+    """Return the numbers of the displayed plan; empty ones before the first plan."""
     names = ('value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
              'expected_length', 'shortest_length')
     if plan is None:

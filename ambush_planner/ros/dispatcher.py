@@ -1,4 +1,4 @@
-"""Dispatches convoys: finds or makes the plan, draws the route, publishes the path."""
+"""Dispatches convoys: finds or solves the plan, draws the route, publishes the path."""
 
 from __future__ import annotations
 
@@ -26,26 +26,27 @@ from .departure_record import Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
 from .error_codes import GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
-from .plan_cache import CachedPlan, PlanCache, usable
+from .plan_cache import CachedPlan, PlanCache
 from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
 from .serial_executor import SerialExecutor
 
-# Of the two seconds that the node has to end in: from being told to the last recording.
-_LAST_RECORDINGS = 1.0  # s
-# So many solves are waited for where map or robot have moved on each time.
+# Time from the start of the shutdown to the end of the last recording [s]; half of the time in
+# which the node has to end.
+_SHUTDOWN_TIME = 1.0
+# Maximum number of solves for one departure while the map or the robot moves.
 _MOST_SOLVES = 4
 
 INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
 
 
 @dataclass(eq=False)
-class _Request:
-    """A departure that somebody waits for."""
+class _Pending:
+    """A departure that has been requested."""
 
     call: ServiceCall
-    asked: TripRequest
+    trip_request: TripRequest
     parameters: NodeParameters
     begin_ns: int
     departure: Future[Departure] = field(default_factory=Future)
@@ -53,36 +54,35 @@ class _Request:
 
 
 class Dispatcher:
-    """One planner's run: its plans and its departures.
+    """The plans and the departures of a configured node; thread-safe.
 
-    Safe to be used from several threads: departures leave one after the other in a thread of their
-    own, and no thread waits for a solve. Methods and the futures that they return raise the
-    planner's errors, and leave the dispatcher usable.
+    Departures leave one after the other on a thread of their own, and no thread waits for a solve.
+    Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
     """
 
     def __init__(
         self,
         parameters: NodeParameters,
         inputs: Inputs,
-        outbox: Publishers,
+        publishers: Publishers,
         reporter: Reporter,
         clock: Clock,
         logger: RcutilsLogger,
     ) -> None:
-        self._parameters, self._inputs, self._outbox = parameters, inputs, outbox
+        self._parameters, self._inputs, self._publishers = parameters, inputs, publishers
         self._reporter, self._clock, self._logger = reporter, clock, logger
         self._plans = PlanCache(logger)
         self._departures = SerialExecutor(
             'departures', reporter.refresh, lambda error: reporter.failed('request', error),
             _shutting_down,
         )
-        self._in_force = DisplayedPlan(
-            self._plans, inputs, outbox, reporter, clock, self._departures.do
+        self._displayed = DisplayedPlan(
+            self._plans, inputs, publishers, reporter, clock, self._departures
         )
         self._count = 0
-        self._told_to_end: float | None = None
+        self._shutdown_began: float | None = None
         self._paused = True
-        self._review_due = False
+        self._review_queued = False
         self._contradiction: InvalidOption | None = None
         self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
 
@@ -92,172 +92,168 @@ class Dispatcher:
         return self._plans.solving
 
     def stop_solving(self) -> None:
-        """End all solves, and refuse requests for good, the waiting ones too."""
-        if self._told_to_end is None:
-            self._told_to_end = time.monotonic()
+        """Cancel all solves, and refuse all requests from now on, including waiting ones."""
+        if self._shutdown_began is None:
+            self._shutdown_began = time.monotonic()
         self._recordings.hurry()
         self._plans.close()
         self._departures.finish()
 
     def pause(self) -> None:
-        """Refuse requests, the waiting ones too; no route is drawn once this has returned."""
+        """Refuse requests, including waiting ones; no route is drawn after this returns."""
         self._paused = True
         self._departures.finish()
         self._plans.cancel()
 
     def resume(self) -> None:
-        """Take requests; a new dispatcher refuses them until this is called."""
+        """Accept requests; a new dispatcher refuses them until this is called."""
         self._paused = False
-        if self._in_force.held is not None:
-            self.ground_changed()
+        if self._displayed.cached is not None:
+            self.map_changed()
 
     def close(self) -> None:
         """Answer waiting requests, write the last recordings, and end."""
         self.stop_solving()
         self._departures.close()
-        told = self._told_to_end or 0.0
-        if left := self._recordings.close(told + _LAST_RECORDINGS - time.monotonic()):
-            self._logger.error(f'recording: {left} departures could not be written before the end')
+        began = self._shutdown_began or 0.0
+        if lost := self._recordings.close(began + _SHUTDOWN_TIME - time.monotonic()):
+            self._logger.error(
+                f'recording: {lost} departures could not be written before the shutdown'
+            )
 
     def reconfigure(self, parameters: NodeParameters) -> None:
         """Use other parameters from the next request on."""
         before, self._parameters, self._contradiction = self._parameters, parameters, None
         if before.publish_path and not parameters.publish_path:
-            self._departures.do(self._withdraw_path)  # what leaves after it is not published
+            self._departures.submit(self._withdraw_path)  # later departures are not published
 
     def refuse(self, error: InvalidOption) -> None:
-        """Refuse requests for this reason until there are parameters that can be used."""
+        """Refuse requests for this reason until ``reconfigure`` is called."""
         self._contradiction = error
 
-    def ground_changed(self) -> None:
-        """See how plans stand on the map that has just come, and solve anew where it is wanted."""
-        if not self._review_due:  # of many updates at once the last one counts
-            self._review_due = True
-            self._departures.do(self._review)
+    def map_changed(self) -> None:
+        """Assess the displayed plan on the current map, and solve it again if it is stale."""
+        if not self._review_queued:  # one review covers many updates
+            self._review_queued = True
+            self._departures.submit(self._review)
 
-    def depart(self, call: ServiceCall, asked: TripRequest) -> Future[Departure]:
-        """Depart as asked, unless the future that is returned is cancelled before.
-
-        Where paths are not published, a request must have them answered.
-        """
+    def depart(self, call: ServiceCall, trip_request: TripRequest) -> Future[Departure]:
+        """Depart on a trip, unless the returned future is cancelled before the route is drawn."""
         self._refuse_contradictions()
         self._refuse_unheard(call)
-        request = _Request(call, asked, self._parameters, self._now())
-        self._departures.do(lambda: self._try(request), request.departure)
-        return request.departure
+        pending = _Pending(call, trip_request, self._parameters, self._now())
+        self._departures.submit(lambda: self._try(pending), pending.departure)
+        return pending.departure
 
     def answered(self, departure: Departure, response: Any) -> None:
-        """Log a departure that is answered, and have it recorded."""
+        """Log and record a departure that has been answered."""
         end = max(departure.end_ns, self._now())
         self._logger.info(f'departure {departure.number} ({departure.id})')
         self._recordings.record(replace(departure, response=response, end_ns=end))
 
-    def replan(self, asked: TripRequest) -> Future[Plan]:
-        """Solve anew for the map in force."""
+    def replan(self, trip_request: TripRequest) -> Future[Plan]:
+        """Solve a trip on the current map, whether or not a plan is cached."""
         self._refuse_contradictions()
-        outcome: Future[Plan] = Future()
+        result: Future[Plan] = Future()
 
         def begin() -> None:
             self._refuse_unless_active()
             parameters = self._parameters
-            trip = self._inputs.locate(asked, parameters.robot)
-            self._when_solved(self._plans.solve(trip, parameters), show, outcome)
+            trip = self._inputs.locate(trip_request, parameters.robot)
+            self._when_solved(self._plans.solve(trip, parameters), show, result)
 
-        def show(held: CachedPlan) -> None:
-            self._in_force.show(held)
+        def show(cached: CachedPlan) -> None:
+            self._displayed.show(cached)
             self._review()
             self._reporter.succeeded()
-            outcome.set_result(held.plan)
+            result.set_result(cached.plan)
 
-        self._departures.do(begin, outcome)
-        return outcome
+        self._departures.submit(begin, result)
+        return result
 
     def cancel(self) -> int:
-        """End the solve that runs and all that wait; return how many there were."""
+        """Cancel all solves, running and waiting; return their number."""
         return self._plans.cancel()
 
-    def _try(self, request: _Request, solved: CachedPlan | None = None) -> None:
-        """Depart on a plan that is there, or have one solved and try again with it."""
-        if request.departure.cancelled():
+    def _try(self, pending: _Pending, solved: CachedPlan | None = None) -> None:
+        """Depart on a suitable plan, or have one solved and try again with it."""
+        if pending.departure.cancelled():
             return
         self._refuse_unless_active()
-        parameters = request.parameters
-        trip = self._inputs.locate(request.asked, parameters.robot)
-        good = solved is not None and usable(solved, trip, parameters)
-        held = solved if good else self._plans.find(trip, parameters)
-        if held is None:
-            self._wait(request, self._plans.plan_for(trip, parameters))
+        parameters = pending.parameters
+        trip = self._inputs.locate(pending.trip_request, parameters.robot)
+        suits = solved is not None and solved.suits(trip, parameters)
+        cached = solved if suits else self._plans.find(trip, parameters)
+        if cached is None:
+            self._try_after(self._plans.plan_for(trip, parameters), pending)
         else:
-            self._leave(held, trip, request)
+            self._leave(cached, trip, pending)
 
-    def _wait(self, request: _Request, plan: Future[CachedPlan]) -> None:
-        """Try again when the plan is there."""
-        request.solves += 1
-        if request.solves > _MOST_SOLVES:
+    def _try_after(self, solve: Future[CachedPlan], pending: _Pending) -> None:
+        pending.solves += 1
+        if pending.solves > _MOST_SOLVES:
             raise GroundChanges(
                 f'{_MOST_SOLVES} solves were out of date before they were done: the map or the '
                 'robot changes too fast; choose a larger network.spacing, route.start_tolerance '
                 'or strategy.max_gap'
             )
-        self._when_solved(plan, lambda held: self._try(request, held), request.departure)
+        self._when_solved(solve, lambda cached: self._try(pending, cached), pending.departure)
 
     def _when_solved(
-        self, solve: Future[CachedPlan], go_on: Callable[[CachedPlan], None], outcome: Future[Any]
+        self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None], result: Future[Any]
     ) -> None:
-        """Go on in the thread of departures; an error is the outcome."""
+        """Use the plan on the departures thread; an error becomes the exception of ``result``."""
         self._reporter.refresh()
-
-        def solved(done: Future[CachedPlan]) -> None:
-            self._departures.do(lambda: go_on(done.result()), outcome)
-
-        solve.add_done_callback(solved)
-        outcome.add_done_callback(
-            lambda outcome: self._plans.withdraw(solve) if outcome.cancelled() else None
+        solve.add_done_callback(
+            lambda done: self._departures.submit(lambda: use(done.result()), result)
+        )
+        result.add_done_callback(
+            lambda done: self._plans.withdraw(solve) if done.cancelled() else None
         )
 
-    def _leave(self, held: CachedPlan, trip: Trip, request: _Request) -> None:
-        """Draw a route, publish its path, and tell."""
+    def _leave(self, cached: CachedPlan, trip: Trip, pending: _Pending) -> None:
+        """Draw a route, publish its path, and complete the departure."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()
-        self._refuse_unheard(request.call)
-        if held is not self._in_force.held:
-            self._in_force.show(held)
-            if held.trip.map is not trip.map:
+        self._refuse_unheard(pending.call)
+        if cached is not self._displayed.cached:
+            self._displayed.show(cached)
+            if cached.trip.map is not trip.map:
                 self._review()
-        parameters = request.parameters
+        parameters = pending.parameters
         departure_id, number = str(uuid4()), self._count + 1
         source = route_entropy_source(parameters.seed, number)
-        # Within a departure no time is before an earlier one, though the clock may be set.
-        leaving = max(request.begin_ns, self._now())
+        # The times of a departure ascend, even if the clock is set back.
+        leaving = max(pending.begin_ns, self._now())
         drawn = draw_path(
-            held, trip, source, parameters.path_spacing, Time(nanoseconds=leaving).to_msg()
+            cached, trip, source, parameters.path_spacing, Time(nanoseconds=leaving).to_msg()
         )
         if drawn is None:
-            self._wait(request, self._plans.solve(trip, parameters))
+            self._try_after(self._plans.solve(trip, parameters), pending)
             return
-        if not request.departure.set_running_or_notify_cancel():
+        if not pending.departure.set_running_or_notify_cancel():
             return
         route, path = drawn
-        published = self._path_out(path, request)
+        published = self._publish_path(path, pending)
         self._count = number
-        tight = tight_turns(path.rows, held.plan.options.drive.turning_radius)
+        tight = tight_turns(path.rows, cached.plan.options.drive.turning_radius)
         report, trouble = self._reporter.departed(number, departure_id, tight)
-        request.departure.set_result(Departure(
-            departure_id, number, request.call, trip, parameters, held, source, route, path,
-            published, (*self._in_force.markers, report), request.begin_ns,
+        pending.departure.set_result(Departure(
+            departure_id, number, pending.call, trip, parameters, cached, source, route, path,
+            published, (*self._displayed.markers, report), pending.begin_ns,
             max(leaving, self._now()), trouble,
         ))
 
-    def _path_out(self, path: DeparturePath, request: _Request) -> RecordedMessage:
-        """Publish the path, if it may be by now; return what the recording keeps of it."""
-        if request.parameters.publish_path and self._parameters.publish_path:
-            return self._outbox.publish('path', path.to_bytes())
-        return self._outbox.as_recorded('path', path.to_bytes(), f'{request.call.name}/path')
+    def _publish_path(self, path: DeparturePath, pending: _Pending) -> RecordedMessage:
+        """Publish the path if that is allowed, and return it as the recording keeps it."""
+        if pending.parameters.publish_path and self._parameters.publish_path:
+            return self._publishers.publish('path', path.to_bytes())
+        return self._publishers.as_recorded('path', path.to_bytes(), f'{pending.call.name}/path')
 
     def _withdraw_path(self) -> None:
-        """Put an empty path where late joiners would get the last one."""
+        """Replace the latched path by an empty one."""
         if self._count:
-            self._outbox.publish('path', Path())
+            self._publishers.publish('path', Path())
 
     def _refuse_contradictions(self) -> None:
         if self._contradiction is not None:
@@ -266,35 +262,38 @@ class Dispatcher:
             ) from self._contradiction
 
     def _refuse_unheard(self, call: ServiceCall) -> None:
-        """Refuse a departure whose path nobody would get."""
+        """Refuse a departure whose path would reach nobody."""
         if call.kind is Trigger and not self._parameters.publish_path:
             raise InvalidOption(
-                'path.publish is false, so that new_route, whose answer has no room for a path, '
-                'would leave nobody with it: call get_plan'
+                'new_route cannot return a path while path.publish is false: call get_plan'
             )
 
     def _refuse_unless_active(self) -> None:
-        if self._told_to_end is not None:
+        if self._shutdown_began is not None:
             raise _shutting_down()
         if self._paused:
             raise NotActive(INACTIVE)
 
     def _review(self) -> None:
-        """See how the plan in force stands; solve it anew if it is stale, unless paused."""
-        self._review_due = False
-        again = None if self._paused else self._review
-        self._in_force.review(self._parameters.replan_tolerance, again)
+        """Assess the displayed plan; solve it again if it is stale and the node is active."""
+        self._review_queued = False
+        after_resolve = None if self._paused else self._review
+        self._displayed.review(self._parameters.replan_tolerance, after_resolve)
 
     def _now(self) -> int:
-        """The time of the node's clock [ns]."""
+        """Return the time of the node's clock [ns]."""
         return self._clock.now().nanoseconds
 
     def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
-        """Take note of how the recording of a departure went."""
+        """Log and report how the recording of a departure went."""
         if error is not None:
             self._logger.error(f'recording: {for_the_log(error)}')
-        if options == self._parameters.recording:  # or others hold by now
-            self._reporter.recorded(error)
+        if options != self._parameters.recording:
+            return
+        if error is None:
+            self._reporter.recording(True)
+        else:
+            self._reporter.recording_failed(error)
 
 
 def _shutting_down() -> SolveCancelled:

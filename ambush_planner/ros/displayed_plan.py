@@ -1,4 +1,4 @@
-"""The plan in force: the one that was departed on or solved last, with its markers."""
+"""The displayed plan: the last one that was departed on or solved, with its markers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from concurrent.futures import Future
 from dataclasses import replace
 
 from rclpy.clock import Clock
-from rclpy.time import Time
 from std_msgs.msg import Header
 
 from ..errors import AmbushPlannerError
@@ -18,99 +17,102 @@ from .inputs import Inputs
 from .plan_cache import CachedPlan, PlanCache
 from .publishers import Publishers
 from .reporter import Reporter
+from .serial_executor import SerialExecutor
 
 
 class DisplayedPlan:
-    """Shows a plan, tells how it stands on the newest map, has it solved anew when it is stale.
+    """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
-    Belongs to the thread of departures, where ``in_turn`` has work done.
+    Call all methods on the departures thread, which is that of ``departures``.
 
     Attributes
     ----------
-    held
+    cached
         The plan; None before the first one.
     markers
-        As they were published for it.
+        The markers published for it.
     """
 
     def __init__(
         self,
         plans: PlanCache,
         inputs: Inputs,
-        outbox: Publishers,
+        publishers: Publishers,
         reporter: Reporter,
         clock: Clock,
-        in_turn: Callable[[Callable[[], None]], None],
+        departures: SerialExecutor,
     ) -> None:
-        self._plans, self._inputs, self._outbox = plans, inputs, outbox
-        self._reporter, self._clock, self._in_turn = reporter, clock, in_turn
-        self.held: CachedPlan | None = None
+        self._plans, self._inputs, self._publishers = plans, inputs, publishers
+        self._reporter, self._clock, self._departures = reporter, clock, departures
+        self.cached: CachedPlan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
-        self._anew: Future[CachedPlan] | None = None  # the solve that the diagnostics tell of
+        self._latest_resolve: Future[CachedPlan] | None = None
 
-    def show(self, held: CachedPlan) -> None:
-        """Publish the markers of the plan that is in force from now on."""
-        plan, strategy = held.plan, held.plan.strategy
-        stamp = Time(nanoseconds=self._clock.now().nanoseconds).to_msg()
-        header = Header(frame_id=held.trip.map.frame, stamp=stamp)
+    def show(self, cached: CachedPlan) -> None:
+        """Display a plan: publish its markers and report its numbers."""
+        plan, strategy = cached.plan, cached.plan.strategy
+        header = Header(frame_id=cached.trip.map.frame, stamp=self._clock.now().to_msg())
+        messages = {
+            'network': markers.network_lines(plan.network, header),
+            'edge_probabilities': markers.edge_probabilities(strategy, header),
+            'mean_direction': markers.mean_direction(strategy, header),
+            'ambush_sites': markers.ambush_sites(strategy, header),
+            'stops': markers.stops(plan.network, header),
+        }
         self.markers = tuple(
-            self._outbox.publish(topic, message)
-            for topic, message in (
-                ('network', markers.network_lines(plan.network, header)),
-                ('edge_probabilities', markers.edge_probabilities(strategy, header)),
-                ('mean_direction', markers.mean_direction(strategy, header)),
-                ('ambush_sites', markers.ambush_sites(strategy, header)),
-                ('stops', markers.stops(plan.network, header)),
-            )
+            self._publishers.publish(topic, message) for topic, message in messages.items()
         )
-        self.held = held
+        self.cached = cached
         newest = self._inputs.current_map()
-        same = newest.same_ground(held.trip.map)
-        self._reporter.plan_shown(plan, held.ground.standing(newest) if same else None)
+        same = newest.same_ground(cached.trip.map)
+        self._reporter.plan_shown(plan, cached.ground.assess(newest) if same else None)
 
-    def review(self, tolerance: float, then: Callable[[], None] | None) -> None:
-        """Tell how the plan stands on the map in force.
+    def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
+        """Report how good the plan is on the current map.
 
-        If it is stale by the ``tolerance`` it is solved anew, after which ``then`` is called; not
-        if that is None.
+        A plan that is stale by the ``tolerance`` is solved again, and then ``after_resolve`` is
+        called; if that is None, it is not solved again.
         """
-        held, newest = self.held, self._inputs.current_map()
+        cached, newest = self.cached, self._inputs.current_map()
         self._plans.keep_ground(newest)
-        if held is None or not newest.same_ground(held.trip.map):
-            self._reporter.stands(None, '')
+        if cached is None or not newest.same_ground(cached.trip.map):
+            self._reporter.plan_assessed(None, '')
             return
-        standing = held.ground.standing(newest)
-        if not standing.stale(held.plan.strategy.value, tolerance):
-            self._anew = None
+        assessment = cached.ground.assess(newest)
+        if not assessment.is_stale(cached.plan.strategy.value, tolerance):
+            self._latest_resolve = None
             self._plans.withdraw_background()
-            self._reporter.stands(standing, '')
+            self._reporter.plan_assessed(assessment, '')
             return
         why = 'the map has changed: ' + (
-            f'new obstacles lie on {100.0 * (1.0 - standing.share):.0f} % of the routes'
-            if standing.blocked else f'the value has risen to {standing.value:.4g}'
+            f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
+            if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
         )
-        if then is None:
-            self._reporter.stands(standing, why)
+        if after_resolve is None:
+            self._reporter.plan_assessed(assessment, why)
             return
-        self._reporter.stands(standing, f'{why}; it is being solved anew')
-        self._solve_anew(held, why, then)
+        self._reporter.plan_assessed(assessment, f'{why}; it is being solved again')
+        self._resolve(cached, why, after_resolve)
 
-    def _solve_anew(self, held: CachedPlan, why: str, then: Callable[[], None]) -> None:
-        """Have the plan solved for the newest map, in the background, and show it then."""
-        trip = replace(held.trip, map=self._inputs.current_map())
+    def _resolve(self, cached: CachedPlan, why: str, after_resolve: Callable[[], None]) -> None:
+        """Have the plan solved for the current map in the background, and show the new one."""
+        trip = replace(cached.trip, map=self._inputs.current_map())
 
-        def shown(solve: Future[CachedPlan]) -> None:
+        def show_result(solve: Future[CachedPlan]) -> None:
             try:
                 self.show(solve.result())
             except SolveCancelled:
-                if solve is self._anew:  # and not superseded
-                    self._reporter.stale(f'{why}, and solving it anew was cancelled')
+                if solve is self._latest_resolve:  # not superseded by a later one
+                    self._reporter.plan_stale(f'{why}, and solving it again was cancelled')
                 return
             except AmbushPlannerError as error:
-                self._reporter.stale(f'{why}, and cannot be solved anew: {error}')
+                self._reporter.plan_stale(f'{why}, and solving it again failed: {error}')
                 return
-            then()
+            after_resolve()
 
-        solve = self._anew = self._plans.solve(trip, held.parameters, background=True)
+        solve = self._plans.solve(trip, cached.parameters, background=True)
+        self._latest_resolve = solve
         self._reporter.refresh()
-        solve.add_done_callback(lambda done: self._in_turn(lambda: shown(done)))
+        solve.add_done_callback(
+            lambda done: self._departures.submit(lambda: show_result(done))
+        )

@@ -1,4 +1,4 @@
-"""No exception leaves a callback, where it would end the executor."""
+"""Keep exceptions inside callbacks: one that leaves a callback ends the executor."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _Result = TypeVar('_Result')
 
 
 class ErrorBoundary:
-    """Logs what goes wrong, once, and tells ``failed`` what it concerns."""
+    """Logs each error once and passes it to ``report`` with what it concerns."""
 
     def __init__(
-        self, context: Context, logger: RcutilsLogger, failed: Callable[[str, Exception], None]
+        self, context: Context, logger: RcutilsLogger, report: Callable[[str, Exception], None]
     ) -> None:
-        self._context, self._logger, self._failed = context, logger, failed
+        self._context, self._logger, self._report = context, logger, report
 
     def attempt(
         self, what: str, concern: str, action: Callable[[], _Result]
@@ -38,12 +38,12 @@ class ErrorBoundary:
         forget_frames(known)
         if self._context.ok():
             self._logger.error(f'{what}: {for_the_log(known)}')
-            self._failed(concern, known)
+            self._report(concern, known)
         return None, known
 
 
-def guard_services(node: Node) -> None:
-    """Guard the services that ``node`` has: those of rclpy itself.
+def protect_services(node: Node) -> None:
+    """Catch the errors of the services that rclpy itself has added to ``node``.
 
     They raise, for instance, at a parameter value of an unknown type, and at a transition that the
     node's state does not have.
@@ -58,6 +58,6 @@ def _answer_anyway(
     try:
         return callback(request, response)
     except Exception as error:
-        # Not the error's own words: they hold what was sent.
+        # The error's own message could repeat the content of the request.
         node.get_logger().error(f'{name}: refused, {type(error).__name__}')
         return response

@@ -1,6 +1,6 @@
-"""What can be wrong with a request, and the code that the diagnostics give each error.
+"""Errors of requests, and the codes of all errors in the diagnostics.
 
-Codes carry the names of the constants of Nav2's ``ComputePathToPose`` where there is one.
+Codes have the names of the constants of Nav2's ``ComputePathToPose`` if it has one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..worker.solve_errors import QueueFull, SolveCancelled, WorkerFailed
 
 
 class NoMap(AmbushPlannerError):
-    """No risk map is in force."""
+    """No risk map has arrived."""
 
 
 class NoStart(AmbushPlannerError):
@@ -39,28 +39,28 @@ class NoGoal(AmbushPlannerError):
 
 
 class FrameMismatch(AmbushPlannerError):
-    """A pose is not given in the map's frame."""
+    """A pose cannot be transformed into the map's frame."""
 
 
 class GroundChanges(AmbushPlannerError):
-    """The map, or the robot, changes faster than it can be planned for."""
+    """The map or the robot changes faster than plans are solved."""
 
 
 class InvalidPlanner(AmbushPlannerError):
-    """Another planner was asked for."""
+    """The goal of an action names another planner."""
 
 
 class NotActive(AmbushPlannerError):
-    """The node is not in the state in which it answers."""
+    """The node is not active."""
 
 
 class UnreadableMessage(AmbushPlannerError):
-    """What came on a topic is no message of the topic's type."""
+    """The bytes on a topic are not a message of its type."""
 
 
 OK_CODE = 'NONE'
 
-# The first row that fits counts: children stand above their parents.
+# The first row that matches counts, so subclasses precede their base classes.
 _CODES: tuple[tuple[type[Exception], str], ...] = (
     (NoMap, 'NO_MAP'),
     (NoStart, 'NO_START'),
@@ -92,5 +92,5 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
 
 
 def code_of(error: Exception) -> str:
-    """Return the code of an error, UNKNOWN for one that is not the planner's own."""
+    """Return the code of an error; UNKNOWN if it is not one of the planner's."""
     return next((code for kind, code in _CODES if isinstance(error, kind)), 'UNKNOWN')

@@ -1,7 +1,6 @@
-"""What RViz and Foxglove show of a strategy: one marker a topic, built from whole arrays.
+"""Markers of a strategy for RViz and Foxglove: one per topic, built from whole arrays.
 
-Each function returns a serialised visualization_msgs/MarkerArray, to be published and recorded as
-it is.
+Each function returns a serialised visualization_msgs/MarkerArray.
 """
 
 from __future__ import annotations
@@ -17,16 +16,16 @@ from ..game.strategy import Strategy
 from ..network.network import Network
 from .cdr import marker_array
 
-# Edges and nodes used less than once in 10 000 departures are left out, and so are sites held that
-# much less often than the first: they would be all but transparent.
-_SELDOM = 1e-4
-# Heights, in parts of the network's extent and at most so high [m]: lines below the path, which is
-# at 0, so that they do not hide it in Foxglove; discs above the map, which it would draw over them.
-_HEIGHT, _HIGHEST = 0.005, 50.0
+# Probability below which edges and nodes, and sites relative to the likeliest one, are not drawn:
+# they would be almost transparent.
+_LEAST_SHOWN = 1e-4
+# Height of a layer as a fraction of the network's extent, and its maximum [m]. In Foxglove, lines
+# must lie below the path, which is at 0, and discs above the map.
+_HEIGHT, _MAX_HEIGHT = 0.005, 50.0
 _LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambush_sites': 1,
            'stops': 1}
-# From rare to certain: the convoy in blues, the ambusher in oranges, as in all pictures; rare is
-# more transparent. No disc is opaque: it would hide the path below it.
+# Colours from rare to certain: the convoy in blues, the ambusher in oranges. Discs are not opaque,
+# so that the path below them is visible.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
 _AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 0.9]])
 _SHADES = 64
@@ -34,12 +33,12 @@ _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
 
 def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
-    """One line list of the edges in use, coloured by the square root of their probability.
+    """Return a line list of the edges in use, coloured by the square root of their probability.
 
-    The root keeps the wide middle of a strategy visible beside the few edges at its ends.
+    The root keeps the many edges in the middle visible compared with the few at the ends.
     """
     network, p = strategy.network, strategy.edge_probability
-    shown = np.flatnonzero(p >= _SELDOM)
+    shown = np.flatnonzero(p >= _LEAST_SHOWN)
     marker = _marker('edge_probabilities', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.12 * _edge_length(network)
     colours = _colours(_CONVOY, np.repeat(np.sqrt(p[shown]), 2))
@@ -47,12 +46,12 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
 
 
 def mean_direction(strategy: Strategy, header: Header) -> bytes:
-    """One line list with an arrow a node: where the convoy goes on from there, on average.
+    """Return a line list with an arrow per node: the average direction of convoys from there.
 
-    An arrow is as long as the direction is certain, and coloured by the visits of its node.
+    The length shows how certain the direction is, the colour how often the node is visited.
     """
     network, x = strategy.network, strategy.visit_probability
-    shown = np.flatnonzero(x >= _SELDOM)
+    shown = np.flatnonzero(x >= _LEAST_SHOWN)
     length = _edge_length(network)
     direction = strategy.mean_direction()[shown]
     shown, direction = _drop_zero(shown, direction)
@@ -63,14 +62,14 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
 
 
 def ambush_sites(strategy: Strategy, header: Header) -> bytes:
-    """One list of flat discs where the ambusher would wait, coloured by how often.
+    """Return a list of flat discs at the ambush sites, coloured by their probability.
 
-    A disc has the ambush's radius where there is one. Where no ambush costs anything, the list is
-    empty and deletes an earlier one.
+    Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty and
+    deletes an earlier one.
     """
     network, q = strategy.network, strategy.ambush_probability
     often = float(q.max())
-    shown = np.flatnonzero((q >= _SELDOM * often) & (strategy.value > 0.0))
+    shown = np.flatnonzero((q >= _LEAST_SHOWN * often) & (strategy.value > 0.0))
     length = _edge_length(network)
     diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
     marker = _marker('ambush_sites', Marker.SPHERE_LIST, header, network)
@@ -81,7 +80,7 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
 
 
 def stops(network: Network, header: Header) -> bytes:
-    """One list of flat discs at the stops; where there are none it deletes an earlier one."""
+    """Return a list of flat discs at the stops; without stops it deletes an earlier one."""
     marker = _marker('stops', Marker.SPHERE_LIST, header, network)
     size = _edge_length(network)
     marker.scale = Vector3(x=size, y=size, z=0.1 * size)
@@ -92,7 +91,7 @@ def stops(network: Network, header: Header) -> bytes:
 
 
 def network_lines(network: Network, header: Header) -> bytes:
-    """One grey line list of all edges, those of both directions drawn once."""
+    """Return a grey line list of all edges, with opposite edges drawn once."""
     marker = _marker('network', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.03 * _edge_length(network)
     marker.color = ColorRGBA(r=0.5, g=0.5, b=0.5, a=0.4)
@@ -103,20 +102,20 @@ def _marker(namespace: str, kind: int, header: Header, network: Network) -> Mark
     marker = Marker(header=header, ns=namespace, id=0, type=kind, action=Marker.ADD)
     marker.pose.orientation.w = 1.0
     extent = float(np.ptp(network.points, axis=0).max())
-    marker.pose.position.z = _LAYERS[namespace] * min(_HEIGHT * extent, _HIGHEST)
+    marker.pose.position.z = _LAYERS[namespace] * min(_HEIGHT * extent, _MAX_HEIGHT)
     return marker
 
 
 def _edge_length(network: Network) -> float:
-    """Length of a typical edge [m], the measure of all that is drawn."""
+    """Return the median length of edges [m], to which sizes are relative."""
     return float(np.median(network.lengths))
 
 
 def _pairs(network: Network) -> IndexArray:
-    """Return the pairs (K, 2) of places that are joined, each once."""
+    """Return the pairs (K, 2) of connected places, each once."""
     count = network.place_count
     tails, heads = network.places[network.edges].T
-    # A number a pair: np.unique over rows takes 8 times as long.
+    # One number per pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
     return np.stack(np.divmod(keys, count), axis=1)
 

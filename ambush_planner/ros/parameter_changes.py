@@ -1,4 +1,4 @@
-"""The parameters of a running node: declared, set in any order, and judged together."""
+"""Declare the parameters of a node, and check their changes."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def declare_parameters(
     changed: Callable[[NodeParameters], None],
     contradicting: Callable[[InvalidOption], None],
 ) -> NodeParameters:
-    """Declare all parameters, and tell of each new set from now on.
+    """Declare all parameters; return their values, and call back after each later change.
 
-    What one request sets must be possible together, whatever the others are. Where it contradicts
-    the others, as happens while ``ros2 param load`` sets one after the other, ``contradicting`` is
-    called with the reason, else ``changed``.
+    The changes of one request must be possible for some values of the other parameters. If they
+    contradict the present values, as may happen while ``ros2 param load`` sets one parameter after
+    the other, ``contradicting`` is called with the reason, otherwise ``changed``.
 
     Raises
     ------
     InvalidOption
-        The values that the node was started with are not valid as a set.
+        The initial values are invalid as a set.
     rclpy.exceptions.ParameterException
-        One of them has the wrong type or is out of its range.
+        An initial value has the wrong type or is out of its range.
     """
     node.declare_parameters(
         '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
@@ -48,23 +48,22 @@ def declare_parameters(
     _warn_of_unknown(node)
     parameters = parameters_from(_values(node))
 
-    def tell(_: list[Parameter]) -> None:
+    def report(_: list[Parameter]) -> None:
         try:
-            now = parameters_from(_values(node))
+            new = parameters_from(_values(node))
         except InvalidOption as error:
             contradicting(error)
         else:
-            changed(now)
+            changed(new)
 
     node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
     node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
-    node.add_post_set_parameters_callback(tell)
+    node.add_post_set_parameters_callback(report)
     return parameters
 
 
 def _warn_of_unknown(node: Node) -> None:
-    """Say which values on the command line or in a file are for no parameter that there is."""
-    # rclpy keeps them to itself. They are no error: one file may serve several nodes.
+    """Warn of initial values for unknown parameters; one file may serve several nodes."""
     unknown = sorted(
         name for name in node._parameter_overrides
         if not node.has_parameter(name) and not name.startswith('qos_overrides.')
@@ -80,7 +79,7 @@ def _values(node: Node) -> dict[str, Any]:
 
 
 def _infinity_as_number(change: Parameter) -> Parameter:
-    """Undo what ``ros2 param load`` makes of ``.inf``: a text."""
+    """Return the change with the number that ``ros2 param load`` sends as the string inf."""
     declared = PARAMETERS.get(change.name)
     if declared and isinstance(declared.default, float) and change.value == 'inf':
         return Parameter(change.name, value=math.inf)
@@ -88,7 +87,7 @@ def _infinity_as_number(change: Parameter) -> Parameter:
 
 
 def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
-    """Answer whether ``changes`` are possible together; other parameters are not ours."""
+    """Check whether ``changes`` are possible together; parameters of others are accepted."""
     ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
     for name, value in ours.items():
         if PARAMETERS[name].fixed and value != node.get_parameter(name).value:
@@ -103,7 +102,7 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
 
 
 def _check_possible(changes: Mapping[str, Any]) -> None:
-    """Raise InvalidOption where no values of the other parameters go with the changes."""
+    """Raise InvalidOption if the changes contradict all values of the other parameters."""
     others = {name: each.default for name, each in PARAMETERS.items()}
     others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS}
     refused: list[InvalidOption] = []
@@ -118,7 +117,7 @@ def _check_possible(changes: Mapping[str, Any]) -> None:
 
 
 def _descriptor(declaration: Declaration) -> ParameterDescriptor:
-    """Return what ``ros2 param describe`` shows."""
+    """Return the type, range and description for ``ros2 param describe``."""
     constraint = f'one of {", ".join(declaration.choices)}' if declaration.choices else ''
     result = ParameterDescriptor(
         description=declaration.description,

@@ -1,4 +1,4 @@
-"""Plans are worked out once and kept as long as they hold on the newest map."""
+"""Plans are solved once and kept as long as they suit the newest map."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ..planning.plan import Plan, PlanRequest, WarmStart
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
-from .serial_executor import done
+from .serial_executor import completed
 
-# There and back again, with a detour or two.
-_KEPT = 4
+# Number of plans kept: there and back, and a detour each.
+_CAPACITY = 4
 _Position = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class CachedPlan:
-    """A plan with the trip and the parameters that it was worked out for."""
+    """A plan with the trip and the parameters that it was solved for."""
 
     plan: Plan
     trip: Trip
@@ -34,13 +34,63 @@ class CachedPlan:
     ground: ChangedGround
 
     def ends(self, trip: Trip) -> tuple[_Position, _Position]:
-        """Where a route for this trip begins and ends [m]: a blocked goal has been moved."""
-        return trip.start_xy, self.plan.goal_xy if self.moved else trip.goal_xy
+        """Return where a route for this trip begins and ends [m]: a blocked goal was moved."""
+        return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
     @property
-    def moved(self) -> bool:
-        """Whether the goal was blocked, and has been moved."""
+    def goal_was_moved(self) -> bool:
+        """Whether the goal was blocked and has been moved."""
         return self.plan.goal_xy != self.trip.goal_xy
+
+    def suits(self, trip: Trip, parameters: NodeParameters) -> bool:
+        """Whether one can depart on this plan for a trip that may differ a little."""
+        if not trip.map.same_ground(self.trip.map) or not _same(self.parameters, parameters):
+            return False
+        if self.goal_was_moved and _goal(self.trip) != _goal(trip):
+            return False
+        if _stops(self.trip, self.parameters) != _stops(trip, parameters):
+            return False
+        distance = _distance(self.trip, trip)
+        if distance > _tolerance(parameters, self.plan.spacing):
+            return False
+        assessment = self.ground.assess(trip.map)
+        if not assessment.allows_departure(parameters.max_gap, self.plan.strategy.gap):
+            return False
+        return distance == 0.0 or self._connects(trip)
+
+    def answers(self, trip: Trip, parameters: NodeParameters) -> bool:
+        """Whether the plan is for exactly this trip, perhaps on another map."""
+        return (
+            self.trip.start_xy == trip.start_xy
+            and _goal(self.trip) == _goal(trip)
+            and _stops(self.trip, self.parameters) == _stops(trip, parameters)
+            and _same(self.parameters, parameters)
+        )
+
+    def _connects(self, trip: Trip) -> bool:
+        """Whether all first and last edges in use can be driven from the start and to the goal.
+
+        All of them: whether the plan suits must not depend on the route that is drawn.
+        """
+        network, p = self.plan.network, self.plan.strategy.edge_probability
+        visits = [network.source, *network.stops.tolist(), network.target]
+        if len({node % network.place_count for node in visits}) < len(visits):
+            return False  # a place visited twice cannot be moved for one visit only
+        start, goal = self.ends(trip)
+        if any(one == other for one, other in pairwise((start, *self.plan.stops_xy, goal))):
+            return False  # the solve will refuse it
+        clear = (p > 0.0) & ~self.ground.lost(trip.map)
+        first = clear & (network.tails == network.source)
+        last = clear & (network.heads == network.target)
+        places = network.points.copy()
+        places[[network.source, network.target]] = start, goal
+        if (places[network.tails] == places[network.heads])[first | last].all(axis=1).any():
+            return False  # a step of length 0 has no direction
+        # Start and goal separately: the rectangle around both may be the whole map.
+        return all(
+            self.ground.clear(places[network.tails[edges]], places[network.heads[edges]], trip.map)
+            for edges in (first, last)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,186 +103,153 @@ class _Pending:
 
 
 class PlanCache:
-    """Plans by what they follow from: kept, or worked out in the worker process.
-
-    Safe to be used from several threads.
-    """
+    """Plans by trip and parameters: kept, or solved in the worker process; thread-safe."""
 
     def __init__(self, logger: RcutilsLogger) -> None:
         self._logger = logger
-        self._kept: list[CachedPlan] = []  # the one used last is the last
+        self._plans: list[CachedPlan] = []  # the least recently used one first
         self._pending: list[_Pending] = []
         self._lock = RLock()
-        self._solves: SolveQueue[CachedPlan] = SolveQueue()
+        self._queue: SolveQueue[CachedPlan] = SolveQueue()
 
     @property
     def solving(self) -> bool:
         """Whether a solve runs or waits."""
-        return self._solves.busy
+        return self._queue.busy
 
     def find(self, trip: Trip, parameters: NodeParameters) -> CachedPlan | None:
-        """Return the kept plan that is good for the trip, the nearest one, if there is any."""
+        """Return the nearest plan that suits the trip, if any."""
         with self._lock:
-            good = [held for held in self._kept if usable(held, trip, parameters)]
-            if not good:
+            suitable = [each for each in self._plans if each.suits(trip, parameters)]
+            if not suitable:
                 return None
-            nearest = min(reversed(good), key=lambda held: _apart(held.trip, trip))
+            nearest = min(reversed(suitable), key=lambda each: _distance(each.trip, trip))
             self._keep(nearest)
             return nearest
 
     def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[CachedPlan]:
-        """Return a plan for the trip that is kept by now, or else will be.
+        """Return the future of a plan for the trip: a kept one, or one that is being solved.
 
-        A solve for nearly this trip that waits or runs already is shared: look whether its plan is
-        ``usable``.
+        A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
 
         Raises
         ------
         SolveCancelled
-            The plans are closed.
+            The cache is closed.
         QueueFull
-            Too many solves wait already.
+            Too many solves wait.
         """
         with self._lock:
-            if (held := self.find(trip, parameters)) is not None:
-                return done(lambda: held)
+            if (found := self.find(trip, parameters)) is not None:
+                return completed(lambda: found)
             for each in self._pending:
-                if not each.solve.done() and _near(each, trip, parameters):
+                if not each.solve.done() and _will_suit(each, trip, parameters):
                     return self._submit(each.trip, each.parameters, background=False)
             return self._submit(trip, parameters, background=False)
 
     def solve(
         self, trip: Trip, parameters: NodeParameters, *, background: bool = False
     ) -> Future[CachedPlan]:
-        """Have the plan worked out anew, for exactly this trip; raises as ``plan_for`` does.
+        """Solve for exactly this trip; raises as ``plan_for`` does.
 
-        One in the ``background`` gives way to solves that somebody waits for, and to the next one
-        of its kind.
+        A ``background`` solve gives way to solves that somebody waits for, and to the next
+        background solve.
         """
         with self._lock:
             return self._submit(trip, parameters, background)
 
     def keep_ground(self, newest: CurrentMap) -> None:
-        """Forget the plans that are not of this map's ground."""
+        """Drop the plans for other ground than this map's."""
         with self._lock:
-            self._kept = [held for held in self._kept if held.trip.map.same_ground(newest)]
+            self._plans = [each for each in self._plans if each.trip.map.same_ground(newest)]
 
     def withdraw(self, solve: Future[CachedPlan]) -> None:
-        """Tell that one of those who asked for a solve no longer waits for it."""
-        self._solves.withdraw(solve)
+        """Take back one request for a solve."""
+        self._queue.withdraw(solve)
 
     def withdraw_background(self) -> None:
-        """Withdraw what waits in the background."""
-        self._solves.withdraw_background()
+        """Take back the background solve."""
+        self._queue.withdraw_background()
 
     def cancel(self) -> int:
-        """End the solve that runs and all that wait; return how many there were."""
-        return self._solves.cancel()
+        """Cancel all solves, running and waiting; return their number."""
+        return self._queue.cancel()
 
     def close(self) -> None:
-        """End all solves and the worker process."""
-        self._solves.close()
+        """Cancel all solves and end the worker process."""
+        self._queue.close()
 
     def _submit(
         self, trip: Trip, parameters: NodeParameters, background: bool
     ) -> Future[CachedPlan]:
-        solve = self._solves.submit(
+        solve = self._queue.submit(
             _key(trip, parameters),
             _request(trip, parameters, self._warm_start(trip, parameters)),
-            partial(self._solve_ended, trip, parameters),
+            partial(self._solved, trip, parameters),
             parameters.queue_size,
             background,
         )
         if all(each.solve is not solve for each in self._pending):
             self._pending.append(_Pending(trip, parameters, solve))
-            solve.add_done_callback(self._no_longer_pending)
+            solve.add_done_callback(self._remove_pending)
         return solve
 
     def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
-        """The law of a plan that answers the same question on an earlier map, if there is one."""
-        for held in reversed(self._kept):
-            multipliers = held.plan.strategy.multipliers
-            other_map = held.trip.map is not trip.map
-            if multipliers is not None and other_map and _asks(held, trip, parameters):
-                return WarmStart(held.plan.network.points, multipliers)
+        """Return the multipliers of a plan for the same trip on an earlier map, if any."""
+        for each in reversed(self._plans):
+            multipliers = each.plan.strategy.multipliers
+            other_map = each.trip.map is not trip.map
+            if multipliers is not None and other_map and each.answers(trip, parameters):
+                return WarmStart(each.plan.network.points, multipliers)
         return None
 
-    def _solve_ended(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
-        """Keep the plan before anybody is told: whoever asks from now on finds it."""
+    def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
+        """Keep the plan; this happens before the future of its solve is done."""
         ground = ChangedGround(plan, trip.map, parameters.occupancy)
-        held = CachedPlan(plan, trip, parameters, ground)
+        cached = CachedPlan(plan, trip, parameters, ground)
         with self._lock:
-            self._keep(held)
+            self._keep(cached)
         self._logger.info(
             f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
             f'{len(plan.network.points)} nodes'
         )
-        return held
+        return cached
 
-    def _no_longer_pending(self, solve: Future[CachedPlan]) -> None:
+    def _remove_pending(self, solve: Future[CachedPlan]) -> None:
         with self._lock:
             self._pending = [each for each in self._pending if each.solve is not solve]
 
-    def _keep(self, held: CachedPlan) -> None:
-        others = [each for each in self._kept if not _asks(each, held.trip, held.parameters)]
-        self._kept = [*others, held][-_KEPT:]
+    def _keep(self, cached: CachedPlan) -> None:
+        others = [each for each in self._plans
+                  if not each.answers(cached.trip, cached.parameters)]
+        self._plans = [*others, cached][-_CAPACITY:]
 
 
-def usable(held: CachedPlan, trip: Trip, parameters: NodeParameters) -> bool:
-    """Whether somebody can depart on a plan for a trip that may be a little different."""
-    if not trip.map.same_ground(held.trip.map) or not _alike(held.parameters, parameters):
-        return False
-    if held.moved and _goal(held.trip) != _goal(trip):
-        return False
-    if _by_way_of(held.trip, held.parameters) != _by_way_of(trip, parameters):
-        return False
-    apart = _apart(held.trip, trip)
-    if apart > _tolerance(parameters, held.plan.spacing):
-        return False
-    standing = held.ground.standing(trip.map)
-    if not standing.fit_to_depart(parameters.max_gap, held.plan.strategy.gap):
-        return False
-    return apart == 0.0 or _connected(held, trip)
-
-
-def _apart(one: Trip, other: Trip) -> float:
-    """How far apart the starts or the goals of two trips are [m], whichever is more."""
+def _distance(one: Trip, other: Trip) -> float:
+    """Return the distance of the starts or of the goals of two trips [m], the larger one."""
     return max(
         math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy)
     )
 
 
 def _tolerance(parameters: NodeParameters, spacing: float) -> float:
-    """How far start and goal may be from those that a plan is for [m].
-
-    Never more than half the distance of nodes.
-    """
+    """Return how far start and goal may be from a plan's [m]: at most half the node spacing."""
     return min(parameters.start_tolerance, 0.5 * spacing)
 
 
-def _asks(held: CachedPlan, trip: Trip, parameters: NodeParameters) -> bool:
-    """Whether a plan answers the same question: of another map, perhaps."""
-    return (
-        held.trip.start_xy == trip.start_xy
-        and _goal(held.trip) == _goal(trip)
-        and _by_way_of(held.trip, held.parameters) == _by_way_of(trip, parameters)
-        and _alike(held.parameters, parameters)
-    )
-
-
-def _near(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
-    """Whether what is being solved will probably do for a trip."""
+def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
+    """Whether the plan of a pending solve will probably suit a trip."""
     other, used = pending.trip, pending.parameters
-    # Where the distance of nodes is chosen by the planner, it is no less than this.
+    # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
     limits = (each.planning.strategy.time_limit for each in (used, parameters))
     return (
         trip.map.same_ground(other.map)
-        and _alike(used, parameters)
-        and len(set(limits)) == 1  # another time limit is another solve
+        and _same(used, parameters)
+        and len(set(limits)) == 1
         and other.goal_tolerance == trip.goal_tolerance
-        and _by_way_of(other, used) == _by_way_of(trip, parameters)
-        and _apart(other, trip) <= _tolerance(parameters, spacing)
+        and _stops(other, used) == _stops(trip, parameters)
+        and _distance(other, trip) <= _tolerance(parameters, spacing)
     )
 
 
@@ -240,52 +257,28 @@ def _goal(trip: Trip) -> tuple[_Position, float]:
     return trip.goal_xy, trip.goal_tolerance
 
 
-def _by_way_of(trip: Trip, parameters: NodeParameters) -> tuple[tuple[_Position, ...], str]:
-    """The stops, which are met exactly, and how their order is chosen, where there is a choice."""
+def _stops(trip: Trip, parameters: NodeParameters) -> tuple[tuple[_Position, ...], str]:
+    """Return the stops, and how their order is chosen if there is a choice."""
     return trip.stops_xy, parameters.trip_order if len(trip.stops_xy) > 1 else ''
 
 
-def _connected(held: CachedPlan, trip: Trip) -> bool:
-    """Whether each first and each last edge in use can be driven from start and to goal as asked.
-
-    All of them: whether a route can be used must not depend on which one is drawn.
-    """
-    network, p = held.plan.network, held.plan.strategy.edge_probability
-    visits = [network.source, *network.stops.tolist(), network.target]
-    if len({node % network.place_count for node in visits}) < len(visits):
-        return False  # a place that is visited again cannot be moved for one visit only
-    start, goal = held.ends(trip)
-    if any(one == other for one, other in pairwise((start, *held.plan.stops_xy, goal))):
-        return False  # refused where it is solved
-    left = (p > 0.0) & ~held.ground.lost(trip.map)
-    first, last = left & (network.tails == network.source), left & (network.heads == network.target)
-    places = network.points.copy()
-    places[[network.source, network.target]] = start, goal
-    if (places[network.tails] == places[network.heads])[first | last].all(axis=1).any():
-        return False  # a step to where one is has no direction
-    # One after the other: the ground that both lie on may be the whole map.
-    return all(
-        held.ground.clear(places[network.tails[steps]], places[network.heads[steps]], trip.map)
-        for steps in (first, last)
-    )
-
-
-def _alike(one: NodeParameters, other: NodeParameters) -> bool:
-    """Whether the same plan follows from the parameters; nearly always they are the same ones."""
+def _same(one: NodeParameters, other: NodeParameters) -> bool:
+    """Whether two sets of parameters lead to the same plan."""
     return one is other or _options(one) == _options(other)
 
 
 def _options(parameters: NodeParameters) -> tuple[object, ...]:
+    """Return the parameters that a plan depends on, which exclude its time limit."""
     planning = parameters.planning
-    # How long a solve may take does not change the plan, nor does what is made of it then.
     strategy = replace(planning.strategy, time_limit=math.inf)
     return parameters.occupancy, replace(planning, strategy=strategy, max_gap=0.0)
 
 
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
+    """Return the key by which equal solves are shared."""
     limit = parameters.planning.strategy.time_limit, parameters.max_gap
     where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
-    return *where, *_by_way_of(trip, parameters), *_options(parameters), *limit
+    return *where, *_stops(trip, parameters), *_options(parameters), *limit
 
 
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:

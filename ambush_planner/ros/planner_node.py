@@ -1,8 +1,8 @@
-"""The node: its states, and what it is made of in each of them."""
+"""The node: its lifecycle states, and the parts that exist in each of them."""
 
 from __future__ import annotations
 
-import ctypes
+import argparse
 import gc
 import signal
 import sys
@@ -17,29 +17,29 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
 from ..planning.node_parameters import NodeParameters
 from .compute_path import ComputePath
-from .departure_record import planner_version
+from .departure_record import software_versions
 from .dispatcher import Dispatcher
-from .error_boundary import ErrorBoundary, guard_services
+from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
 from .inputs import Inputs
 from .parameter_changes import declare_parameters
-from .publishers import PLANS, STATUS, Publishers
+from .publishers import PLAN_TOPICS, STATUS_TOPICS, Publishers
 from .reporter import Reporter
 from .requests import Requests
 from .subscriptions import Subscriptions
 from .transforms import FrameTransforms
-from .usage import check_arguments
 
 NODE_NAME = 'ambush_planner'
-_REPORT_PERIOD = 1.0  # s
-_LOOK_UP = 0.25  # s; how soon the end is noticed when nothing else happens
-_LAST_ANSWERS, _SPIN = 0.5, 0.05  # s
-
-_M_MMAP_THRESHOLD, _LARGE = -3, 2**20  # malloc.h
+_REPORT_PERIOD = 1.0  # of the diagnostics [s]
+_SPIN_PERIOD = 0.25  # time until a signal is noticed if nothing else happens [s]
+_LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s]
+_HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
+  ros2 node info /ambush_planner; ros2 param describe /ambush_planner NAME"""
 
 _Part = TypeVar('_Part')
 
@@ -47,38 +47,40 @@ _Part = TypeVar('_Part')
 class PlannerNode(LifecycleNode):
     """The ambush planner; keyword arguments go to ``rclpy.node.Node``.
 
-    Unconfigured it has parameters, diagnostics, and services that refuse; inactive it listens as
-    well; active it answers. It is active from the start unless ``autostart`` is false.
+    Unconfigured it has parameters, diagnostics, and services that refuse; inactive it also listens;
+    active it answers. It activates itself at the start unless ``autostart`` is false.
 
-    Callbacks never wait, so one thread is enough for them, and answers soonest. With several,
-    rclpy's executor can raise ``InvalidHandle`` when the node is cleaned up while messages arrive.
+    Callbacks never wait, so a single-threaded executor is enough and answers soonest. With several
+    threads rclpy can raise ``InvalidHandle`` if the node is cleaned up while messages arrive.
 
     Raises
     ------
     InvalidOption, rclpy.exceptions.ParameterException
-        The parameters that it was started with are not usable.
+        The initial parameters are invalid.
     """
 
     def __init__(self, **node_arguments: Any) -> None:
         super().__init__(NODE_NAME, **node_arguments)
         self._configured, self._closing = ExitStack(), ExitStack()
-        self._closing.callback(self._leave_graph)
         self._closing.callback(super().destroy_node)
-        with ExitStack() as unless_built:
-            unless_built.enter_context(self._closing)
+        with ExitStack() as on_error:
+            on_error.enter_context(self._closing)
             self._build()
             if self._settings.values['autostart']:
-                self._start()
-            unless_built.pop_all()
+                self._autostart()
+            on_error.pop_all()
 
     def _build(self) -> None:
-        """Make what is there in every state."""
-        guard_services(self)
+        """Make the parts that exist in every state."""
+        protect_services(self)
         self._dispatcher: Dispatcher | None = None
         self._inputs: Inputs | None = None
-        self._listening: Subscriptions | None = None
+        self._topic_subscriptions: Subscriptions | None = None
         self._contradiction: InvalidOption | None = None
-        self._settings = declare_parameters(self, self._reconfigure, self._contradicted)
+        self._configure_error: Exception | None = None
+        self._settings = declare_parameters(
+            self, self._reconfigure, self._refuse_contradiction
+        )
         if self._settings.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
@@ -86,110 +88,107 @@ class PlannerNode(LifecycleNode):
             )
         self._reporter = Reporter(
             self.get_fully_qualified_name().lstrip('/'),
-            Publishers(self, STATUS),
+            Publishers(self, STATUS_TOPICS),
             self.get_clock(),
             lambda: self._dispatcher is not None and self._dispatcher.solving,
             self._settings.error_hold,
         )
-        self._guard = ErrorBoundary(self.context, self.get_logger(), self._reporter.failed)
+        self._error_boundary = ErrorBoundary(
+            self.context, self.get_logger(), self._reporter.failed
+        )
         self._reporter.recording(self._settings.recording.enabled)
-        self._serve()
+        requests = Requests(
+            self, self._error_boundary, lambda: _configured(self._dispatcher),
+            lambda: _configured(self._inputs), lambda: self._settings.robot,
+        )
+        self._closing.callback(ComputePath(self, self._error_boundary, requests).close)
         self._closing.callback(lambda: self._configured.close())
-        # Steady: a simulation's clock that stands still must not silence the diagnostics.
+        # A steady clock: diagnostics go on while simulated time is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(_REPORT_PERIOD, self._on_timer, clock=steady)
 
-    def _serve(self) -> None:
-        requests = Requests(
-            self, self._guard, lambda: _there(self._dispatcher), lambda: _there(self._inputs),
-            lambda: self._settings.robot,
-        )
-        self._goals = ComputePath(self, self._guard, requests)
-        self._closing.callback(self._goals.close)
-
-    def _start(self) -> None:
+    def _autostart(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != TransitionCallbackReturn.SUCCESS:
-                raise self._trouble or RuntimeError('the node does not start')
+                raise self._configure_error or RuntimeError('the node does not start')
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Listen, and be ready to plan."""
-        _, self._trouble = self._guard.attempt('configure', 'request', self._configure)
-        if self._trouble is not None:
+        """Listen, and get ready to plan."""
+        _, self._configure_error = self._error_boundary.attempt(
+            'configure', 'request', self._configure
+        )
+        if self._configure_error is not None:
             return TransitionCallbackReturn.FAILURE
         self._reporter.lifecycle('inactive')
-        self._tell_missing()
+        self._report_missing()
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Answer from now on."""
-        _there(self._dispatcher).resume()
+        """Answer requests."""
+        _configured(self._dispatcher).resume()
         self._reporter.lifecycle('active')
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Refuse from now on; end what runs. Plans and inputs are kept."""
-        _there(self._dispatcher).pause()
+        """Refuse requests and cancel solves; plans and inputs are kept."""
+        _configured(self._dispatcher).pause()
         self._reporter.lifecycle('inactive')
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget everything but the parameters."""
+        """Forget everything except the parameters."""
         self._configured.close()
         self._reporter.lifecycle('unconfigured')
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Refuse for good."""
+        """Refuse requests for good."""
         self._configured.close()
         self._reporter.lifecycle('finalized')
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
         with ExitStack() as made:
-            made.callback(self._forget)
-            outbox = Publishers(self, PLANS)
-            made.callback(outbox.close)
-            self._transforms = FrameTransforms(self)
-            made.callback(self._transforms.close)
-            self._inputs = Inputs(self._transforms, self.resolve_topic_name('start_pose'))
+            made.callback(self._unset_parts)
+            publishers = Publishers(self, PLAN_TOPICS)
+            made.callback(publishers.close)
+            transforms = FrameTransforms(self)
+            made.callback(transforms.close)
+            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'))
             self._dispatcher = Dispatcher(
-                self._settings, self._inputs, outbox, self._reporter, self.get_clock(),
-                self.get_logger(),
+                self._settings, self._inputs, publishers, self._reporter,
+                self.get_clock(), self.get_logger(),
             )
             made.callback(self._dispatcher.close)
             if self._contradiction is not None:
                 self._dispatcher.refuse(self._contradiction)
-            self._listening = Subscriptions(
-                self, self._inputs, self._guard, self._tell_missing, self._map_accepted
+            self._topic_subscriptions = Subscriptions(
+                self, self._inputs, self._error_boundary, self._report_missing,
+                self._map_accepted,
             )
-            made.callback(self._listening.close)
+            made.callback(self._topic_subscriptions.close)
             self._configured = made.pop_all()
 
-    def _forget(self) -> None:
-        self._dispatcher, self._inputs, self._listening = None, None, None
+    def _unset_parts(self) -> None:
+        self._dispatcher = self._inputs = self._topic_subscriptions = None
 
     def stop_solving(self, executor: Executor | None = None) -> None:
-        """End all solves for good; answer waiting requests, and action goals by ``executor``.
+        """Cancel all solves and refuse waiting requests; action goals by spinning ``executor``.
 
-        With an executor the node stays for a moment: an answer is lost where DDS tells first that
-        the node has gone, and a goal's answer is several tasks of the executor, one a spin.
+        The executor spins for a moment: the answer to a goal takes several tasks, and answers are
+        lost if DDS announces first that the node has gone.
         """
         if self._dispatcher is not None:
             self._dispatcher.stop_solving()
         if executor is not None:
-            end = time.monotonic() + _LAST_ANSWERS
+            end = time.monotonic() + _LAST_ANSWERS_TIME
             with suppress(ExternalShutdownException):
                 while time.monotonic() < end:
-                    executor.spin_once(timeout_sec=_SPIN)
+                    executor.spin_once(timeout_sec=0.05)
 
     def destroy_node(self) -> None:
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
         self._closing.close()
-
-    def _leave_graph(self) -> None:
-        # The state machine would keep the node in the graph until Python looks for cycles.
-        self._state_machine = None
 
     def _reconfigure(self, parameters: NodeParameters) -> None:
         before, self._settings = self._settings, parameters
@@ -200,9 +199,9 @@ class PlannerNode(LifecycleNode):
             self._dispatcher.reconfigure(parameters)
         if parameters.recording != before.recording:
             self._reporter.recording(parameters.recording.enabled)
-        self._tell_missing()
+        self._report_missing()
 
-    def _contradicted(self, error: InvalidOption) -> None:
+    def _refuse_contradiction(self, error: InvalidOption) -> None:
         self._contradiction = error
         if self._dispatcher is not None:
             self._dispatcher.refuse(error)
@@ -210,26 +209,26 @@ class PlannerNode(LifecycleNode):
             'parameters', f'parameters contradict each other, and requests are refused: {error}'
         )
 
-    def _tell_missing(self) -> None:
+    def _report_missing(self) -> None:
         if self._inputs is not None:
             self._reporter.inputs(self._inputs.missing(self._settings.robot))
 
     def _map_accepted(self) -> None:
         self._reporter.map_accepted()
-        self._tell_missing()
-        _there(self._dispatcher).ground_changed()
+        self._report_missing()
+        _configured(self._dispatcher).map_changed()
 
     def _on_timer(self) -> None:
-        self._guard.attempt('diagnostics', 'request', self._report)
+        self._error_boundary.attempt('diagnostics', 'request', self._report)
 
     def _report(self) -> None:
-        listening = self._listening
-        self._reporter.warn('alpha_map', listening.unheard_maps() if listening else '')
+        listening = self._topic_subscriptions
+        self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
         self._reporter.report()
 
 
-def _there(part: _Part | None) -> _Part:
-    """Return what there is of a node that is configured."""
+def _configured(part: _Part | None) -> _Part:
+    """Return a part of a configured node; raises NotActive if the node is not configured."""
     if part is None:
         raise NotActive(
             'the node is not configured: nobody departs before it is configured and activated '
@@ -238,54 +237,50 @@ def _there(part: _Part | None) -> _Part:
     return part
 
 
-def _init(args: list[str] | None) -> None:
-    try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # say, a parameter file that is not there
-        raise InvalidOption(str(error)) from error
-
-
-def _give_back_large_blocks() -> None:
-    """Have glibc return the memory of a map when it is freed, in this process of our own.
-
-    By itself it keeps blocks of up to 32 MB once it has freed one, in a heap for each thread.
-    """
-    with suppress(AttributeError, OSError):
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
+def check_arguments(arguments: list[str] | None) -> None:
+    """Print the help if asked for; exit with 2 at an argument that is not one of ROS."""
+    parser = argparse.ArgumentParser(
+        prog=NODE_NAME, usage='ros2 run ambush_planner ambush_planner [--help] [--ros-args ...]',
+        description='Draws a fresh route for every departure of a convoy.', epilog=_HELP_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    given = sys.argv if arguments is None else ['', *arguments]
+    with suppress(RuntimeError):  # malformed ROS arguments: rclpy.init names them
+        parser.parse_args(remove_ros_args(given)[1:])
 
 
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
-    # Our own handlers, which only raise a flag: rclpy's end the context at once, wherever the
-    # threads are, which crashes a node that is just starting. They stay to the end, so that a
-    # second Ctrl-C does not cut the clean-up short.
+    # Handlers that only set a flag: rclpy's end the context at once, whatever its threads are
+    # doing, which crashes a starting node. A second Ctrl-C does not interrupt the clean-up.
     stop = Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
-    _give_back_large_blocks()
     executor, node = None, None
     try:
-        _init(args)
+        try:
+            rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        except RuntimeError as error:  # a missing parameter file, for instance
+            raise InvalidOption(str(error)) from error
         node = PlannerNode()
         node.get_logger().info(
-            f'version {planner_version()}; it needs alpha_map, start_pose and goal_pose; '
-            '~/new_route is a departure, once the node is active'
+            f'version {software_versions()["ambush_planner"]}; it needs alpha_map, start_pose and '
+            'goal_pose; ~/new_route is a departure, once the node is active'
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)
-        # What is there by now stays: the collector need not look at it, which took 50 ms a time.
+        # The objects made so far live as long as the node: scanning them takes 50 ms each time.
         gc.collect()
         gc.freeze()
         while rclpy.ok() and not stop.is_set():
-            executor.spin_once(timeout_sec=_LOOK_UP)
+            executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:
         pass
     except (InvalidOption, ParameterException) as error:
         print(f'{NODE_NAME}: cannot start: {error}', file=sys.stderr)
         return 1
     finally:
-        # Waiting requests are answered, and the last recordings written, as the node is destroyed.
         if node is not None:
             node.stop_solving(executor)
         if executor is not None:
@@ -293,7 +288,7 @@ def main(args: list[str] | None = None) -> int:
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-        # At its own end, Python would put the default back, by which a second Ctrl-C kills.
+        # Python restores the default handlers at its end, and a second Ctrl-C would kill it then.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
     return 0

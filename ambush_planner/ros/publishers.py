@@ -1,4 +1,4 @@
-"""Everything that the node publishes, with the quality of service that DESIGN promises."""
+"""Everything that the node publishes, with its quality of service."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from visualization_msgs.msg import MarkerArray
 from ..recordings import RecordedMessage, type_name
 from .qos import DIAGNOSTICS, LATCHED
 
-# What is planned, and what is told of it.
-PLANS = {
+# Topics that exist while the node is configured.
+PLAN_TOPICS = {
     'path': (PathMessage, LATCHED),
     'edge_probabilities': (MarkerArray, LATCHED),
     'mean_direction': (MarkerArray, LATCHED),
@@ -24,13 +24,14 @@ PLANS = {
     'network': (MarkerArray, LATCHED),
     'stops': (MarkerArray, LATCHED),
 }
-STATUS = {
+# Topics that exist in all states of the node.
+STATUS_TOPICS = {
     '/diagnostics': (DiagnosticArray, DIAGNOSTICS),
 }
 
 
 class Publishers:
-    """Publishes on ``topics``, and hands back what a recording keeps of it."""
+    """Publishes on ``topics``, and returns each message as a recording keeps it."""
 
     def __init__(self, node: Node, topics: Mapping[str, tuple[type, QoSProfile]]) -> None:
         self._node, self._topics = node, topics
@@ -40,23 +41,20 @@ class Publishers:
         }
 
     def publish(self, topic: str, message: Any) -> RecordedMessage:
-        """Publish on one of the node's topics, by the name that it has in the code.
-
-        ``message`` may be serialised already; it is serialised once in any case.
-        """
+        """Publish a message, or its serialised bytes, on one of ``topics``."""
         publisher = self._publishers[topic]
-        kept = self.as_recorded(topic, message, publisher.topic_name)
-        publisher.publish(kept.data)
-        return kept
+        recorded = self.as_recorded(topic, message, publisher.topic_name)
+        publisher.publish(recorded.data)
+        return recorded
 
     def as_recorded(self, topic: str, message: Any, name: str) -> RecordedMessage:
-        """Return what a recording keeps of a message, under the full ``name``; publish nothing."""
+        """Return a message as a recording keeps it, under the full ``name``, unpublished."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
         stamp = self._node.get_clock().now().nanoseconds
         return RecordedMessage(name, type_name(kind), data, qos, stamp)
 
     def close(self) -> None:
-        """Destroy the publishers, so that late subscribers get nothing that was latched."""
+        """Destroy the publishers, so that late subscribers get no latched message."""
         for publisher in self._publishers.values():
             self._node.destroy_publisher(publisher)

@@ -1,4 +1,4 @@
-"""Outcomes that come later, without a thread that waits for them."""
+"""Run work in one thread, one piece after the other."""
 
 from __future__ import annotations
 
@@ -10,63 +10,64 @@ from typing import Any, TypeVar
 _Result = TypeVar('_Result')
 
 
-def done(work: Callable[[], _Result]) -> Future[_Result]:
-    """Return a future that has the outcome of ``work`` already."""
-    outcome: Future[_Result] = Future()
+def completed(work: Callable[[], _Result]) -> Future[_Result]:
+    """Do ``work`` now and return a future that has its result or its error."""
+    future: Future[_Result] = Future()
     try:
-        outcome.set_result(work())
+        future.set_result(work())
     except Exception as error:
-        outcome.set_exception(error)
-    return outcome
+        future.set_exception(error)
+    return future
 
 
 class SerialExecutor:
-    """Work is done one piece after the other, in a thread called ``name``.
+    """Runs pieces of work in order in a thread called ``name``.
 
     Parameters
     ----------
-    first
-        Called before each piece.
-    failed
-        Called with an error of work that nobody waits for.
-    ended
-        Makes the error that work is refused with once this is closed.
+    before_each
+        Called before each piece of work.
+    on_error
+        Called with an error of work that has no future.
+    closed_error
+        Makes the error that refuses work after ``close``.
     """
 
     def __init__(
-        self, name: str, first: Callable[[], None], failed: Callable[[Exception], None],
-        ended: Callable[[], Exception],
+        self, name: str, before_each: Callable[[], None], on_error: Callable[[Exception], None],
+        closed_error: Callable[[], Exception],
     ) -> None:
-        self._first, self._failed, self._ended = first, failed, ended
+        self._before_each, self._on_error = before_each, on_error
+        self._closed_error = closed_error
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
 
-    def do(self, work: Callable[[], None], outcome: Future[Any] | None = None) -> None:
-        """Have work done in its turn; an error is the outcome, unless that has been cancelled."""
+    def submit(self, work: Callable[[], None], future: Future[Any] | None = None) -> None:
+        """Queue work that sets ``future``; an error becomes its exception, unless cancelled."""
 
         def attempt() -> None:
             try:
-                self._first()
+                self._before_each()
                 work()
             except Exception as error:
-                self._fail(outcome, error)
+                self._fail(future, error)
 
         try:
             self._thread.submit(attempt)
         except RuntimeError:  # the thread has ended
-            if outcome is not None:
-                self._fail(outcome, self._ended())
+            if future is not None:
+                self._fail(future, self._closed_error())
 
     def finish(self) -> None:
-        """Wait until all is done that was to be done before this call."""
+        """Wait until all work submitted so far is done."""
         self._thread.submit(lambda: None).result()
 
     def close(self) -> None:
-        """Do what is still to be done, and refuse work from now on."""
+        """Refuse further work, and wait until all submitted work is done."""
         self._thread.shutdown()
 
-    def _fail(self, outcome: Future[Any] | None, error: Exception) -> None:
-        if outcome is None:
-            self._failed(error)
+    def _fail(self, future: Future[Any] | None, error: Exception) -> None:
+        if future is None:
+            self._on_error(error)
             return
         with suppress(InvalidStateError):  # it has been cancelled
-            outcome.set_exception(error)
+            future.set_exception(error)

@@ -1,10 +1,9 @@
-"""What the node listens to, read and handed on to its inputs."""
+"""What the node listens to, read and handed to its inputs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -14,26 +13,22 @@ from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from ..recordings import type_name
-from .cdr import read_grid_update
-from .current_map import CurrentMap, Received
+from .conversions import installed_type
+from .current_map import CurrentMap, ReceivedMessage
 from .error_boundary import ErrorBoundary
 from .error_codes import UnreadableMessage
 from .inputs import Inputs
 from .qos import LATCHED, LATEST, UPDATES
 
-try:
-    from map_msgs.msg import OccupancyGridUpdate  # comes with ROS, not from PyPI
-except ImportError:
-    OccupancyGridUpdate = None
-
-_SELDOM = 10.0  # s
+# Minimum time between two log lines about changes of one map [s].
+_MAP_LOG_PERIOD = 10.0
 
 
 class Subscriptions:
     """The subscriptions of ``node``.
 
     ``pose_accepted`` is called after each start, goal and array of stops, ``map_accepted`` after
-    each map and each change of one. ``start_topic`` and ``goal_topic`` are full names.
+    each map and each update of one.
     """
 
     def __init__(
@@ -44,46 +39,42 @@ class Subscriptions:
         pose_accepted: Callable[[], None],
         map_accepted: Callable[[], None],
     ) -> None:
-        self._node, self._guard = node, error_boundary
-        self._all: list[Subscription] = []
+        self._node, self._error_boundary = node, error_boundary
+        self._subscriptions: list[Subscription] = []
         self._map_topic = node.resolve_topic_name('alpha_map')
-        self._map: CurrentMap | None = None  # the last one that was told
+        self._logged_map: CurrentMap | None = None
 
-        def accept_map(got: Received) -> None:
-            self._tell_map(inputs.accept_map(got))
+        def accept_map(received: ReceivedMessage) -> None:
+            self._log_map(inputs.accept_map(received))
             map_accepted()
 
-        def update_map(got: Received) -> None:
-            inputs.update_map(got.message)
+        def update_map(received: ReceivedMessage) -> None:
+            inputs.update_map(received.message)
             map_accepted()
 
-        def set_start(got: Received) -> None:
-            inputs.set_start(got)
-            pose_accepted()
+        def pose_setter(
+            set_pose: Callable[[ReceivedMessage], None]
+        ) -> Callable[[ReceivedMessage], None]:
+            def accept_pose(received: ReceivedMessage) -> None:
+                set_pose(received)
+                pose_accepted()
 
-        def set_goal(got: Received) -> None:
-            inputs.set_goal(got)
-            pose_accepted()
+            return accept_pose
 
-        def set_via(got: Received) -> None:
-            inputs.set_via(got)
-            pose_accepted()
-
+        set_start = pose_setter(inputs.set_start)
         self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, accept_map)
-        if OccupancyGridUpdate is not None:
-            self._subscribe(
-                OccupancyGridUpdate, 'alpha_map_updates', UPDATES, update_map, read_grid_update
-            )
-        self.start_topic = self._subscribe(PoseStamped, 'start_pose', LATEST, set_start)
-        self.goal_topic = self._subscribe(PoseStamped, 'goal_pose', LATEST, set_goal)
-        self._subscribe(PoseArray, 'via_poses', LATEST, set_via)
+        if (update_type := installed_type('map_msgs.msg', 'OccupancyGridUpdate')) is not None:
+            self._subscribe(update_type, 'alpha_map_updates', UPDATES, update_map)
+        self._subscribe(PoseStamped, 'start_pose', LATEST, set_start)
+        self._subscribe(PoseStamped, 'goal_pose', LATEST, pose_setter(inputs.set_goal))
+        self._subscribe(PoseArray, 'via_poses', LATEST, pose_setter(inputs.set_via))
         self._subscribe(
             PoseWithCovarianceStamped, 'initialpose', LATEST,
-            lambda got: set_start(_without_covariance(got)),
+            lambda received: set_start(_without_covariance(received)),
         )
 
-    def unheard_maps(self) -> str:
-        """Say so where maps are published without the durability that this node asks for."""
+    def volatile_map_warning(self) -> str:
+        """Return a warning if a map is published without the durability asked for, else ''."""
         volatile = sorted({
             f'{each.node_namespace.rstrip("/")}/{each.node_name}'
             for each in self._node.get_publishers_info_by_topic(self._map_topic)
@@ -93,11 +84,16 @@ class Subscriptions:
             return ''
         return (
             f'{", ".join(volatile)[:200]} publishes {self._map_topic} with volatile durability, '
-            'so that nothing of it arrives here: publish it transient local'
+            'so no map arrives from there: publish it transient local'
         )
 
-    def _tell_map(self, new: CurrentMap) -> None:
-        before, self._map = self._map, new
+    def close(self) -> None:
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+
+    def _log_map(self, new: CurrentMap) -> None:
+        before, self._logged_map = self._logged_map, new
         if new is before:
             return
         height, width = new.values.shape
@@ -105,49 +101,38 @@ class Subscriptions:
             f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
             f'{new.frame[:80]!r}'
         )
-        if before is not None and new.same_ground(before):  # a costmap's comes every second
-            self._node.get_logger().info(text, throttle_duration_sec=_SELDOM)
+        if before is not None and new.same_ground(before):  # a costmap, published every second
+            self._node.get_logger().info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
         else:
             self._node.get_logger().info(text)
 
     def _subscribe(
-        self,
-        kind: type,
-        topic: str,
-        qos: QoSProfile,
-        use: Callable[[Received], None],
-        read: Callable[[bytes], Any] | None = None,
-    ) -> str:
-        """Subscribe, and return the topic's full name."""
+        self, kind: type, topic: str, qos: QoSProfile, use: Callable[[ReceivedMessage], None]
+    ) -> None:
         name = self._node.resolve_topic_name(topic)
         concern = 'map' if topic.startswith('alpha_map') else 'request'
 
         def receive(data: bytes) -> None:
-            self._guard.attempt(name, concern, lambda: use(_received(kind, name, data, qos, read)))
+            self._error_boundary.attempt(
+                name, concern, lambda: use(_deserialised(kind, name, data, qos))
+            )
 
-        # Raw: what cannot be read would end the executor, and recordings keep the bytes that came.
-        self._all.append(self._node.create_subscription(kind, topic, receive, qos, raw=True))
-        return name
-
-    def close(self) -> None:
-        """Listen to nothing any more."""
-        for subscription in self._all:
-            self._node.destroy_subscription(subscription)
+        # Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
+        self._subscriptions.append(
+            self._node.create_subscription(kind, topic, receive, qos, raw=True)
+        )
 
 
-def _received(
-    kind: type, topic: str, data: bytes, qos: QoSProfile, read: Callable[[bytes], Any] | None
-) -> Received:
+def _deserialised(kind: type, topic: str, data: bytes, qos: QoSProfile) -> ReceivedMessage:
     try:
-        message = read(data) if read else deserialize_message(data, kind)
+        message = deserialize_message(data, kind)
     except Exception as error:  # rclpy's own error type is not public
         raise UnreadableMessage(
             f'{len(data)} bytes on {topic} are not a message of type {kind.__name__}'
         ) from error
-    return Received(topic, type_name(kind), message, data, qos)
+    return ReceivedMessage(topic, type_name(kind), message, qos, data)
 
 
-def _without_covariance(got: Received) -> Received:
-    """The pose of an estimate, with the bytes that came."""
-    pose = PoseStamped(header=got.message.header, pose=got.message.pose.pose)
-    return replace(got, message=pose)
+def _without_covariance(received: ReceivedMessage) -> ReceivedMessage:
+    pose = PoseStamped(header=received.message.header, pose=received.message.pose.pose)
+    return replace(received, message=pose)

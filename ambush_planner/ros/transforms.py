@@ -1,10 +1,12 @@
-"""Poses into another frame, by what /tf and /tf_static tell."""
+"""Transform poses into another frame, by what /tf and /tf_static publish."""
 
 from __future__ import annotations
 
 from functools import partial
 from threading import Event, Thread
+from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from rclpy.clock import JumpHandle, JumpThreshold
 from rclpy.duration import Duration
@@ -12,34 +14,35 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.time import Time
+from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from ..maps.ros_messages import position_from_ros
 from ..worker.solve_errors import for_the_log, unexpected
-from .cdr import read_transforms
+from .conversions import installed_type
 from .error_codes import FrameMismatch
 from .qos import TF, TF_STATIC
-from .tf_buffer import Found, Rigid, TransformBuffer, TransformUnknown, normalised
+from .tf_buffer import Found, Rigid, StampedTransform, TransformBuffer, TransformUnknown
 
-try:
-    from tf2_msgs.msg import TFMessage  # comes with ROS, not from PyPI
-except ImportError:
-    TFMessage = None
-
-_LONGEST_SHOWN = 80  # letters of a frame's name
-_LOOK_UP = 0.25  # s; how soon the end of the context is noticed when nothing else happens
+# Maximum length of a frame's name in messages [characters].
+_LONGEST_SHOWN = 80
+# Time until the end of the context is noticed if nothing else happens [s].
+_SPIN_PERIOD = 0.25
 
 
 class FrameTransforms:
-    """How frames lie to each other, as TF tells; nothing if ``tf2_msgs`` is missing.
+    """Transforms poses between frames; without ``tf2_msgs``, only within a frame.
 
-    ``to_frame`` may be called from any thread. ``close`` before the node is destroyed.
+    ``to_frame`` may be called from any thread. Call ``close`` before destroying the node.
     """
 
     def __init__(self, node: Node) -> None:
         self._clock = node.get_clock()
         self._buffer = TransformBuffer()
-        self._listener = None if TFMessage is None else _TfListener(node, self._buffer)
+        tf_message = installed_type('tf2_msgs.msg', 'TFMessage')
+        self._listener = (
+            None if tf_message is None else _TfListener(node, self._buffer, tf_message)
+        )
 
     def close(self) -> None:
         """Stop listening."""
@@ -47,19 +50,19 @@ class FrameTransforms:
             self._listener.close()
 
     def to_frame(self, pose: PoseStamped, name: str, frame: str, max_age: float) -> PoseStamped:
-        """Return the pose called ``name`` in ``frame``; unchanged if it is given there.
+        """Return the pose called ``name`` in ``frame``; unchanged if that is its frame.
 
-        The latest transform that is known counts, whatever the pose's stamp: a pose in
-        ``base_link`` is where the robot is now. The result has that transform's stamp, or none
-        where it is static. Never waits for a transform.
+        The latest known transform is used, whatever the pose's stamp: a pose in ``base_link`` is
+        where the robot is now. The result has the stamp of the transform, or none if that is
+        static. Never waits for a transform.
 
         Raises
         ------
         FrameMismatch
-            The pose has no frame, nothing tells how its frame lies to ``frame``, or what tells it
-            is older than ``max_age`` [s].
+            The pose has no frame, or no transform to ``frame`` is known, or it is older than
+            ``max_age`` [s].
         InvalidPose
-            The pose would have to be transformed, and its numbers are not a pose.
+            The pose needs a transform and is not a valid pose.
         """
         given = pose.header.frame_id
         if given and given == frame:
@@ -73,7 +76,7 @@ class FrameTransforms:
             raise FrameMismatch(f'{problem}: its header.frame_id is empty')
         if self._listener is None:
             raise FrameMismatch(f'{problem}, or install tf2_msgs to have it transformed')
-        # As given: a rotation normalises, or refuses, an orientation that is not one.
+        # Checked before the rotation, which would normalise an invalid orientation.
         position_from_ros(pose, name)
         try:
             found = self._buffer.lookup(frame, given)
@@ -91,40 +94,34 @@ class FrameTransforms:
         if age > max_age:
             raise FrameMismatch(
                 f'{name}: the transform from {given!r} to {frame!r} is {age:.3g} s old, more than '
-                f'transform.max_age, {max_age:g} s; see that /tf is still published, and that its '
-                "stamps are of this node's clock"
+                f'transform.max_age, {max_age:g} s; check that /tf is still published, with stamps '
+                "of this node's clock"
             )
 
 
 class _TfListener:
-    """Fills a buffer in a thread, with a node and an executor of its own, as in C++.
+    """Fills a buffer in a thread with a node and an executor of its own, as tf2_ros does.
 
-    TF comes often: each message costs an executor of many threads and subscriptions ten times
-    what it costs this one, and a message read by rclpy as many times what its bytes cost here.
+    Frequent transforms then do not wake the planner's executor, which has many entities to check.
     The thread ends with ``close`` or with the node's context.
     """
 
-    def __init__(self, node: Node, buffer: TransformBuffer) -> None:
+    def __init__(self, node: Node, buffer: TransformBuffer, tf_message: type) -> None:
         self._buffer, self._logger = buffer, node.get_logger()
-        self._jumps = _forget_when_time_jumps_back(buffer, node)
+        self._jumps = _clear_when_time_jumps_back(buffer, node)
         self._node = _hidden_node(node)
         for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-            self._node.create_subscription(
-                TFMessage,
-                node.resolve_topic_name(topic),  # as the node itself is remapped
-                partial(self._receive, static),
-                qos,
-                raw=True,
-            )
+            # The name is resolved by the planner's node, with its remappings.
+            name, receive = node.resolve_topic_name(topic), partial(self._receive, static)
+            self._node.create_subscription(tf_message, name, receive, qos)
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
         self._closed = Event()
-        # A daemon, in case nobody calls close.
         self._thread = Thread(target=self._spin, name=self._node.get_name(), daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread; a second time does nothing."""
+        """End the thread; a second call does nothing."""
         if not self._closed.is_set():
             self._closed.set()
             self._executor.wake()
@@ -134,39 +131,33 @@ class _TfListener:
             self._node.destroy_node()
 
     def _spin(self) -> None:
-        try:
-            while self._executor.context.ok() and not self._closed.is_set():
-                self._executor.spin_once(timeout_sec=_LOOK_UP)
-        except ExternalShutdownException:
-            pass
-        except Exception as error:
-            self._tell(error)
-            if self._executor.context.ok() and not self._closed.is_set():
-                self._closed.wait(_LOOK_UP)
-                self._spin()
+        while self._executor.context.ok() and not self._closed.is_set():
+            try:
+                self._executor.spin_once(timeout_sec=_SPIN_PERIOD)
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # unreadable bytes, for instance
+                self._logger.error(
+                    f'TF: {for_the_log(unexpected(error))}', throttle_duration_sec=10.0
+                )
 
-    def _receive(self, static: bool, data: bytes) -> None:
-        try:
-            for transform in read_transforms(data):
-                self._buffer.add(transform, static)
-        except ValueError as error:
-            self._logger.warning(f'TF: {error}', throttle_duration_sec=10.0)
-        except Exception as error:  # one that leaves a callback is printed with its own words
-            self._tell(error)
-
-    def _tell(self, error: Exception) -> None:
-        self._logger.error(
-            f'TF: {for_the_log(unexpected(error))}', throttle_duration_sec=10.0
-        )
+    def _receive(self, static: bool, message: Any) -> None:
+        for each in message.transforms:
+            p, q = each.transform.translation, each.transform.rotation
+            stamp = each.header.stamp
+            self._buffer.add(StampedTransform(
+                each.header.frame_id, each.child_frame_id,
+                stamp.sec * 1_000_000_000 + stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w),
+            ), static)
 
 
 def _hidden_node(node: Node) -> Node:
-    """Return a node beside ``node``, in the same namespace, without services."""
+    """Return a node in the namespace of ``node``, without services."""
     return Node(
         f'_{node.get_name()}_tf',
         context=node.context,
         namespace=node.get_namespace(),
-        # What is said on the command line is meant for the other node, which resolves the names.
+        # Command line arguments belong to the planner's node, which resolves the names.
         use_global_arguments=False,
         enable_rosout=False,
         start_parameter_services=False,
@@ -174,11 +165,8 @@ def _hidden_node(node: Node) -> Node:
     )
 
 
-def _forget_when_time_jumps_back(buffer: TransformBuffer, node: Node) -> JumpHandle:
-    """Clear the buffer when a simulation or a bag starts anew.
-
-    The new transforms would be older than what is known, and the old ones would stay the latest.
-    """
+def _clear_when_time_jumps_back(buffer: TransformBuffer, node: Node) -> JumpHandle:
+    """Clear the buffer when a simulation or a bag restarts, or its old transforms stay latest."""
     threshold = JumpThreshold(
         min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True
     )
@@ -188,14 +176,15 @@ def _forget_when_time_jumps_back(buffer: TransformBuffer, node: Node) -> JumpHan
 
 
 def _transformed(pose: PoseStamped, found: Found, frame: str) -> PoseStamped:
-    """Return the pose in ``frame``, to which ``found`` leads from its own."""
     p, q = pose.pose.position, pose.pose.orientation
-    moved = found.rigid @ Rigid((p.x, p.y, p.z), normalised((q.x, q.y, q.z, q.w)))
+    given = Rigid(np.array((p.x, p.y, p.z)), Rotation.from_quat((q.x, q.y, q.z, q.w)))
+    moved = found.rigid @ given
+    x, y, z = moved.translation.tolist()
+    qx, qy, qz, qw = moved.rotation.as_quat().tolist()
     stamp = Time(nanoseconds=found.stamp_ns or 0).to_msg()
     return PoseStamped(
         header=Header(frame_id=frame, stamp=stamp),
         pose=Pose(
-            position=Point(**dict(zip('xyz', moved.translation, strict=True))),
-            orientation=Quaternion(**dict(zip('xyzw', moved.rotation, strict=True))),
+            position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)
         ),
     )

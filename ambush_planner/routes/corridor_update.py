@@ -1,7 +1,6 @@
-"""Corridors refitted: to obstacles that are new, and to a start or goal beside the network's.
+"""Update corridors after new obstacles appeared, or the start or goal moved slightly.
 
-The strips and quarters that have changed are measured again, so what ``corridors`` says of them and
-of the paths in them holds on.
+The affected strips and quarters are measured again, so the guarantees of ``corridors`` still hold.
 """
 
 from __future__ import annotations
@@ -13,24 +12,24 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..maps.risk_map import RiskMap, to_map_axes
-from .corridor_geometry import Clearances, clear_of_cells, on_the_map, whole_room
+from .corridor_geometry import CorridorWidths, largest_widths, limit_to_cells, limit_to_map
 from .corridors import Corridors
 
-# Nodes looked at around an end that has moved, in lengths of its longest link.
-AROUND = 3.0
+# Radius around a moved end in which nodes are examined [lengths of its longest link].
+SEARCH_RADIUS = 3.0
 
 
-def among_new_obstacles(
+def with_new_obstacles(
     corridors: Corridors, cells: FloatArray, clearance: float, resolution: float
 ) -> Corridors:
-    """The corridors where obstacles have come that were not there when they were measured.
+    """Narrow the corridors to keep clear of new obstacles.
 
     Parameters
     ----------
     cells : (C, 2) float
         Centres of the new obstacle cells in map axes [m].
     clearance, resolution
-        What is kept from obstacles, and the size of a cell [m].
+        Distance to keep from obstacles, and cell size [m].
     """
     ends = corridors.uv[corridors.links]
     wide = np.maximum(corridors.left, corridors.right)
@@ -40,14 +39,14 @@ def among_new_obstacles(
     gaps, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
     near = np.flatnonzero(gaps <= reach)
     widths = np.stack((corridors.left[near], corridors.right[near]), axis=1)
-    room = Clearances(widths, corridors.beyond[near])
-    room = clear_of_cells(
-        room, corridors.uv, corridors.links[near], cells, clearance, resolution
+    narrowed = limit_to_cells(
+        CorridorWidths(widths, corridors.beyond[near]),
+        corridors.uv, corridors.links[near], cells, clearance, resolution,
     )
-    return _with_room(corridors, near, room)
+    return _with_widths(corridors, near, narrowed)
 
 
-def with_end_at(
+def with_moved_end(
     corridors: Corridors,
     node: int,
     place: tuple[float, float],
@@ -57,15 +56,15 @@ def with_end_at(
     tube: float | None = None,
     clear_of_edge: bool = True,
 ) -> Corridors:
-    """The corridors where routes begin or end somewhat beside the source or the target ``node``.
+    """Update the corridors after the source or target ``node`` moved slightly.
 
     Parameters
     ----------
     place
-        Where they begin or end instead, in the world [m].
+        New world position of the node [m].
     around, corner
-        Part of the map, in map axes, and where its lower left corner lies (2,) [m]; it reaches as
-        far beyond the node's links as these are long, or as the tube.
+        Part of the map, in map axes, and its lower left corner (2,) [m]; it extends beyond the
+        node's links by their length, or by the tube.
     clearance, tube, clear_of_edge
         As the corridors were made with.
     """
@@ -73,22 +72,22 @@ def with_end_at(
     uv[node] = to_map_axes(corridors.origin, place)
     at = np.flatnonzero((links == node).any(axis=1))
     distance = np.hypot(*(uv - uv[node]).T)
-    nodes = np.flatnonzero(distance <= AROUND * distance[links[at]].max())
-    here, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
-    room = whole_room(here, pairs, tube)
-    room = on_the_map(room, here, pairs, around, clearance, clear_of_edge)
-    return _with_room(replace(corridors, uv=frozen_array(uv, np.float64)), at, room)
+    nodes = np.flatnonzero(distance <= SEARCH_RADIUS * distance[links[at]].max())
+    local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
+    measured = largest_widths(local_uv, pairs, tube)
+    measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
+    return _with_widths(replace(corridors, uv=frozen_array(uv, np.float64)), at, measured)
 
 
-def _with_room(corridors: Corridors, links: IndexArray, room: Clearances) -> Corridors:
-    """The corridors with other strips and quarters at some links (K,)."""
+def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:
+    """Replace the widths of some links (K,)."""
     left, right, beyond, shortcut = (
         each.copy()
         for each in (corridors.left, corridors.right, corridors.beyond, corridors.shortcut)
     )
-    left[links], right[links] = room.widths.T
-    beyond[links] = room.beyond
-    shortcut[links] &= room.widths.min(axis=1) > 0.0  # else it may meet something
+    left[links], right[links] = measured.widths.T
+    beyond[links] = measured.beyond
+    shortcut[links] &= measured.widths.min(axis=1) > 0.0  # without width it may touch an obstacle
     return replace(
         corridors,
         shortcut=frozen_array(shortcut, np.bool_),

@@ -1,15 +1,15 @@
-"""Room beside each edge: how far the path that is driven may leave the drawn route.
+"""Corridors: how far the driven path may leave the drawn route.
 
-Beside an edge from a to b lie two *strips*, the rectangles of its length and of the widths ``left``
-and ``right``. Where a route turns, its strips part on the outer side, so beyond each end of a strip
-lies a *quarter* of a disc round the node, between the strip's end and the edge's own line. No strip
-and no quarter comes nearer to an obstacle than the clearance, and either
+Along each edge lie two *strips*, rectangles of its length and of the widths ``left`` and ``right``.
+Where a route turns, its strips separate on the outer side; the gap is filled by *quarters* of discs
+around the node, between the end of a strip and the extension of the edge. Strips and quarters keep
+the clearance from obstacles, and either
 
-* none of them holds another node (``tube`` None): what stays in a route's strips and quarters
-  meets no node but the route's own, so the game on the network is the game that is driven. A path
-  may even leave nodes of its route out, also by *shortcuts*, which are no edges of the network; or
-* no point of them is further than ``tube`` from the edge or node: an ambush with reach r that hits
-  what is driven would hit the drawn route with reach r + tube.
+* contain no other node (``tube`` None): a path within a route's corridor passes no node but the
+  route's own, so the game on the network is the game that is driven. A path may even skip nodes of
+  its route, also by *shortcuts*, which are not edges of the network; or
+* contain no point further than ``tube`` from the edge or node: an ambush with reach r that hits the
+  driven path would hit the drawn route with reach r + tube.
 """
 
 from __future__ import annotations
@@ -23,38 +23,37 @@ from ..errors import InvalidOption
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
-from .corridor_geometry import Clearances, among_nodes, on_the_map, whole_room
+from .corridor_geometry import CorridorWidths, largest_widths, limit_to_map, widths_between_nodes
 
-# Cosine of the least turn that a shortcut may leave out; and how far at least it stays from other
-# nodes [lengths].
-SHARP = 0.5
-PAST = 0.01
+# Cosine of the smallest turn that a shortcut may skip.
+SHORTCUT_COSINE = 0.5
+# Minimum distance of a shortcut from other nodes [shortcut lengths].
+SHORTCUT_MARGIN = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class Corridors:
     """Strips and quarters of a network in map axes.
 
-    Where a trip has several legs, their layers lie on the same places, which stand here once:
-    routes are those of one leg, as places.
+    The legs of a trip share the same places, which are listed once; routes are those of one leg, as
+    places.
 
     Parameters
     ----------
     network
-        What they were made for.
+        The network of the routes.
     origin
-        (x, y, yaw) of the map's axes [m, rad].
+        (x, y, yaw) of the map axes [m, m, rad].
     uv : (N, 2) float
         The network's places in map axes [m].
     links : (L, 2) int
-        Tails and heads of the edges, and of shortcuts if there is no tube; both ways, sorted.
+        Tails and heads of the edges, and of shortcuts without a tube; in both directions, sorted.
     left, right : (L,) float
-        Widths of the strips beside each link, seen along it [m].
+        Widths of each link's strips [m].
     beyond : (L, 2, 2) float
-        Radii of the quarters beyond tail and head, to the left and to the right [m]; none is wider
-        than its strip.
+        Radii of the left and right quarters beyond tail and head [m], at most the strip's width.
     shortcut : (L,) bool
-        Links by which a path may leave out nodes of its route: all of them without a tube.
+        Links on which a path may skip nodes of its route; without a tube, initially all.
     """
 
     network: Network
@@ -68,14 +67,14 @@ class Corridors:
     _keys: IndexArray
 
     def links_along(self, tails: IndexArray, heads: IndexArray) -> IndexArray:
-        """Indices (L,) of the links that join nodes."""
+        """Indices (K,) of the links from tails (K,) to heads (K,)."""
         return np.searchsorted(self._keys, tails * len(self.uv) + heads)
 
     def shortened(self, route: IndexArray) -> IndexArray:
-        """The shortest route along links that lead forward from node to node of a route (K,).
+        """Skip nodes of a route (K,) by the shortest way along links between them.
 
-        It leaves nodes out and takes in none, so no ambush at a node hits it more often. Where a
-        tube is to be kept, the route comes back as it is.
+        It adds no nodes, so no ambush at a node hits it more often. With a tube the route is
+        returned unchanged.
         """
         if not self.shortcut.any():
             return route
@@ -114,12 +113,9 @@ def make_corridors(
     clearance, clear_of_edge
         As the network was built with.
     tube
-        Largest distance from the drawn route [m]; None: as far as no other node is met.
+        Largest distance from the drawn route [m]; None: up to the nearest other nodes.
 
-    Raises
-    ------
-    InvalidOption
-        The tube is negative or not finite.
+    Raises InvalidOption if the tube is negative or not finite.
     """
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
@@ -127,15 +123,15 @@ def make_corridors(
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     if tube is None:
         field = ObstacleField(risk_map, clear_of_edge)
-        pairs, room = _with_shortcuts(uv, edges, field, clearance)
+        pairs, measured = _with_shortcuts(uv, edges, field, clearance)
     else:
-        pairs, room = edges, whole_room(uv, edges, tube)
-    room = on_the_map(room, uv, pairs, risk_map, clearance, clear_of_edge)
+        pairs, measured = edges, largest_widths(uv, edges, tube)
+    measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
-    # Seen from its end, the left of a pair is on the right.
-    widths = np.concatenate((room.widths, room.widths[:, ::-1]))[order]
-    beyond = np.concatenate((room.beyond, room.beyond[:, ::-1, ::-1]))[order]
+    # In the opposite direction, left and right are swapped.
+    widths = np.concatenate((measured.widths, measured.widths[:, ::-1]))[order]
+    beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
     return Corridors(
         network,
@@ -157,19 +153,20 @@ def _keys(links: IndexArray, count: int) -> IndexArray:
 
 def _with_shortcuts(
     uv: FloatArray, edges: IndexArray, field: ObstacleField, clearance: float
-) -> tuple[IndexArray, Clearances]:
-    """The edges, and the shortcuts that are on free ground and pass all other nodes."""
+) -> tuple[IndexArray, CorridorWidths]:
+    """Add the shortcuts that keep clear of obstacles and of all other nodes to the edges."""
     more = _shortcuts(uv, edges)
     more = more[field.clear_segments(uv[more[:, 0]], uv[more[:, 1]], clearance)]
     pairs = np.concatenate((edges, more))
-    room = among_nodes(uv, pairs)
-    good = room.widths.min(axis=1) > PAST * np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
-    good[: len(edges)] = True
-    return pairs[good], Clearances(room.widths[good], room.beyond[good])
+    measured = widths_between_nodes(uv, pairs)
+    length = np.hypot(*(uv[pairs[:, 1]] - uv[pairs[:, 0]]).T)
+    kept = measured.widths.min(axis=1) > SHORTCUT_MARGIN * length
+    kept[: len(edges)] = True
+    return pairs[kept], CorridorWidths(measured.widths[kept], measured.beyond[kept])
 
 
 def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
-    """Pairs (S, 2) of nodes that no edge joins, but two edges that turn by more than ``SHARP``."""
+    """Pairs (S, 2) of nodes joined by two edges with a sharp turn, but not by an edge."""
     joined = np.sort(_keys(np.concatenate((edges, edges[:, ::-1])), len(uv)))
     middle, other = np.divmod(joined, len(uv))
     found = [joined[:0]]
@@ -177,7 +174,7 @@ def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
         same = np.flatnonzero(middle[k:] == middle[:-k])
         ends, between = np.stack((other[same], other[same + k]), axis=1), uv[middle[same]]
         a, b = uv[ends[:, 0]] - between, uv[ends[:, 1]] - between
-        sharp = (a * b).sum(axis=1) > -SHARP * np.hypot(*a.T) * np.hypot(*b.T)
+        sharp = (a * b).sum(axis=1) > -SHORTCUT_COSINE * np.hypot(*a.T) * np.hypot(*b.T)
         found.append(_keys(ends[sharp], len(uv)))
     new = np.setdiff1d(np.concatenate(found), joined)
     return np.stack(np.divmod(new, len(uv)), axis=1)

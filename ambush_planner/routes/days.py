@@ -1,13 +1,13 @@
-"""A day's plan: several convoys between the same places whose routes do not share their middle.
+"""Routes of several convoys of one day that share no node of the middle section.
 
-The routes of a day are independent draws on condition that no node of the middle is on two of
-them: all are drawn, and all again, until they are distinct. So the convoys of a day have one law,
-whatever their order, but it is not the strategy's: what leaves room for others is driven more
-often. ``day_effect`` tells by how much, and what that costs.
+The routes of a day are independent draws, all repeated until no node of the middle section is on
+two of them. So all convoys of a day have the same distribution, regardless of their order, but it
+differs from the strategy: routes that leave space for others become more likely. ``day_effect``
+estimates by how much, and what that costs.
 
-A node lies in the middle if its share of the way, d(s, j) / (d(s, j) + d(j, t)) with shortest
-lengths d over the network, is between two bounds. So does the node from which an edge in use leads
-across all of it; from the source, the node to which.
+A node is in the middle section if its progress d(s, j) / (d(s, j) + d(j, t)), with shortest lengths
+d over the network, lies between two bounds. An edge in use that crosses the whole section adds its
+tail, or its head if the tail is the source.
 """
 
 from __future__ import annotations
@@ -22,34 +22,38 @@ from scipy.sparse.csgraph import maximum_flow
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NotDistinct
 from ..game.acyclic import is_acyclic, rank_around
-from ..game.hits import worst_loss
+from ..game.entries import entry_value
 from ..game.strategy import Strategy
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least, check_whole
 
+# Default for the number of days drawn for each distinct one before giving up.
 MOST_TRIES = 100_000
-# So many days are drawn before it is asked whether there are such routes at all.
-_PATIENCE = 1000
+# Days drawn without a distinct one before checking that distinct routes exist.
+_FEASIBILITY_CHECK = 1000
+# Routes drawn together; bounds the memory.
 _ROUTES_AT_ONCE = 20_000
-# Numbers in memory at a time, and groups of days by which errors are estimated, at least.
-_NUMBERS, _GROUPS = 2_000_000, 20
+# Numbers in memory at a time.
+_NUMBERS = 2_000_000
+# Minimum number of groups of days from which standard errors are estimated.
+_GROUPS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class DayEffect:
-    """What being distinct does to the published probabilities.
+    """Effect of distinct routes on the published probabilities.
 
     Attributes
     ----------
     share : float
-        Chance that independent draws are distinct; a day needs 1 / share tries on average.
+        Probability that independent draws are distinct; a day takes 1 / share tries on average.
     visit_probability : (N,)
-        Of each convoy of such a day, in place of the strategy's.
+        Visit probabilities of each convoy of such a day.
     largest_change : float
-        Of any node's visit probability.
+        Largest change of a node's visit probability from the strategy's.
     value, standard_error : float
-        What the best ambush costs each convoy on average if its day is planned so: the
-        certificate's sum over these visits; and how exactly that is known at its site.
+        Mean loss of each convoy by the best ambush against such days, and its standard error. With
+        a reach every entry into a site's reach counts, an upper bound.
     """
 
     share: float
@@ -71,23 +75,23 @@ def sample_departures(
     Parameters
     ----------
     strategy
-        What each route is drawn from.
+        Distribution of each single route.
     n
         Number of convoys.
     rng
-        Source of the draws.
+        Random source.
     distinct
-        Share of the way, about its middle, in which no two routes have a node in common; 0:
-        nothing is asked, 1: they meet nowhere but at their ends.
+        Size of the middle section, as a share of the way, in which routes share no node; 0: no
+        constraint, 1: routes meet only at their ends.
     tries
-        Give up after so many days that were not distinct.
+        Number of days drawn before giving up.
 
     Raises
     ------
     NotDistinct
-        No such day was drawn; says how many convoys can be apart at all.
+        No such day was drawn; states how many convoys can have distinct routes.
     InvalidOption
-        ``n``, ``distinct`` or ``tries`` is out of range, or the strategy goes by way of stops.
+        ``n``, ``distinct`` or ``tries`` is out of range, or the strategy has stops.
     """
     return draw_days(strategy, n, 1, rng, distinct, tries)[0][0]
 
@@ -100,21 +104,21 @@ def draw_days(
     distinct: float = 0.5,
     tries: int = MOST_TRIES,
 ) -> tuple[list[list[IndexArray]], float]:
-    """Draw ``count`` days as ``sample_departures`` does; also the share of days that were distinct.
+    """Draw ``count`` days as ``sample_departures`` does; also return the share that was distinct.
 
-    Gives up where fewer than one day in ``tries`` is. Raises what ``sample_departures`` does.
+    Gives up if fewer than one day in ``tries`` is distinct. Raises as ``sample_departures``.
     """
     check_whole('n', n, 1)
     check_whole('tries', tries, 1)
-    middle = Middle(strategy, distinct)
+    middle = MiddleSection(strategy, distinct)
     days: list[list[IndexArray]] = []
     tried, found, batch = 0, 0, 1 if count == 1 else max(_ROUTES_AT_ONCE // n, 1)
     while len(days) < count:
-        middle.go_on(n, len(days), tried, tries)
+        middle.check_progress(n, len(days), tried, tries)
         batch = min(batch, tries * (len(days) + 1) - tried)
         routes = strategy.sample_routes(n * batch, rng)
         owner = np.repeat(np.arange(n * batch), [len(route) for route in routes])
-        good = np.flatnonzero(middle.apart(np.concatenate(routes), owner // n, batch))
+        good = np.flatnonzero(middle.are_disjoint(np.concatenate(routes), owner // n, batch))
         days += [routes[n * k:n * k + n] for k in good[:count - len(days)]]
         tried, found = tried + batch, found + len(good)
         batch = max(min(4 * batch, _ROUTES_AT_ONCE // n), 1)
@@ -129,15 +133,10 @@ def day_effect(
     days: int = 1000,
     tries: int = MOST_TRIES,
 ) -> DayEffect:
-    """Tell how the law of a day's convoys differs from the strategy's.
+    """Estimate how the distribution of a day's convoys differs from the strategy.
 
-    Averages over ``days`` drawn days of n - 1 convoys what the law of one more is beside them,
-    which is exact. Raises what ``sample_departures`` does.
-
-    Raises
-    ------
-    InvalidOption
-        The strategy has cycles, so its probabilities are not those of routes.
+    Averages the exact distribution of one more convoy over ``days`` drawn days of n - 1 convoys.
+    Raises as ``sample_departures``, and InvalidOption if the strategy has cycles.
     """
     check_whole('n', n, 1)
     check_whole('days', days, _GROUPS)
@@ -146,9 +145,9 @@ def day_effect(
     others, share = ([[] for _ in range(days)], 1.0) if n == 1 else draw_days(
         strategy, n - 1, days, rng, distinct, tries
     )
-    middle, beside = Middle(strategy, distinct), _Beside(strategy)
+    middle, conditional = MiddleSection(strategy, distinct), _ConditionalFlow(strategy)
     size = max(1, min(days // _GROUPS, _NUMBERS // len(strategy.network.points)))
-    parts = [beside.flow(middle, others[k:k + size]) for k in range(0, days, size)]
+    parts = [conditional.flow(middle, others[k:k + size]) for k in range(0, days, size)]
     chance, flow = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
     if not chance.sum() > 0.0:
         raise middle.not_distinct(n, 0, days)
@@ -158,7 +157,7 @@ def day_effect(
     error = 0.0
     if len(losses):
         worst = int(np.argmax(losses))
-        # Of a ratio of means, by groups of days.
+        # Standard error of a ratio of means over groups of days.
         cost = np.asarray(game.hits[[worst]] @ flow.T).ravel() * game.loss[game.sites[worst]]
         off = cost - losses[worst] * chance
         error = float(np.sqrt(off @ off * len(off) / (len(off) - 1)) / chance.sum())
@@ -166,19 +165,16 @@ def day_effect(
         share * float(chance.sum()) / days,
         frozen_array(visits, np.float64),
         float(np.abs(visits - strategy.visit_probability).max()),
-        worst_loss(game, p),
+        entry_value(game, p),
         error,
     )
 
 
-class Middle:
-    """The middle of the way from source to target: nodes (N,), and which routes share none of it.
+class MiddleSection:
+    """The middle section between source and target, as a mask ``nodes`` (N,).
 
-    Raises
-    ------
-    InvalidOption
-        ``distinct`` is not in 0..1, or the strategy is a trip's with stops, on which two convoys
-        can share a place in different legs.
+    Raises InvalidOption if ``distinct`` is not in 0..1 or the strategy has stops: two convoys could
+    then share a place in different legs.
     """
 
     def __init__(self, strategy: Strategy, distinct: float) -> None:
@@ -186,7 +182,7 @@ class Middle:
         if distinct > 1.0:
             raise InvalidOption(f'distinct must be a share of the way, 0 to 1, got {distinct}')
         if strategy.network.legs > 1:
-            raise InvalidOption('convoys of one day cannot go by way of stops; plan without them')
+            raise InvalidOption('convoys of one day cannot have stops; plan without them')
         self._strategy, self.distinct = strategy, distinct
         self.nodes: BoolArray = np.zeros(len(strategy.network.points), dtype=bool)
         if distinct > 0.0:
@@ -200,7 +196,7 @@ class Middle:
         with np.errstate(invalid='ignore'):
             share = ahead / (ahead + behind)
         first, last = 0.5 - self.distinct / 2.0, 0.5 + self.distinct / 2.0
-        # Nodes off every route have no share and are never driven through.
+        # The progress is nan for nodes on no route, which no convoy visits.
         self.nodes |= (share > first) & (share < last)
         used = self._strategy.edge_probability > 0.0
         tails, heads = network.tails[used], network.heads[used]
@@ -209,52 +205,53 @@ class Middle:
         self.nodes[np.where(tails == network.source, heads, tails)[across]] = True
         self.nodes[[network.source, network.target]] = False
 
-    def apart(self, nodes: IndexArray, day: IndexArray, count: int) -> BoolArray:
-        """Tell of which days, 0..count - 1, no two routes share any of the middle.
+    def are_disjoint(self, nodes: IndexArray, day: IndexArray, count: int) -> BoolArray:
+        """Return on which of ``count`` days no two routes share a node of the section.
 
-        ``nodes`` (K,) are those of all routes, which come nowhere twice, ``day`` (K,) of which day.
+        ``nodes`` (K,) are those of all routes, none of which visits a node twice; ``day`` (K,) are
+        the days of their routes.
         """
         inner = self.nodes[nodes]
         used = np.sort(day[inner] * len(self.nodes) + nodes[inner])
-        apart = np.ones(count, dtype=bool)
-        apart[used[1:][used[1:] == used[:-1]] // len(self.nodes)] = False
-        return apart
+        disjoint = np.ones(count, dtype=bool)
+        disjoint[used[1:][used[1:] == used[:-1]] // len(self.nodes)] = False
+        return disjoint
 
-    def go_on(self, n: int, found: int, tried: int, tries: int) -> None:
-        """Raise ``NotDistinct`` where ``found`` of ``tried`` days of ``n`` routes are too few."""
-        hopeless = not found and tried >= _PATIENCE and self.most(n) < n
-        if hopeless or tried >= tries * (found + 1):
+    def check_progress(self, n: int, found: int, tried: int, tries: int) -> None:
+        """Raise ``NotDistinct`` if ``found`` of ``tried`` days of ``n`` routes are too few."""
+        impossible = not found and tried >= _FEASIBILITY_CHECK and self.max_disjoint(n) < n
+        if impossible or tried >= tries * (found + 1):
             raise self.not_distinct(n, found, tried)
 
     def not_distinct(self, n: int, found: int, tried: int) -> NotDistinct:
-        """The error of ``n`` routes that were apart in ``found`` of ``tried`` tries."""
-        most = self.most(n)
-        there = f'no more than {most} can be' if most < n else 'routes that are, are too rare'
+        """The error if ``n`` routes were distinct in ``found`` of ``tried`` tries."""
+        most = self.max_disjoint(n)
+        reason = f'at most {most} can be' if most < n else 'distinct routes are too rare'
         return NotDistinct(
-            f'{n} routes were apart over the middle {100.0 * self.distinct:g} % of the way in '
-            f'{found} of {tried} tries: {there}; plan fewer convoys, or a smaller share to be '
-            'distinct in'
+            f'{n} routes were distinct over the middle {100.0 * self.distinct:g} % of the way in '
+            f'{found} of {tried} tries: {reason}; plan fewer convoys or reduce the distinct share'
         )
 
-    def most(self, n: int) -> int:
-        """How many routes of the strategy can be apart at once, counted up to ``n``: a flow."""
+    def max_disjoint(self, n: int) -> int:
+        """Largest number, up to ``n``, of the strategy's routes that can be distinct: a flow."""
         network, count = self._strategy.network, len(self.nodes)
         used = np.flatnonzero(self._strategy.edge_probability > 0.0)
-        # Node j comes in at j and goes out at count + j.
+        # Node j is split into an entry j and an exit count + j.
         nodes = np.arange(count)
         tails = np.concatenate((nodes, network.tails[used] + count))
         heads = np.concatenate((nodes + count, network.heads[used]))
-        room = np.full(len(tails), n, np.int32)
-        room[:count][self.nodes] = 1
-        graph = coo_matrix((room, (tails, heads)), shape=(2 * count, 2 * count)).tocsr()
+        capacity = np.full(len(tails), n, np.int32)
+        capacity[:count][self.nodes] = 1
+        graph = coo_matrix((capacity, (tails, heads)), shape=(2 * count, 2 * count)).tocsr()
         return int(maximum_flow(graph, network.source, network.target + count).flow_value)
 
 
-class _Beside:
-    """The law of one more convoy beside others: the strategy on condition that it avoids them.
+class _ConditionalFlow:
+    """The distribution of one more convoy, given that it avoids the others in the middle section.
 
-    With w = p / x the chance of the next edge, a the chance to come to a node and Z the chance to
-    go on from it to the target, past the others' nodes: an edge is used with w a_tail Z_head.
+    With transition probabilities w = p / x, the probability a of reaching a node and Z of reaching
+    the target from it, both past the others' nodes, an edge is used with probability
+    w a_tail Z_head.
     """
 
     def __init__(self, strategy: Strategy) -> None:
@@ -271,9 +268,9 @@ class _Beside:
         self._nodes = list(zip(tails[begin].tolist(), map(slice, begin.tolist(), end), strict=True))
 
     def flow(
-        self, middle: Middle, days: Sequence[Sequence[IndexArray]]
+        self, middle: MiddleSection, days: Sequence[Sequence[IndexArray]]
     ) -> tuple[float, FloatArray]:
-        """Sum over days of the chance to avoid the day's routes, and of the flow (M,) that does."""
+        """Sums over days of the probability to avoid the day's routes, and of that flow (M,)."""
         network = self._network
         shape = len(network.points), len(days)
         free, ahead, behind = np.ones(shape), np.zeros(shape), np.zeros(shape)
@@ -288,7 +285,7 @@ class _Beside:
             ahead[node] *= free[node]
             ahead[heads[out]] += chance[out, None] * ahead[node]
         p = np.zeros(len(network.edges))
-        # Where a head is not free, nothing goes on behind it.
+        # At blocked heads, ``behind`` is 0.
         p[self._edges] = chance * [
             ahead[tail] @ behind[head]
             for tail, head in network.edges[self._edges].tolist()

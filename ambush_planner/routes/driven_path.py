@@ -1,7 +1,7 @@
-"""The path that is driven: the shortest one beside the drawn route, with round corners.
+"""The driven path: the shortest one in the drawn route's corridor, with round corners.
 
-The taut string leaves a margin at both ends of each portal, in which its corners are rounded. Where
-that makes too tight a turn, the margin is widened.
+The taut string leaves a margin at both ends of each portal, in which its corners are rounded. If a
+turn is too tight, the margin is widened.
 """
 
 from __future__ import annotations
@@ -20,29 +20,30 @@ from ..maps.risk_map import to_world
 from .corridors import Corridors
 from .taut_string import Portals, cross, padded, portals_along, taut_strings
 
-# Of a portal's width: the margin at first, how much wider it gets where a turn is too tight, in so
-# many passes, and the most.
-MARGIN, WIDER, PASSES, MOST = 0.03, 3.0, 3, 0.49
-# Turns are wanted at least so wide [length of the shorter edge at the node].
+# Initial and largest margin [portal widths].
+MARGIN, MAX_MARGIN = 0.03, 0.49
+# Factor by which the margin grows at tight turns in each pass, and the number of passes.
+GROWTH, PASSES = 3.0, 3
+# Desired turning radius [lengths of the shorter edge at the node].
 ROUND = 0.3
-# Poses in a turn are at most so far from one another [rad].
+# Largest change of yaw between poses [rad].
 TURN = math.radians(20.0)
-# Routes whose paths are made at once, in whole arrays.
+# Number of routes whose paths are made together.
 AT_ONCE = 32
 
 # Start and goal [m].
 Ends = tuple[tuple[float, float], tuple[float, float]]
-# Places of a leg, and where it begins and ends [m].
+# Places of a leg, and its ends [m].
 _Leg = tuple[IndexArray, Ends]
 
 
 @dataclass(frozen=True, eq=False)
 class _Lines:
-    """Lines with round corners, one behind the other: ``points`` (C, 2) [m].
+    """Lines with round corners, concatenated: ``points`` (C, 2) [m].
 
-    At each of them the ``turn`` (C,) [rad], to the left > 0, and the length ``cut`` (C,) [m] by
-    which it begins before the corner; both are 0 at a line's ends. Line i has the points from
-    ``bounds[i]`` to ``bounds[i + 1]``.
+    At each point, ``turn`` (C,) is the turning angle [rad], positive to the left, and ``cut`` (C,)
+    the distance [m] from the start of the turn to the corner; both are 0 at the ends of a line.
+    Line i has the points from ``bounds[i]`` to ``bounds[i + 1]``.
     """
 
     points: FloatArray
@@ -52,7 +53,7 @@ class _Lines:
 
     @property
     def radii(self) -> FloatArray:
-        """Of the turns (C,) [m]; inf where there is none."""
+        """Turning radii (C,) [m]; inf without a turn."""
         bent = np.abs(self.turn) > 1e-9
         tangent = np.tan(np.where(bent, np.abs(self.turn), 1.0) / 2)
         radii: FloatArray = np.where(bent, self.cut / tangent, math.inf)
@@ -63,26 +64,23 @@ def driven_path(
     corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float = 0.0,
     ends: Ends | None = None,
 ) -> FloatArray:
-    """Poses (L, 3) = (x, y, yaw) of the path that is driven for a drawn route, in the world.
+    """World poses (L, 3) = (x, y, yaw) of the path to drive for a drawn route.
 
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
-    yaw is the direction of travel and changes by at most 20 degrees from pose to pose. Corners
-    have at least ``turning_radius`` [m], or ``ROUND`` edges if that is more, where the corridors
-    have the room; elsewhere they are as round as these allow (``turn_radii``). Each stop of a trip
-    is met exactly, with the yaw of the arrival; there the convoy may turn on the spot.
+    yaw is the direction of travel and changes by at most 20 degrees between poses. Turns have a
+    radius of at least ``turning_radius`` [m], or ``ROUND`` edges if that is larger, if the
+    corridors allow it, else the largest radius they allow (``turn_radii``). Each stop of a trip is
+    met exactly, with the yaw of the arrival; the convoy may turn on the spot there.
 
     Parameters
     ----------
     route : (K,) int
-        Node indices, source first, target last.
+        Node indices from source to target.
     ends
-        Start and goal [m] to the last digit, where the corridors lead from and to other places than
-        the network's source and target (``with_end_at``).
+        Exact start and goal [m] if they moved from the network's source and target
+        (``with_moved_end``).
 
-    Raises
-    ------
-    InvalidOption
-        That would be more than ``MOST_POSES``.
+    Raises InvalidOption if the path would have more than ``MOST_POSES``.
     """
     return driven_paths(corridors, [route], spacing, turning_radius, ends)[0]
 
@@ -91,7 +89,7 @@ def driven_paths(
     corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float = 0.0,
     ends: Ends | None = None,
 ) -> list[FloatArray]:
-    """``driven_path`` of each route, several times as fast as one by one."""
+    """``driven_path`` of each route, several times faster than one by one."""
     paths = []
     for few in range(0, len(routes), AT_ONCE):
         legs = [_legs(corridors, route, ends) for route in routes[few : few + AT_ONCE]]
@@ -104,7 +102,7 @@ def driven_paths(
 
 
 def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_Leg]:
-    """From stop to stop of a route: its places, and where it begins and ends [m]."""
+    """The legs of a route."""
     places = _places(corridors, route)
     at = [places[0][0], *(leg[-1] for leg in places)]
     points = list(map(tuple, corridors.network.points[at].tolist()))
@@ -114,7 +112,7 @@ def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_L
 
 
 def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
-    """The places of a route from stop to stop."""
+    """The places of a route, leg by leg."""
     network = corridors.network
     at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
     places = route % network.place_count
@@ -124,21 +122,21 @@ def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
 def _driven_legs(
     corridors: Corridors, legs: list[_Leg], spacing: float, turning_radius: float
 ) -> list[FloatArray]:
-    """Poses (L, 3) along each leg, from end to end."""
+    """Poses (L, 3) along each leg."""
     portals = portals_along(corridors, [corridors.shortened(places) for places, _ in legs])
     uv, yaw, bounds = _poses(_smooth(portals, turning_radius), spacing)
     in_world = to_world(corridors.origin, uv)
     poses = np.column_stack((in_world, _wrapped(yaw + corridors.origin[2])))
-    # Turning to the world and back may have cost a digit.
+    # The transforms to map axes and back may have changed the last digit.
     poses[bounds[:-1], :2] = [begin for _, (begin, _) in legs]
     poses[bounds[1:] - 1, :2] = [end for _, (_, end) in legs]
     return np.split(poses, bounds[1:-1])
 
 
 def turn_radii(poses: FloatArray) -> FloatArray:
-    """Radii (L - 1,) [m] of the arcs from pose to pose of a path (L, 3) of ``driven_path``.
+    """Radii (L - 1,) [m] of the arcs between poses of a path (L, 3) of ``driven_path``.
 
-    They are inf where it is straight, 0 where it turns on the spot.
+    They are inf on straight parts and 0 for turns on the spot.
     """
     half = np.abs(_wrapped(np.diff(poses[:, 2]))) / 2
     bent = half > 1e-9
@@ -154,11 +152,10 @@ def tight_turns(poses: FloatArray, turning_radius: float) -> int:
 
 
 def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
-    """How many different paths the routes (K,) make, at most.
+    """Upper bound of the number of different paths of the routes (K,).
 
-    Routes that ``Corridors.shortened`` takes to the same nodes have the same portals, hence the
-    very same path, and count once. Few others have it, too: those whose path runs straight through
-    portals at different nodes.
+    Routes with the same nodes after ``Corridors.shortened`` have the same path and count once. Few
+    others share a path: those whose path runs straight through portals at different nodes.
     """
     once = {route.tobytes(): route for route in routes}.values()
     return len({
@@ -168,7 +165,7 @@ def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Lines:
-    """The taut strings with round corners; where they are too tight they keep further inside."""
+    """Taut strings with round corners, and with wider margins where turns are too tight."""
     margin = MARGIN * portals.width
     wanted = np.maximum(ROUND * portals.length, turning_radius)
     count = len(portals.bounds) - 1
@@ -186,10 +183,10 @@ def _smooth(portals: Portals, turning_radius: float) -> _Lines:
             best[routes[k]] = lines.points[part], lines.turn[part], lines.cut[part]
         radius[routes] = np.maximum(radius[routes], smallest)
         tight = at[lines.radii < wanted[at]]
-        tight = tight[margin[tight] < MOST * portals.width[tight]]
+        tight = tight[margin[tight] < MAX_MARGIN * portals.width[tight]]
         if len(tight) == 0:
             break
-        margin[tight] = np.minimum(WIDER * margin[tight], MOST * portals.width[tight])
+        margin[tight] = np.minimum(GROWTH * margin[tight], MAX_MARGIN * portals.width[tight])
         routes = np.unique(route_of[tight])
     points, turn, cut = map(np.concatenate, zip(*best, strict=True))
     return _Lines(points, turn, cut, np.cumsum([0, *(len(each[0]) for each in best)]))
@@ -198,10 +195,10 @@ def _smooth(portals: Portals, turning_radius: float) -> _Lines:
 def _rounded(
     portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexArray, margin: FloatArray
 ) -> _Lines:
-    """Let each turn begin as early as segments, portals and the room beyond the string allow.
+    """Round the corners as widely as segments, portals and margins allow.
 
-    The lines' corners are the portals ``at`` (C,) on their sides (C,), as ``taut_strings`` has
-    them.
+    The corners are on the sides ``side`` (C,) of the portals ``at`` (C,), as ``taut_strings``
+    returns them.
     """
     left, right = (portals.places(margin, each)[at] for each in (1, -1))
     points = np.where(side[:, None] > 0, left, right)
@@ -213,36 +210,36 @@ def _rounded(
     turn = np.where(within, np.arctan2(cross(before, after), (before * after).sum(axis=1)), 0.0)
     outward = side[1:-1, None] * portals.leftward[inner]
     with np.errstate(divide='ignore', invalid='ignore'):
-        cut = margin[inner] / _leaves(turn, outward, after - before)
-        cut = np.fmin(cut, _reach(portals, points[1:-1], before, inner - 1))
-        cut = np.fmin(cut, _reach(portals, points[1:-1], after, inner + 1))
+        cut = margin[inner] / _relative_offset(turn, outward, after - before)
+        cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], before, inner - 1))
+        cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
     turn, cut, tangent = (
         padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent)
     )
-    cut = _shared(cut, tangent, length)
+    cut = _fit_between_corners(cut, tangent, length)
     return _Lines(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0), bounds)
 
 
-def _leaves(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatArray:
-    """How far poses along turns (C,) leave the corners, in cuts, along portals (C, 2).
+def _relative_offset(turn: FloatArray, outward: FloatArray, aside: FloatArray) -> FloatArray:
+    """Offsets of turns (C,) from their corners along portals (C, 2) [cuts].
 
-    ``aside`` (C, 2) is the change of direction. The poses' chords are outside a circle of ``k``
-    times the turn's radius, and no further from the corner than the chord of the whole turn.
+    ``aside`` (C, 2) is the change of direction. Chords between poses lie outside a circle of ``k``
+    times the turning radius, and no further from the corner than the chord of the whole turn.
     """
     half, k = np.abs(turn) / 2, math.cos(TURN / 2)
     cosine = np.abs((outward * aside).sum(axis=1)) / np.hypot(*aside.T)
     within = (k * np.cos(half)) ** 2 - (1.0 - cosine**2)
     chord = np.sin(half) / cosine
     circle = (cosine - np.sqrt(np.maximum(within, 0.0))) / np.sin(half)
-    leaves: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
-    return leaves
+    offset: FloatArray = np.where(within > 0.0, np.minimum(chord, circle), chord)
+    return offset
 
 
-def _shared(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:
-    """Cuts (C,) of which two neighbours fit in the length (C - 1,) between their corners.
+def _fit_between_corners(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatArray:
+    """Limit cuts (C,) so that neighbours fit in the length (C - 1,) between their corners.
 
-    Both turns get equal radii, and each one also what the other does not need.
+    Both turns get equal radii, and each also gets the length that the other does not need.
     """
     fair = length / np.maximum(tangent[:-1] + tangent[1:], 1e-12)
     ahead = np.maximum(fair * tangent[:-1], length - cut[1:])
@@ -252,20 +249,20 @@ def _shared(cut: FloatArray, tangent: FloatArray, length: FloatArray) -> FloatAr
     return cut
 
 
-def _reach(
+def _distance_to_portals(
     portals: Portals, points: FloatArray, direction: FloatArray, portal: IndexArray
 ) -> FloatArray:
-    """Distance (C,) along lines through the points to the lines of portals; nan: no such line."""
+    """Distance (C,) from points along directions to the lines of portals; nan at route ends."""
     line = portals.leftward[portal]
     found: FloatArray = np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))
     return found
 
 
 def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, IndexArray]:
-    """Positions (L, 2) and yaws (L,) along the lines, and where each line has its own.
+    """Positions (L, 2) and yaws (L,) along the lines, and the bounds of each line in them.
 
-    At each corner there are those of its turn, then those of the straight part behind it; at a
-    line's end there is one.
+    Each corner contributes the poses of its turn and of the straight part behind it, the end of a
+    line a single pose.
     """
     first, last = lines.bounds[:-1], lines.bounds[1:] - 1
     step = np.diff(lines.points, axis=0, append=lines.points[-1:])
@@ -276,7 +273,7 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     straight[last] = 0.0
     turn = np.abs(lines.turn)
     arc = np.where(turn > 1e-9, lines.cut * turn / np.tan(np.maximum(turn, 1e-9) / 2), 0.0)
-    # Part 2 k is the turn at corner k, 2 k + 1 what is straight behind it.
+    # Part 2 k is the turn at corner k, 2 k + 1 the straight part behind it.
     parts = np.zeros(2 * len(step))
     with np.errstate(over='ignore'):
         parts[::2] = np.ceil(np.maximum(arc / spacing, turn / TURN) - 1e-9)
@@ -288,11 +285,11 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
     part = np.repeat(np.arange(len(count)), count)
     share = (np.arange(len(part)) - np.repeat(np.cumsum(count) - count, count)) / count[part]
     k, bent = part // 2, part % 2 == 0
-    along = k - bent  # in a turn, the direction is that before it
+    along = k - bent  # turns start in the direction before the corner
     bend = np.where(bent, lines.turn[k], 0.0)
     angle = yaw[along] + share * bend
     origin = lines.points[k] + np.where(bent, -1.0, 1.0)[:, None] * lines.cut[k, None] * unit[along]
-    # In a turn by w the chord to where it has come to points by half of that aside.
+    # After turning by w, the chord from the start of the turn points w / 2 aside.
     half = share * bend / 2
     with np.errstate(divide='ignore', invalid='ignore'):
         radius = np.where(bend != 0.0, lines.cut[k] / np.tan(np.abs(bend) / 2), 0.0)
@@ -305,8 +302,8 @@ def _poses(lines: _Lines, spacing: float) -> tuple[FloatArray, FloatArray, Index
 def _check_count(poses: float, spacing: float) -> None:
     if not poses <= MOST_POSES:
         raise InvalidOption(
-            f'a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses, '
-            f'and {MOST_POSES} are the most; choose a larger distance'
+            f'a pose every {spacing:g} m (route.path_spacing) makes a path of {poses:.3g} poses; '
+            f'at most {MOST_POSES} are allowed, choose a larger distance'
         )
 
 

@@ -1,9 +1,9 @@
-"""The shortest lines through the corridors of routes, many routes at once.
+"""Shortest lines through the corridors of many routes at once.
 
-A route's strips and quarters (``corridors``) overlap in a *portal* at each of its nodes: a piece of
-the line that halves the angle between its two edges. Strips are convex, so what leads from portal
-to portal in straight lines stays in them, and the shortest such line, the taut string, is found by
-the funnel algorithm (Lee and Preparata 1984) in one pass.
+A route's strips and quarters (``corridors``) overlap in a *portal* at each of its nodes: a segment
+on the bisector of its two edges. Strips are convex, so straight lines from portal to portal stay in
+them. The shortest such line, the taut string, is found by the funnel algorithm (Lee and Preparata
+1984) in one pass.
 """
 
 from __future__ import annotations
@@ -16,18 +16,17 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IndexArray
 from .corridors import Corridors
 
-# Portals reach at most so far along their edges [lengths], so that those next to each other never
-# cross.
+# Largest extent of portals along their edges [edge lengths]; below 0.5, neighbours never cross.
 ALONG = 0.45
 
 
 @dataclass(frozen=True, eq=False)
 class Portals:
-    """The portals at the ``nodes`` (K, 2) of routes, one route behind the other [m].
+    """The portals at the ``nodes`` (K, 2) of routes, concatenated [m].
 
-    ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the room to both sides, and
-    ``length`` (K,) is that of the shorter edge there. At the ends of a route they are of no width.
-    Route i has the portals from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,).
+    ``leftward`` (K, 2) are unit vectors, ``left`` and ``right`` (K,) the extents to both sides, 0
+    at the ends of a route, and ``length`` (K,) is that of the shorter edge. Route i has the portals
+    from ``bounds[i]`` to ``bounds[i + 1]`` (R + 1,).
     """
 
     nodes: FloatArray
@@ -39,11 +38,11 @@ class Portals:
 
     @property
     def width(self) -> FloatArray:
-        """From end to end (K,) [m]."""
+        """Distance between the two ends of each portal (K,) [m]."""
         return self.left + self.right
 
     def places(self, margin: FloatArray, side: float) -> FloatArray:
-        """Points (K, 2) of the portals, by ``margin`` from their left (1) or right ends (-1)."""
+        """Points (K, 2) on the portals, ``margin`` from their left (1) or right (-1) ends."""
         aside = np.where(side > 0, self.left - margin, margin - self.right)
         return self.nodes + aside[:, None] * self.leftward
 
@@ -53,7 +52,7 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     bounds = np.cumsum([0, *map(len, routes)])
     route = np.concatenate(routes)
     nodes = corridors.uv[route]
-    joined = np.ones(len(route) - 1, dtype=bool)  # what does not lead to the next route
+    joined = np.ones(len(route) - 1, dtype=bool)  # False from one route to the next
     joined[bounds[1:-1] - 1] = False
     links = np.zeros(len(joined), dtype=np.int64)
     links[joined] = corridors.links_along(route[:-1][joined], route[1:][joined])
@@ -62,7 +61,7 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     unit = step / length[:, None]
     halves = unit[:-1] + unit[1:]
     size = np.hypot(*halves.T)
-    # Half the turn: how much of a portal leads along the edges, and how much off them.
+    # Components of the portal's direction across and along the edges.
     off = np.maximum(size / 2, 1e-9)
     along = np.sqrt(np.maximum(1.0 - off**2, 0.0))
     leftward = np.stack((-halves[:, 1], halves[:, 0]), axis=1) / np.maximum(size, 1e-9)[:, None]
@@ -72,8 +71,8 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     for side, width in enumerate((corridors.left, corridors.right)):
         inner.append(np.minimum(np.minimum(width[before], width[after]) / off, limit))
         quarter = np.minimum(corridors.beyond[before, 1, side], corridors.beyond[after, 0, side])
-        # What leads from a portal's outer end to the next portal must enter the strip on its way
-        # where strip and quarter meet.
+        # A line from a portal's outer end to the next portal must enter the strip where it meets
+        # the quarter.
         steep = np.maximum(width[before] / length[:-1], width[after] / length[1:]) / (1.0 - ALONG)
         outer.append(quarter / np.maximum(off + along * steep, 1.0))
     turn = cross(unit[:-1], unit[1:])
@@ -92,10 +91,9 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
 def taut_strings(
     portals: Portals, margin: FloatArray, routes: Iterable[int]
 ) -> list[list[tuple[int, int]]]:
-    """The corners of the shortest lines through all portals, ``margin`` (K,) [m] from their ends.
+    """Corners of the shortest line of each of ``routes``, ``margin`` (K,) [m] inside the portals.
 
-    There is a line for each of ``routes``, which are numbers of those of the portals. A corner is
-    (portal, side): side 1 is the left end, -1 the right one, 0 an end of the route.
+    A corner is (portal, side): side 1 is the left end, -1 the right end, 0 an end of the route.
     """
     left, right = (portals.places(margin, side) for side in (1, -1))
     first = np.where(_left_first(left, right), 1, -1)
@@ -109,25 +107,24 @@ def taut_strings(
 def _taut_string(
     steps: list[tuple[int, float, float]], first: int, end: int
 ) -> list[tuple[int, int]]:
-    """The corners of one line, through the portals from ``first`` to before ``end``.
+    """Corners of the line through the portals from ``first`` to before ``end``.
 
-    ``steps`` are the sides of all portals, the one that moves first before the other one, and where
-    they end.
+    ``steps`` are (side, x, y) of the ends of all portals, in the order in which they are advanced.
     """
     corners, k = [(first, 0)], 2 * first + 2
     _, ax, ay = steps[2 * first]  # the apex of the funnel
-    # By side, which are 1 and -1: where the tip is, as seen from the apex, and its step.
+    # Tips of the funnel relative to the apex and their steps, indexed by side 1 and -1.
     tip = [(0.0, 0.0, k - 2)] * 3
     while k < 2 * end:
         side, x, y = steps[k]
         x, y = x - ax, y - ay
         sx, sy, _ = tip[side]
-        # The funnel is as wide as its tips say; a side moves in where the next end is within.
+        # A side advances if the next end narrows the funnel.
         if side * (sx * y - sy * x) <= 0.0:
             ox, oy, other = tip[-side]
             if side * (ox * y - oy * x) > 0.0 or sx == sy == 0.0:
                 tip[side] = x, y, k
-            else:  # beyond the other side: a corner there, from which it goes on
+            else:  # it crosses the other side, whose tip becomes a corner and the new apex
                 corners.append((other // 2, -side))
                 _, ax, ay = steps[other]
                 tip = [(0.0, 0.0, other)] * 3
@@ -137,7 +134,7 @@ def _taut_string(
 
 
 def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
-    """Whether, from one portal to the next, the left end may move before the right one does.
+    """Whether the left end may advance to the next portal before the right end does.
 
     It may if the diagonal from the old right to the new left end lies between the portals.
     """
@@ -148,7 +145,7 @@ def _left_first(left: FloatArray, right: FloatArray) -> BoolArray:
 
 
 def padded(values: FloatArray) -> FloatArray:
-    """Values (K - 2, ...) of all portals but the first and the last, with zeros for these."""
+    """Append zeros for the first and last portals to the values (K - 2, ...) of all others."""
     padded = np.zeros((len(values) + 2, *values.shape[1:]))
     padded[1:-1] = values
     return padded

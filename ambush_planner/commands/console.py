@@ -1,0 +1,100 @@
+"""The output of a command: results, progress and errors."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import Any, TypeVar
+
+from ..errors import shown
+
+WIDTH = 99  # columns of wrapped text
+_GREEN, _RED, _PLAIN = '\033[32m', '\033[31m', '\033[0m'
+_Item = TypeVar('_Item')
+
+
+class Console:
+    """Print results on standard output, progress and errors on standard error."""
+
+    def __init__(self, command: str, *, as_json: bool, quiet: bool) -> None:
+        self._command, self._json, self._quiet = command, as_json, quiet
+        self._colour = sys.stdout.isatty() and 'NO_COLOR' not in os.environ
+        self._begin = time.monotonic()
+        self.result: dict[str, Any] = {}
+
+    @property
+    def seconds(self) -> float:
+        """Time since the command began [s]."""
+        return time.monotonic() - self._begin
+
+    def line(self, text: str = '') -> None:
+        """Print a line of the result."""
+        if not (self._json or self._quiet):
+            print(text, flush=True)
+
+    def item(self, text: str) -> None:
+        """Print details of the line before, indented and wrapped."""
+        self.line(fill(text, WIDTH, initial_indent=' ' * 7, subsequent_indent=' ' * 9,
+                       break_long_words=False, break_on_hyphens=False))
+
+    def marked(self, mark: str, good: bool) -> str:
+        """Return a word in green or red if the output is a terminal."""
+        return f'{_GREEN if good else _RED}{mark}{_PLAIN}' if self._colour else mark
+
+    def say(self, text: str) -> None:
+        """Print a progress message."""
+        if not self._quiet:
+            print(text, file=sys.stderr, flush=True)
+
+    def step(self, text: str) -> None:
+        """Print the time so far and the next step."""
+        self.say(f'{self.seconds:5.1f} s  {text}')
+
+    def error(self, text: object) -> None:
+        """Print an error, even if quiet."""
+        print(f'ambush_{self._command}: {text}', file=sys.stderr, flush=True)
+
+    def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
+        """Yield the items with a progress bar."""
+        show = self.bar(what)
+        for done, item in enumerate(items, start=1):
+            yield item
+            show(done / len(items))
+
+    def bar(self, what: str) -> Callable[[float], None]:
+        """Return a function that shows the share done, 0..1, on a terminal if tqdm is installed."""
+        try:
+            from tqdm import tqdm
+        except ModuleNotFoundError:
+            return lambda share: None
+        bar = tqdm(desc=what, total=1.0, delay=2.0, leave=False, disable=self._quiet or None,
+                   bar_format='{desc}: {percentage:3.0f} % |{bar}| {elapsed}')
+
+        def show(share: float) -> None:
+            bar.update(share - bar.n)
+            if share >= 1.0:
+                bar.close()
+
+        return show
+
+    def result_as_json(self, verdict: str) -> None:
+        """Print the verdict and the result as JSON if requested."""
+        if self._json:
+            print(json.dumps({'verdict': verdict, **self.result}, indent=1, default=str))
+        sys.stdout.flush()
+
+
+def place(path: Path) -> str:
+    """Return a printable path, relative to the current folder if it lies below it."""
+    absolute, here = Path(os.path.abspath(path)), Path.cwd()
+    return shown(absolute.relative_to(here) if absolute.is_relative_to(here) else absolute)
+
+
+def count(number: int, what: str) -> str:
+    """Return a number and its noun, such as ``3 recordings``."""
+    return f'{number} {what}{"s" * (number != 1)}'

@@ -1,0 +1,109 @@
+"""Inputs of commands that solve games: a risk map, a ``--set`` of options."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+import yaml
+
+from ..errors import InvalidOption, InvalidRiskMap
+from ..game.game import GameOptions
+from ..game.strategy import StrategyOptions
+from ..maps.map_file import read_map
+from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
+from ..maps.risk_map import RiskMap
+from ..network.construction import NetworkOptions
+
+MAP_HELP = """\
+MAP is a YAML file for map_server (ambush_terrain makes such maps), or an npz file with alpha and
+obstacles (H, W), row 0 the lowest, resolution [m] and, if it is not 0, origin (x, y, yaw)."""
+OPTIONS_HELP = """\
+Options are named like the node's parameters (map., network., game., strategy.) and have the
+defaults of the Python functions."""
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """Options from the values of a map to a strategy."""
+
+    map: OccupancyOptions = field(default_factory=OccupancyOptions)
+    network: NetworkOptions = field(default_factory=NetworkOptions)
+    game: GameOptions = field(default_factory=GameOptions)
+    strategy: StrategyOptions = field(default_factory=StrategyOptions)
+
+
+def add_set(parser: argparse.ArgumentParser) -> None:
+    """Add the argument ``--set``, for ``options_from``."""
+    parser.add_argument(
+        '--set', nargs='+', default=[], metavar='NAME=VALUE',
+        help='options, such as network.spacing=50 strategy.max_detour=1.3',
+    )
+
+
+def options_from(assignments: Sequence[str]) -> SolveOptions:
+    """Parse assignments such as ``network.spacing=50``.
+
+    Raises
+    ------
+    InvalidOption
+        A name does not exist, a value has another type than the default, or is out of range.
+    """
+    options = vars(SolveOptions())
+    names = [f'{group}.{option}' for group, part in options.items() for option in vars(part)]
+    changes: dict[str, dict[str, Any]] = {group: {} for group in options}
+    for assignment in assignments:
+        name, equals, text = assignment.partition('=')
+        if not equals:
+            raise InvalidOption(f'{assignment!r}: must be NAME=VALUE')
+        if name not in names:
+            raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
+        group, option = name.split('.')
+        changes[group][option] = _value(name, text, type(getattr(options[group], option)))
+    return SolveOptions(**{
+        group: dataclasses.replace(part, **changes[group]) for group, part in options.items()
+    })
+
+
+def _value(name: str, text: str, kind: type) -> Any:
+    try:
+        value = yaml.safe_load(text)
+        if kind is float and not isinstance(value, bool):
+            value = float(value)  # YAML reads 1e3 as text
+    except (yaml.YAMLError, TypeError, ValueError):
+        value = None
+    if type(value) is not kind:
+        raise InvalidOption(f'{name} must be of type {kind.__name__}, got {text!r}')
+    return value
+
+
+def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
+    """Read a map of map_server, or the fields of a ``RiskMap`` from an npz file.
+
+    Raises
+    ------
+    InvalidTerrain, InvalidRiskMap
+        The file's content is not such a map.
+    OSError
+        The file cannot be opened.
+    """
+    if path.suffix != '.npz':
+        grid = read_map(path)
+        return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+    try:
+        with np.load(path) as file:
+            content = dict(file)
+        x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
+        return RiskMap(
+            content['alpha'], content['obstacles'], float(content['resolution']), (x, y, yaw)
+        )
+    except KeyError as error:
+        raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
+    except (BadZipFile, EOFError, TypeError, ValueError) as error:
+        raise InvalidRiskMap(f'{path}: {error}') from error

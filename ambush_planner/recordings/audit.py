@@ -1,0 +1,295 @@
+"""Audit of departures: do they follow the published law, and could an observer foresee them?
+
+If all is well, each departure is an independent draw from its own strategy. The test counts the
+passages N_e of each edge in all departures and compares them with their mean E_e and variance V_e
+under the strategies:
+
+    ``T = sum_e (N_e - E_e)^2 / (V_e + 1)``
+
+This is Pearson's statistic; the 1 keeps rarely driven edges from dominating it. T grows if a route
+or an edge is favoured, if routes repeat, and if they vary too little. Counts of edges are
+dependent, so T has no chi-square law: its p-value comes from resampling all departures from their
+strategies, ``(1 + #{T* >= T}) / (1 + resamples)``, as in ``scipy.stats.monte_carlo_test``, and
+holds for any number of departures and strategies.
+
+Edges and nodes of different networks are the same if they lie at the same positions: a start that
+moves by a few centimetres makes a new strategy, but most of its network stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_matrix, diags
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import AmbushPlannerError
+from ..game.route_sampler import RouteSampler
+from ..game.strategy import Strategy
+
+# With fewer departures the test finds hardly anything but one route driven every time.
+FEWEST_DEPARTURES = 5
+# False-positive rate: departures with a p-value up to this are a finding.
+LEVEL = 0.001
+# Resamples in which an observer is followed, for the range that honest draws lead to.
+FOLLOWED = 49
+# Nodes of two networks closer than this are at the same position [m].
+SAME_POSITION = 1e-3
+# Routes drawn at a time; bounds memory to about 100 MB.
+ROUTES_AT_ONCE = 20_000
+# Statistics closer than this, relative, are equal but for rounding.
+ROUNDING = 1e-9
+
+Steps = tuple[IndexArray, IndexArray]
+
+
+class NotAuditable(AmbushPlannerError):
+    """There are too few departures from strategies without cycles."""
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """The result of an audit.
+
+    Attributes
+    ----------
+    departures, strategies : int
+        How many were audited.
+    left_out : int
+        Departures drawn from strategies with cycles, whose routes have no such law.
+    impossible : int
+        Steps and ends of routes that the strategies cannot have drawn.
+    p_value : float
+        Probability of a deviation as large as the recorded one if departures follow their
+        strategies; 0 if something impossible was driven.
+    segments, passages, expected : (C, 2, 2), (C,), (C,)
+        Ends of each edge [m], how often it was driven, and how often that is expected.
+    value : float
+        Mean published value of the departures after the first.
+    observer_losses : (n - 1,)
+        Losses at the departures after the first, caused by an observer who learns as he goes:
+        before each departure he waits where waiting would have cost the earlier ones most.
+    observer_range : (float, float)
+        5 % and 95 % quantiles of the mean of these losses for departures drawn honestly.
+    """
+
+    departures: int
+    strategies: int
+    left_out: int
+    impossible: int
+    p_value: float
+    segments: FloatArray
+    passages: IndexArray
+    expected: FloatArray
+    value: float
+    observer_losses: FloatArray
+    observer_range: tuple[float, float]
+
+    @property
+    def finding(self) -> bool:
+        """Whether the departures do not follow their strategies."""
+        return self.p_value <= LEVEL
+
+    @property
+    def observer_loss(self) -> float:
+        """Mean loss that an observer who learns as he goes would have caused."""
+        return float(self.observer_losses.mean())
+
+
+def audit(
+    departures: Sequence[Any], rng: np.random.Generator | int = 1, resamples: int = 999
+) -> Audit:
+    """Test departures against their strategies, and follow an observer who learns from them.
+
+    Parameters
+    ----------
+    departures
+        In order of time, each with the attributes ``drawn_from`` (Strategy) and ``route`` (K,);
+        those of one strategy share the object.
+    rng, resamples
+        Generator or seed of the resamples, and their number: 999 or more, for a finding.
+
+    Raises
+    ------
+    NotAuditable
+        There are fewer than ``FEWEST_DEPARTURES`` departures from strategies without cycles.
+    """
+    rng = np.random.default_rng(rng)
+    groups, audited = _grouped(departures)
+    n, impossible = len(audited), 0
+    if n < FEWEST_DEPARTURES:
+        raise NotAuditable(
+            f'at least {FEWEST_DEPARTURES} departures from strategies without cycles are needed, '
+            f'got {n}'
+        )
+    segments = _number_by_position(groups)
+    # Set 0 is the recorded one, the others are resamples.
+    passages = np.zeros((1 + resamples, len(segments)), np.uint16)
+    followed, losses = 1 + min(FOLLOWED, resamples), []
+    for group in groups:
+        size = len(group.members)
+        *recorded, wrong = group.recorded()
+        impossible += wrong
+        for route, edge in chain([recorded], group.resampled(resamples, rng)):
+            cells = route // size * len(segments) + group.edge_number[edge]
+            np.add.at(passages.reshape(-1), cells, np.uint16(1))
+            early = route < followed * size
+            losses.append(group.losses(route[early], edge[early], n))
+    expected, variance = _expected(groups, len(segments))
+    loss, row, node = (np.concatenate(parts) for parts in zip(*losses, strict=True))
+    ambushers = [each.drawn_from.game.ambushers for each in audited]
+    caused = _observe(followed, ambushers, loss, row, node)
+    low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
+    return Audit(
+        departures=n,
+        strategies=len(groups),
+        left_out=len(departures) - n,
+        impossible=impossible,
+        p_value=0.0 if impossible else _p_value(passages, expected, variance),
+        segments=segments,
+        passages=frozen_array(passages[0], np.int64),
+        expected=frozen_array(expected, np.float64),
+        value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
+        observer_losses=frozen_array(caused[0], np.float64),
+        observer_range=(float(low), float(high)),
+    )
+
+
+class _Group:
+    """The departures of one strategy; its edges and nodes by numbers that all groups share.
+
+    Steps of routes are two arrays (S,): the number of the route, and the index of the edge. Route
+    k of set s has the number s * size + k.
+    """
+
+    edge_number: IndexArray
+    node_number: IndexArray
+
+    def __init__(self, strategy: Strategy) -> None:
+        self.game, self.network, self.p = strategy.game, strategy.network, strategy.edge_probability
+        self.sampler = RouteSampler(self.network, self.p)
+        self.used = np.flatnonzero(self.p > 0.0)
+        # (M, S): what waiting at each site costs a route along each edge.
+        losses = diags(self.game.loss[self.game.sites]) @ self.game.hits
+        self.edge_losses = losses.T.tocsr()
+        self.members: list[int] = []
+        self.routes: list[IndexArray] = []
+
+    def recorded(self) -> tuple[IndexArray, IndexArray, int]:
+        """Return the steps of recorded routes, and the number of impossible steps and ends.
+
+        Steps along no edge, or along an edge of probability 0, are impossible and left out.
+        """
+        network, count = self.network, len(self.network.points)
+        numbers = np.arange(1, len(network.edges) + 1)
+        edge_between = csr_matrix((numbers, network.edges.T), (count, count))
+        tails = np.concatenate([route[:-1] for route in self.routes])
+        heads = np.concatenate([route[1:] for route in self.routes])
+        owner = np.repeat(np.arange(len(self.members)), [len(route) - 1 for route in self.routes])
+        edge = np.asarray(edge_between[tails, heads]).ravel() - 1
+        possible = (edge >= 0) & (self.p[edge] > 0.0)
+        ends = np.array([(route[0], route[-1]) for route in self.routes])
+        wrong_ends = ends != (network.source, network.target)
+        return owner[possible], edge[possible], int((~possible).sum() + wrong_ends.sum())
+
+    def resampled(self, resamples: int, rng: np.random.Generator) -> Iterator[Steps]:
+        """Yield the steps of sets 1, 2, ... in batches."""
+        batch = max(ROUTES_AT_ONCE // len(self.members), 1)
+        for begin in range(0, resamples, batch):
+            count = min(batch, resamples - begin) * len(self.members)
+            route, edge = self.sampler.draw_steps(count, rng)
+            yield route + (1 + begin) * len(self.members), edge
+
+    def losses(
+        self, route: IndexArray, edge: IndexArray, n: int
+    ) -> tuple[FloatArray, IndexArray, IndexArray]:
+        """Return what waiting costs routes: loss, set * n + departure, and node number."""
+        first = int(route.min(initial=0))
+        shape = int(route.max(initial=0)) - first + 1, len(self.p)
+        driven = csr_matrix((np.ones(len(edge)), (route - first, edge)), shape)
+        losses = (driven @ self.edge_losses).tocoo()
+        drawn, member = np.divmod(losses.row + first, len(self.members))
+        site_number = self.node_number[self.game.sites]
+        return losses.data, drawn * n + np.array(self.members)[member], site_number[losses.col]
+
+
+def _grouped(departures: Sequence[Any]) -> tuple[list[_Group], list[Any]]:
+    """Sort departures by strategy, without those of strategies with cycles."""
+    groups: dict[int, _Group] = {}
+    audited: list[Any] = []
+    for each in departures:
+        key = id(each.drawn_from)
+        if key not in groups:
+            groups[key] = _Group(each.drawn_from)
+        if groups[key].sampler.acyclic:
+            groups[key].members.append(len(audited))
+            groups[key].routes.append(each.route)
+            audited.append(each)
+    return [group for group in groups.values() if group.members], audited
+
+
+def _number_by_position(groups: Sequence[_Group]) -> FloatArray:
+    """Number nodes and used edges of all groups; return the ends of each edge (C, 2, 2) [m]."""
+    points = np.concatenate([group.network.points for group in groups])
+    node = np.unique(np.rint(points / SAME_POSITION) @ [1.0, 1.0j], return_inverse=True)[1]
+    first = np.cumsum([0, *(len(group.network.points) for group in groups)])
+    ends = np.concatenate([
+        group.network.edges[group.used] + first[k] for k, group in enumerate(groups)
+    ])
+    key = node[ends[:, 0]] * len(points) + node[ends[:, 1]]
+    _, index, edge = np.unique(key, return_index=True, return_inverse=True)
+    parts = np.split(edge, np.cumsum([len(group.used) for group in groups])[:-1])
+    for k, (group, part) in enumerate(zip(groups, parts, strict=True)):
+        group.node_number = node[first[k]:first[k + 1]]
+        group.edge_number = np.full(len(group.p), -1)
+        group.edge_number[group.used] = part
+    return frozen_array(points[ends[index]], np.float64)
+
+
+def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatArray]:
+    """Mean and variance (C,) of the passages of each edge under the strategies."""
+    mean, variance = np.zeros(count), np.zeros(count)
+    for group in groups:
+        # Rounding may leave a probability slightly above 1.
+        p = np.minimum(group.p[group.used], 1.0)
+        number = group.edge_number[group.used]
+        np.add.at(mean, number, len(group.members) * p)
+        np.add.at(variance, number, len(group.members) * p * (1.0 - p))
+    return mean, variance
+
+
+def _p_value(
+    passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray
+) -> float:
+    """Monte Carlo p-value of the first row of ``passages`` (1 + resamples, C)."""
+    recorded, *drawn = ((row - expected) ** 2 @ (1.0 / (variance + 1.0)) for row in passages)
+    reached = np.count_nonzero(np.array(drawn) >= recorded * (1.0 - ROUNDING))
+    return float(1 + reached) / (1 + len(drawn))
+
+
+def _observe(
+    sets: int, ambushers: Sequence[int], loss: FloatArray, row: IndexArray, node: IndexArray
+) -> FloatArray:
+    """Losses (sets, n - 1) that an observer causes in each set after the first departure.
+
+    In row set * n + departure, waiting at the node costs the loss (K,); ``ambushers`` (n,) is the
+    number of nodes where he waits at once.
+    """
+    n, hit, column = len(ambushers), *np.unique(node, return_inverse=True)
+    # Columns without losses: he stays away until he has seen as many places as he can wait at.
+    width = len(hit) + max(ambushers)
+    waiting = csr_matrix((loss, (row, column)), (sets * n, width))
+    seen, best = np.zeros((sets, width)), np.zeros((sets, 0), np.int64)
+    seen[:, len(hit):] = np.finfo(float).tiny
+    caused = np.zeros((sets, n))
+    for k, count in enumerate(ambushers):
+        latest = waiting[np.arange(sets) * n + k].toarray()
+        caused[:, k] = np.take_along_axis(latest, best, 1).sum(axis=1)
+        seen += latest
+        best = np.argpartition(seen, -count, axis=1)[:, -count:]
+    return caused[:, 1:]

@@ -1,0 +1,244 @@
+"""One recorded departure: where it led, and the map, strategy and entropy it was drawn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import AmbushPlannerError
+from ..game.acyclic import is_acyclic
+from ..game.hits import worst_loss
+from ..game.strategy import Strategy
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ..maps.risk_map import RiskMap
+from ..maps.ros_messages import occupancy_from_ros, path_from_ros
+from ..planning.changed_ground import ChangedGround
+from ..planning.conditioning import ConditionedStrategy
+from ..planning.node_parameters import NodeParameters, parameters_from
+from ..planning.plan import Plan, PlanningOptions, node_spacing
+from ..routes.corridors import make_corridors
+from .map_changes import MAP_CHANGES_FILE, changed_map
+from .recording_errors import UnreadableRecording
+from .recording_file import RecordingFile, decode, read_recording
+from .strategy_file import STRATEGY_FILE, strategy_from_file
+
+Position = tuple[float, float]
+_T = TypeVar('_T')
+
+
+@dataclass(frozen=True)
+class RecordedTrip:
+    """The planned trip in the map's frame [m], its stops in the order of the visits."""
+
+    start_xy: Position
+    goal_xy: Position
+    stops: tuple[Position, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedDeparture:
+    """A departure as it was recorded; equal strategies and equal maps are one object.
+
+    Attributes
+    ----------
+    id, number
+        Unique to the departure; its number in the node's run, from 1.
+    stamp_ns
+        When the path was published.
+    call
+        ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and the fields of
+        ``request`` and ``response``.
+    topics
+        The topics of map, start, goal and path, and of the stops (``via``) if there are any.
+    trip, ends
+        The planned trip, and the ends of the driven path, which may lie near the trip's [m].
+    route : (K,)
+        Node indices, drawn by ``numpy.random.default_rng(route_entropy_source)``.
+    strategy, stated
+        The recorded strategy, its certificate computed from its probabilities, and the numbers
+        that the file states.
+    drawn_from
+        ``strategy``, or, if the map had changed, that strategy given that its routes are clear.
+    planned_on, newest, risk_map
+        The maps of the plan and at the time of departure; the losses of the former.
+    """
+
+    path: Path
+    id: str
+    number: int
+    stamp_ns: int
+    frame: str
+    call: Mapping[str, Any]
+    topics: Mapping[str, str]
+    versions: Mapping[str, str]
+    parameters: NodeParameters
+    trip: RecordedTrip
+    ends: tuple[Position, Position]
+    route: IndexArray = field(repr=False)
+    route_entropy_source: list[int] = field(repr=False)
+    strategy: Strategy
+    stated: Mapping[str, float]
+    drawn_from: Strategy
+    planned_on: OccupancyMap
+    newest: OccupancyMap
+    risk_map: RiskMap
+    _path_message: tuple[str, str, bytes] = field(repr=False)
+
+    @property
+    def service(self) -> str:
+        """The service that was called, ``new_route`` or ``get_plan``."""
+        return str(self.call['service']).rpartition('/')[2]
+
+    @cached_property
+    def path_poses(self) -> FloatArray:
+        """The poses (L, 3) = (x, y, yaw) of the recorded path [m, m, rad]."""
+        return path_from_ros(decode(*self._path_message))
+
+
+class SharedParts:
+    """Strategies and maps that departures have in common, each built once.
+
+    ``most`` limits how many of each are kept; None keeps all.
+    """
+
+    def __init__(self, most: int | None = None) -> None:
+        self.strategy = lru_cache(most)(strategy_from_file)
+        self.risk_map = lru_cache(most)(_risk_map)
+        self.conditioned = lru_cache(most)(_conditioned)
+        self._message = lru_cache(most)(decode)
+        self._map = lru_cache(most)(_map)
+
+    def map_in(self, definition: str, kind: str, data: bytes) -> OccupancyMap:
+        """Read a serialised map. Maps that differ only in their header are one object."""
+        message = self._message(definition, kind, data)
+        values, resolution, origin = occupancy_from_ros(message)
+        return self._map(values.tobytes(), values.shape, resolution, origin)
+
+
+def read_departure(path: Path | str, shared: SharedParts | None = None) -> RecordedDeparture:
+    """Read one recorded departure and check the CRCs of its file.
+
+    Raises
+    ------
+    UnreadableRecording
+        The file is missing, damaged, of another format, or not a departure.
+    """
+    return departure_in(read_recording(path), shared or SharedParts())
+
+
+def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
+    """Return the departure in a file.
+
+    Raises
+    ------
+    UnreadableRecording
+        A part of it is missing or malformed.
+    """
+    entries = file.entries
+    parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters']))
+    game, occupancy = parameters.planning.game, parameters.occupancy
+    strategy, stated = _part(
+        file, STRATEGY_FILE, lambda: shared.strategy(file.attachments[STRATEGY_FILE], game)
+    )
+    planned_on = _part(file, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
+    risk_map = _part(file, 'map', lambda: shared.risk_map(planned_on, occupancy))
+    newest, drawn_from = planned_on, strategy
+    if changes := file.attachments.get(MAP_CHANGES_FILE, b''):
+        newest, drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
+            strategy, planned_on, changes, occupancy, parameters.planning
+        ))
+
+    def read() -> RecordedDeparture:
+        message, trip = file.in_role('path'), entries['trip']
+        route = frozen_array(entries['route'], np.int64)
+        if not len(route) or not 0 <= route.min() <= route.max() < len(strategy.network.points):
+            raise ValueError('the recorded route leaves the recorded network')
+        return RecordedDeparture(
+            file.path, entries['departure_id'], entries['departure'], message.stamp_ns,
+            entries['frame'], entries['call'], entries['topics'], entries['versions'], parameters,
+            RecordedTrip(
+                _position(trip['start']), _position(trip['goal']),
+                tuple(map(_position, trip['stops'])),
+            ),
+            (_position(entries['ends'][0]), _position(entries['ends'][1])),
+            route, entries['route_entropy_source'], strategy, stated, drawn_from, planned_on,
+            newest, risk_map,
+            file.defined(message),
+        )
+
+    return _part(file, 'metadata', read)
+
+
+def _part(file: RecordingFile, name: str, read: Callable[[], _T]) -> _T:
+    """Read a part of a file; the error names the part, and never its contents."""
+    try:
+        return read()
+    except AmbushPlannerError as error:
+        raise UnreadableRecording(file.path, f'{name}: {error}') from error
+    except Exception as error:  # numpy, zipfile and the decoder raise a dozen kinds of errors
+        raise UnreadableRecording(
+            file.path, f'{name}: missing or malformed ({type(error).__name__})'
+        ) from error
+
+
+def _map(
+    cells: bytes, shape: tuple[int, int], resolution: float, origin: tuple[float, float, float]
+) -> OccupancyMap:
+    return OccupancyMap(np.frombuffer(cells, np.int8).reshape(shape), resolution, origin)
+
+
+def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
+    return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+
+
+def ground_of(
+    strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
+    planning: PlanningOptions,
+) -> tuple[Plan, ChangedGround]:
+    """Return a recorded strategy as a plan with corridors, and its ground."""
+    risk_map, network = _risk_map(planned_on, options), planning.network
+    unused: Any = None  # neither routes nor paths depend on the bottleneck
+    plan = Plan(
+        strategy.network, strategy, unused, unused, planning, node_spacing(risk_map, network),
+        None, 0.0,
+    )
+    plan = replace(plan, corridors=make_corridors(
+        strategy.network, risk_map, network.clearance, plan.tube, network.clear_of_edge
+    ))
+    return plan, ChangedGround(plan, planned_on, options)
+
+
+def _conditioned(
+    strategy: Strategy, planned_on: OccupancyMap, changes: bytes, options: OccupancyOptions,
+    planning: PlanningOptions,
+) -> tuple[OccupancyMap, Strategy]:
+    """Return the changed map, and the strategy given that its routes are clear there.
+
+    A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
+    """
+    newest = replace(planned_on, values=changed_map(planned_on.values, changes))
+    _, ground = ground_of(strategy, planned_on, options, planning)
+    lost = ground.lost(newest)
+    if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
+        strategy.network, strategy.edge_probability
+    ):
+        return newest, strategy
+    share, p = ConditionedStrategy(strategy).avoiding(lost)
+    if share <= 0.0:
+        raise ValueError('no route of the recorded strategy is clear')
+    return newest, replace(
+        strategy, edge_probability=frozen_array(p, np.float64),
+        visit_probability=frozen_array(strategy.game.visits(p), np.float64),
+        value=worst_loss(strategy.game, p),
+    )
+
+
+def _position(numbers: list[float]) -> Position:
+    x, y = numbers
+    return float(x), float(y)

@@ -1,0 +1,197 @@
+"""One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded."""
+
+from __future__ import annotations
+
+import json
+import re
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from mcap import records
+from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.well_known import MessageEncoding
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+
+from .messages import RecordedMessage
+from .recording_errors import UnreadableRecording, reading_from
+from .schemas import load_definition
+
+COMPRESSIONS = {
+    'zstd': CompressionType.ZSTD,
+    'lz4': CompressionType.LZ4,
+    'none': CompressionType.NONE,
+}
+METADATA_RECORD = 'ambush_planner'
+# Increases whenever the meaning of a metadata entry or an attachment changes.
+FORMAT = '6'
+_CHUNK_SIZE = 2**20  # bytes
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingFile:
+    """The contents of one file.
+
+    Attributes
+    ----------
+    path
+        The file.
+    messages
+        In the order of their times.
+    entries
+        The metadata record, with each entry's JSON read.
+    attachments
+        The contents of attached files by name.
+    definitions
+        The texts of message definitions by type name.
+    """
+
+    path: Path
+    messages: tuple[RecordedMessage, ...]
+    entries: Mapping[str, Any]
+    attachments: Mapping[str, bytes]
+    definitions: Mapping[str, str]
+
+    def in_role(self, role: str) -> RecordedMessage:
+        """Return the message in a role of the entry ``topics``, like ``map`` or ``path``."""
+        topic = self.entries['topics'][role]
+        return next(each for each in self.messages if each.topic == topic)
+
+    def decoded(self, message: RecordedMessage) -> Any:
+        """Decode a message. Its arrays of int8 are ``bytes``, which numpy reads at once."""
+        return decode(*self.defined(message))
+
+    def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:
+        """Return a message as ``decode`` takes it."""
+        return self.definitions[message.type], message.type, message.data
+
+
+def encode(
+    messages: Sequence[RecordedMessage],
+    entries: Mapping[str, Any],
+    attachments: Mapping[str, bytes],
+    compression: str,
+) -> bytes:
+    """Return the bytes of a whole file; ``messages`` are in the order of time.
+
+    Raises
+    ------
+    RecordingFailed
+        The definition of a message is not installed.
+    """
+    stream = BytesIO()
+    # The checksum of the data section covers metadata and attachments; chunks have their own.
+    writer = Writer(
+        stream, chunk_size=_CHUNK_SIZE, compression=COMPRESSIONS[compression],
+        enable_data_crcs=True,
+    )
+    writer.start(profile='ros2')
+    texts = {name: json.dumps(value) for name, value in entries.items()}
+    writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
+    for name, data in attachments.items():
+        writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
+    schemas: dict[str, int] = {}
+    channels: dict[tuple[str, str, str], int] = {}
+    for message in messages:
+        definition = load_definition(message.type)
+        if message.type not in schemas:
+            schemas[message.type] = writer.register_schema(
+                message.type, definition.encoding, definition.text.encode()
+            )
+        key = message.topic, message.type, message.qos_text
+        if key not in channels:
+            channels[key] = writer.register_channel(
+                message.topic, MessageEncoding.CDR, schemas[message.type],
+                {'offered_qos_profiles': key[2], 'topic_type_hash': definition.type_hash},
+            )
+        writer.add_message(channels[key], message.stamp_ns, message.data, message.stamp_ns)
+    writer.finish()
+    return stream.getvalue()
+
+
+def read_recording(path: Path | str) -> RecordingFile:
+    """Read a file and check its CRCs.
+
+    Raises
+    ------
+    UnreadableRecording
+        The file is missing, damaged, of another format, or not from this planner.
+    """
+    path = Path(path)
+    with reading_from(path):
+        if not path.is_file():
+            path.stat()
+            raise UnreadableRecording(path, 'it is not a file')
+        data = path.read_bytes()
+    try:
+        found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
+        _check_summary(data, found[-1])
+    except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
+        raise UnreadableRecording(
+            path,
+            f'it is damaged or not an MCAP file ({type(error).__name__}); `mcap recover` of the '
+            'mcap command line saves intact messages',
+        ) from error
+    texts: Mapping[str, str] = next(
+        (each.metadata for each in found
+         if isinstance(each, records.Metadata) and each.name == METADATA_RECORD), {},
+    )
+    if texts.get('format') != FORMAT:
+        raise UnreadableRecording(
+            path,
+            f'its format is {texts["format"][:20]!r}, this version reads {FORMAT!r}: use the '
+            'version of ambush_planner that recorded it' if 'format' in texts
+            else 'it was not recorded by ambush_planner',
+        )
+    try:
+        return _contents(path, found, {name: json.loads(text) for name, text in texts.items()})
+    except (ValueError, LookupError) as error:
+        raise UnreadableRecording(
+            path, f'its records are inconsistent ({type(error).__name__})'
+        ) from error
+
+
+@lru_cache(maxsize=64)
+def _decoder(definition: str, kind: str) -> Any:
+    # The decoder reads int8 one by one, in seconds for a large map, and uint8 as one slice.
+    text = re.sub(r'\bint8\[', 'uint8[', definition)
+    schema = records.Schema(1, text.encode(), 'ros2msg', kind)
+    return DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
+
+
+def decode(definition: str, kind: str, data: bytes) -> Any:
+    """Decode a message of the type ``kind`` by its definition."""
+    return _decoder(definition, kind)(data)
+
+
+def _check_summary(data: bytes, footer: records.McapRecord) -> None:
+    """Check the CRC of the summary, which the library leaves unread."""
+    assert isinstance(footer, records.Footer)
+    summary = data[footer.summary_start:-MAGIC_SIZE - 4]
+    if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
+        raise ValueError('the CRC of the summary does not hold')
+
+
+def _contents(
+    path: Path, found: Sequence[records.McapRecord], entries: Mapping[str, Any]
+) -> RecordingFile:
+    schemas = {each.id: each for each in found if isinstance(each, records.Schema)}
+    channels = {each.id: each for each in found if isinstance(each, records.Channel)}
+    messages = []
+    for each in found:
+        if isinstance(each, records.Message):
+            channel = channels[each.channel_id]
+            messages.append(RecordedMessage(
+                channel.topic, schemas[channel.schema_id].name, each.data,
+                channel.metadata['offered_qos_profiles'], each.log_time,
+            ))
+    return RecordingFile(
+        path, tuple(sorted(messages, key=lambda each: each.stamp_ns)), entries,
+        {each.name: each.data for each in found if isinstance(each, records.Attachment)},
+        {each.name: each.data.decode() for each in schemas.values()},
+    )

@@ -1,0 +1,129 @@
+"""The data of a report: departures by trip, and what its maps show."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from base64 import b64encode
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import FloatArray
+from ..game.strategy import Strategy
+from ..maps.risk_map import RiskMap
+from .recorded_departures import RecordedDeparture
+
+# Starts or goals are the same up to this share of the distance between start and goal.
+SAME_TRIP = 0.05
+# Most cells of a map in each direction; of larger maps blocks of cells show their worst loss.
+MOST_CELLS = 2000
+# Number of obstacle cells; smaller numbers are indices into the losses.
+OBSTACLE = 255
+# Edges with smaller probabilities do not count at the pointer.
+LEAST_PROBABILITY = 1e-7
+# Sites with a smaller share of the likeliest site's probability are left out.
+LEAST_SITE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """The departures of one trip in order of time; start and goal may move a little."""
+
+    departures: list[RecordedDeparture]
+
+    @property
+    def strategy(self) -> Strategy:
+        """The latest strategy."""
+        return self.departures[-1].strategy
+
+    @property
+    def risk_map(self) -> RiskMap:
+        """The map of all departures."""
+        return self.departures[-1].risk_map
+
+    def includes(self, other: RecordedDeparture) -> bool:
+        """Whether a departure is on this trip."""
+        first = self.departures[0]
+        one, two = first.trip, other.trip
+        far = math.dist(one.start_xy, one.goal_xy) * SAME_TRIP
+        return (
+            other.risk_map is first.risk_map
+            and math.dist(one.start_xy, two.start_xy) <= far
+            and math.dist(one.goal_xy, two.goal_xy) <= far
+        )
+
+
+def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
+    """Group departures by trip, the earliest trip first."""
+    sections: list[Section] = []
+    for each in departures:
+        section = next((section for section in sections if section.includes(each)), None)
+        if section:
+            section.departures.append(each)
+        else:
+            sections.append(Section([each]))
+    return sections
+
+
+def map_data(section: Section) -> dict[str, Any]:
+    """Return what the script of the map draws; positions are relative to the map's corner [m].
+
+    Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``.
+    """
+    risk_map, strategy = section.risk_map, section.strategy
+    network, game = strategy.network, strategy.game
+    secured = section.departures[-1].parameters.planning.game.secured_radius
+    cells, levels, cell = map_cells(risk_map)
+    used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
+    corner = np.array(risk_map.origin[:2])
+    width, height = risk_map.size
+    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+    routes = [each.strategy.network.points[each.route] - corner for each in section.departures]
+    ends = [network.source, network.target, *network.stops]
+    return {
+        'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
+        'origin': corner.tolist(), 'yaw': risk_map.origin[2],
+        'box': [*(corners.min(0) - corner).tolist(), *(corners.max(0) - corner).tolist()],
+        'ends': (network.points[ends] - corner).tolist(),
+        'reach': game.ambush_radius, 'held': max(secured, game.ambush_radius),
+        'value': strategy.value,
+        'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
+        'edges': packed(network.edges[used], '<u4'),
+        'chances': packed(strategy.edge_probability[used], '<f4'),
+        'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
+        'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
+    }
+
+
+def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
+    """Return cells as indices of losses, the losses, and the edge of a cell [m]."""
+    block = math.ceil(max(risk_map.alpha.shape) / MOST_CELLS)
+    alpha = _blocks(np.maximum, np.where(risk_map.obstacles, 0.0, risk_map.alpha), block)
+    obstacles = _blocks(np.logical_and, risk_map.obstacles, block)
+    levels = np.unique(alpha[~obstacles]) if not obstacles.all() else np.zeros(1)
+    if len(levels) > OBSTACLE:
+        levels = np.linspace(levels[0], levels[-1], OBSTACLE)
+    middle = (levels[1:] + levels[:-1]) / 2.0
+    index = np.where(obstacles, OBSTACLE, np.searchsorted(middle, alpha))
+    return index.astype(np.uint8), levels.tolist(), block * risk_map.resolution
+
+
+def packed(array: npt.ArrayLike, kind: str) -> str:
+    """Return an array of a kind such as ``<f4`` as deflated base64."""
+    return b64encode(zlib.compress(np.ascontiguousarray(array, kind).tobytes())).decode('ascii')
+
+
+def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDArray[Any]:
+    row, column = (np.arange(0, size, block) for size in cells.shape)
+    return function.reduceat(function.reduceat(cells, row, axis=0), column, axis=1)
+
+
+def _sites(strategy: Strategy) -> FloatArray:
+    """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
+    q = strategy.ambush_probability if strategy.value > 0.0 else np.zeros(1)
+    at = np.flatnonzero(q > LEAST_SITE * q.max())
+    return np.column_stack((strategy.network.points[at], q[at] / (q.max() or 1.0)))

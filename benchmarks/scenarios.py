@@ -1,0 +1,147 @@
+"""Maps with start and goal for the benchmarks: terrain, depot, city, maze, and two formulas."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import gaussian_filter
+
+from ambush_planner import Network, NetworkOptions, RiskMap, build_network
+from ambush_planner.arrays import BoolArray, FloatArray
+from ambush_planner.commands import demo_ground
+from ambush_planner.maps.obstacles import nearest_free_cell
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+
+# Maps of the Nav2 project, optional, in a folder next to the checkout.
+DEPOT = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'nav2_depot'
+# Side length of the maps ``block`` and ``hills`` [m].
+SIDE = 100.0
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A risk map with start and goal [m]."""
+
+    risk_map: RiskMap
+    start: tuple[float, float]
+    goal: tuple[float, float]
+
+    def network(self, options: NetworkOptions) -> Network:
+        return build_network(self.risk_map, self.start, self.goal, options)
+
+
+def block(cells: int) -> RiskMap:
+    """Two smooth rises of risk and a square obstacle in the centre, ``cells`` x ``cells``."""
+    u, v = _unit_square(cells)
+    south_east = np.exp(-((u - 0.7) ** 2 + (v - 0.25) ** 2) / 0.08)
+    north_west = np.exp(-((u - 0.3) ** 2 + (v - 0.8) ** 2) / 0.05)
+    obstacles = (np.abs(u - 0.5) < 0.12) & (np.abs(v - 0.5) < 0.12)
+    return RiskMap(1.0 + 4.0 * south_east + 2.0 * north_west, obstacles, SIDE / cells)
+
+
+def hills(cells: int) -> RiskMap:
+    """Terrain of six waves: losses 1..10 by height, the highest tenth is an obstacle."""
+    u, v = _unit_square(cells)
+    waves = np.random.default_rng(1).normal(size=(6, 3))
+    height = sum(np.sin(6.0 * a * u + 6.0 * b * v + 3.0 * c) for a, b, c in waves)
+    share = (height - height.min()) / np.ptp(height)
+    return RiskMap(1.0 + 9.0 * share, share > np.quantile(share, 0.9), SIDE / cells)
+
+
+def _unit_square(cells: int) -> tuple[FloatArray, FloatArray]:
+    centre = (np.arange(cells) + 0.5) / cells
+    u, v = np.meshgrid(centre, centre)
+    return u, v
+
+
+def block_network(nodes: int) -> Network:
+    """Network of ``nodes`` x ``nodes`` over ``block``, from mid-left to mid-right."""
+    spacing = SIDE / nodes
+    ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
+    return Scenario(block(nodes), *ends).network(NetworkOptions(spacing=spacing))
+
+
+def network_across(risk_map: RiskMap, nodes: int) -> Network:
+    """Network of ``nodes`` x ``nodes`` over a map, between places independent of the number."""
+    ends = (0.03 * SIDE, 0.5 * SIDE), (0.97 * SIDE, 0.5 * SIDE)
+    return Scenario(risk_map, *ends).network(NetworkOptions(spacing=SIDE / nodes))
+
+
+def terrain() -> Scenario:
+    """The demo's terrain: 30 km by 32 km with ridges between start and goal."""
+    risk_map = risk_map_from_occupancy(demo_ground.load_ground().values, demo_ground.RESOLUTION)
+    return Scenario(risk_map, demo_ground.START, demo_ground.GOAL)
+
+
+def depot() -> Scenario:
+    """Nav2's depot, 30 m by 15 m, with losses 1..10 by its speed mask; or FileNotFoundError."""
+    occupied, mask = (
+        255 - np.asarray(Image.open(DEPOT / name))[::-1].astype(int)
+        for name in ('depot.pgm', 'depot_speed.pgm')
+    )
+    risk_map = RiskMap(1.0 + 9.0 * mask / 255.0, occupied > 0.19 * 255, 0.05)
+    return Scenario(risk_map, (2.0, 7.0), (28.0, 7.0))
+
+
+def city() -> Scenario:
+    """800 m by 600 m of building blocks between streets 10 to 25 m wide, with some squares."""
+    rng = np.random.default_rng(7)
+    rows, columns = 200, 266
+    across, along = _streets(rng, rows), _streets(rng, columns)
+    obstacles = ~(across[:, None] | along)
+    number = np.cumsum(np.diff(across, prepend=False))[:, None] * 1000 + np.cumsum(
+        np.diff(along, prepend=False))
+    squares = rng.choice(np.unique(number), len(np.unique(number)) // 12)
+    obstacles &= ~np.isin(number, squares)
+    risk = gaussian_filter(rng.random((rows, columns)), 12.0)
+    risk = (risk - risk.min()) / np.ptp(risk)
+    risk_map = RiskMap(1.0 + 9.0 * risk, obstacles, 3.0)
+    start, goal = (nearest_free_cell(risk_map, xy, 50.0, 4.0) for xy in ((60, 300), (740, 280)))
+    return Scenario(risk_map, start, goal)
+
+
+def _streets(rng: np.random.Generator, cells: int) -> BoolArray:
+    """Which cells (``cells``,) of a line across the blocks are street."""
+    street, at = np.zeros(cells, dtype=bool), 0
+    while at < cells:
+        width = int(rng.integers(4, 9))
+        street[at : at + width] = True
+        at += width + int(rng.integers(9, 22))
+    street[-4:] = True
+    return street
+
+
+def maze(rooms: int = 12, side: int = 14) -> Scenario:
+    """A maze of ``rooms`` x ``rooms`` rooms of 0.7 m, with a third of its spare walls removed."""
+    rng = np.random.default_rng(11)
+    free = np.zeros((rooms * side + 1,) * 2, dtype=bool)
+    for row, column in np.ndindex(rooms, rooms):
+        free[row * side + 1 : (row + 1) * side, column * side + 1 : (column + 1) * side] = True
+    group = np.arange(rooms * rooms)
+    walls = [(k, k + step) for step in (1, rooms) for k in range(rooms * rooms)
+             if (k + step < rooms * rooms and (step > 1 or (k + 1) % rooms))]
+    for a, b in rng.permutation(walls):
+        if group[a] != group[b] or rng.random() < 0.33:
+            group[group == group[b]] = group[a]
+            _remove_wall(free, divmod(int(a), rooms), divmod(int(b), rooms), side)
+    alpha = 1.0 + 4.0 * gaussian_filter(rng.random(free.shape), 20.0, mode='nearest')
+    width = rooms * side * 0.05
+    return Scenario(RiskMap(alpha, ~free, 0.05), (0.35, 0.35), (width - 0.3, width - 0.3))
+
+
+def _remove_wall(free: BoolArray, a: tuple[int, int], b: tuple[int, int], side: int) -> None:
+    """Remove the wall between two rooms."""
+    inside = slice(1, side)
+    if a[0] == b[0]:
+        free[a[0] * side :, b[1] * side][inside] = True
+    else:
+        free[b[0] * side, a[1] * side :][inside] = True
+
+
+SCENARIOS: dict[str, Callable[[], Scenario]] = {
+    'terrain': terrain, 'depot': depot, 'city': city, 'maze': maze
+}

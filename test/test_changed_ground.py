@@ -1,0 +1,181 @@
+"""A strategy assessed on changed ground: against frequencies, exact geometry and new games."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import solve
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.occupancy import (
+    OccupancyMap,
+    OccupancyOptions,
+    risk_map_from_occupancy,
+)
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.network.network import Network
+from ambush_planner.planning.changed_ground import Assessment, ChangedGround
+from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.trip import plan_trip
+
+SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)
+OCCUPANCY = OccupancyOptions()
+START, GOAL = (1.25, 6.25), (10.75, 6.25)  # in map axes
+ROUNDING = 1e-12  # of sums of probabilities
+
+
+def grid(values, origin=ORIGIN):
+    return OccupancyMap(values, RESOLUTION, origin)
+
+
+def planned(values, clearance=0.0, game=None, origin=ORIGIN, spacing=1.0):
+    """A plan, its map, and the plan on other maps."""
+    risk_map = risk_map_from_occupancy(values, RESOLUTION, origin, OCCUPANCY)
+    game = game or GameOptions()
+    options = PlanningOptions(NetworkOptions(spacing=spacing, clearance=clearance), game)
+    made = plan_trip(risk_map, *risk_map.to_world([START, GOAL]), options)
+    on = grid(values, origin)
+    return made, on, ChangedGround(made, on, OCCUPANCY)
+
+
+def rough(seed):
+    values = np.random.default_rng(seed).integers(0, 60, (SIZE, SIZE), dtype=np.int8)
+    values[9:14, 10:13] = 100
+    return values
+
+
+@cache
+def rough_plan(clearance):
+    return planned(rough(1), clearance)
+
+
+def changed(values, cells, new):
+    result = values.copy()
+    result[tuple(np.array(cells).reshape(-1, 2).T)] = new
+    return result
+
+
+@pytest.mark.parametrize('spacing', [0.5, 0.7, 1.0])
+@pytest.mark.parametrize('yaw', [0.0, 0.3, 2.0])
+def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing):
+    """Even if nodes lie on the borders of cells and the map is rotated."""
+    made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing)
+    assert ground.assess(on) == Assessment(made.strategy.value, made.strategy.lower_bound)
+    again = ground.assess(grid(on.values.copy(), on.origin))
+    assert again.value == pytest.approx(made.strategy.value, rel=1e-12)
+    assert again.lower_bound == pytest.approx(made.strategy.lower_bound, rel=1e-9)
+
+
+cells = st.lists(st.tuples(*[st.integers(0, SIZE - 1)] * 2), min_size=1, max_size=30)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sampled_from((0.0, 0.4)), cells)
+def test_a_strategy_is_blocked_if_an_edge_meets_a_new_obstacle(clearance, where):
+    """Against the exact test on the whole map: no miss, and false alarms only within a cell."""
+    made, on, ground = rough_plan(clearance)
+    values = changed(on.values, where, 100)
+    network, p = made.network, made.strategy.edge_probability
+    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
+    ends = risk_map.to_map_axes(network.points[network.edges[p > 1e-12]])
+    field = ObstacleField(risk_map)
+    blocked = ground.assess(grid(values)).clear_share < 1.0
+    assert blocked or field.clear_segments(ends[:, 0], ends[:, 1], clearance).all()
+    if blocked:
+        wide = clearance + 0.5 * RESOLUTION
+        assert not field.clear_segments(ends[:, 0], ends[:, 1], wide).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.tuples(*[st.integers(6, 17)] * 2), min_size=1, max_size=6))
+def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(where):
+    made, on, ground = rough_plan(0.0)
+    newest = grid(changed(on.values, where, 100))
+    assessment = ground.assess(newest)
+    rng, count = np.random.default_rng(5), 1000
+    routes = [made.strategy.sample_route(rng) for _ in range(count)]
+    kept = [route for route in routes if ground.is_clear(route, newest)]
+    assert len(kept) / count == pytest.approx(assessment.clear_share, abs=0.08)
+    if assessment.clear_share > 0.3:
+        visits = np.bincount(np.concatenate(kept), minlength=len(made.network.points)) / len(kept)
+        loss = made.network.alpha * visits
+        assert loss.max() == pytest.approx(assessment.value, rel=0.35)
+        assert assessment.allows_departure(np.inf, 0.0)
+
+
+@settings(max_examples=50, deadline=None)
+@given(cells, st.integers(0, 99))
+def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
+    made, on, ground = rough_plan(0.0)
+    values = changed(on.values, where, value)
+    assessment = ground.assess(grid(values))
+    network, strategy = made.network, made.strategy
+    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
+    rows, columns = risk_map.cells(risk_map.to_map_axes(network.points))
+    alpha = risk_map.alpha[rows, columns]
+    alpha[[network.source, network.target]] = 0.0
+    hits = alpha * (strategy.visit_probability)
+    assert assessment.value == pytest.approx(hits.max())
+    assert assessment.lower_bound <= assessment.value
+    assert assessment.clear_share == pytest.approx(1.0, abs=ROUNDING)
+    again = Network(network.points, alpha, network.edges, network.source, network.target)
+    assert solve(again).value >= assessment.lower_bound - 1e-9
+
+
+def test_ground_that_becomes_free_does_not_make_a_strategy_stale():
+    made, on, ground = rough_plan(0.0)
+    values = on.values.copy()
+    values[9:14, 10:13] = 0
+    assessment = ground.assess(grid(values))
+    assert assessment.clear_share == pytest.approx(1.0, abs=ROUNDING)
+    assert not assessment.is_stale(made.strategy.value, 0.0)
+    assert assessment.allows_departure(0.1, 0.0)
+
+
+def test_higher_losses_make_a_strategy_stale_by_the_rise_of_its_value():
+    made, on, ground = rough_plan(0.0)
+    dear = np.clip(on.values, 0, 99) + np.where(on.values == 100, 1, 0)
+    dear = np.where(on.values == 100, 100, np.minimum(dear + 30, 99)).astype(np.int8)
+    assessment = ground.assess(grid(dear))
+    rise = assessment.value / made.strategy.value - 1.0
+    assert rise > 0.1
+    assert assessment.is_stale(made.strategy.value, 0.99 * rise)
+    assert not assessment.is_stale(made.strategy.value, 1.01 * rise)
+    assert assessment.clear_share == pytest.approx(1.0, abs=ROUNDING)
+
+
+def test_nodes_over_the_threshold_block_their_routes():
+    values = np.full((SIZE, SIZE), 10, dtype=np.int8)
+    made, on, ground = planned(values, game=GameOptions(alpha_threshold=5.0))
+    node = int(np.argmax(np.where(made.network.alpha > 0, made.strategy.visit_probability, 0.0)))
+    risk_map = risk_map_from_occupancy(values, RESOLUTION, ORIGIN, OCCUPANCY)
+    row, column = risk_map.cells(risk_map.to_map_axes(made.network.points[node]))
+    elsewhere = ground.assess(grid(changed(values, [(0, 0)], 90)))
+    assert elsewhere.clear_share == pytest.approx(1.0, abs=ROUNDING)
+    assessment = ground.assess(grid(changed(values, [(row, column)], 90)))
+    assert assessment.clear_share == pytest.approx(1.0 - made.strategy.visit_probability[node])
+
+
+def test_an_entirely_different_map_blocks():
+    values = np.zeros((400, 400), dtype=np.int8)
+    made, on, ground = planned(values, spacing=5.0)
+    new = np.full_like(values, 100)
+    new[8:18] = 0
+    assert not ground.assess(grid(new)).allows_departure(1e9, 0.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.sampled_from((0.0, 0.4)), st.integers(0, 1000))
+def test_segments_are_clear_exactly_if_they_are_on_the_whole_map(clearance, seed):
+    made, on, ground = rough_plan(clearance)
+    rng = np.random.default_rng(seed)
+    risk_map = risk_map_from_occupancy(on.values, RESOLUTION, ORIGIN, OCCUPANCY)
+    a = rng.uniform(-0.5, SIZE * RESOLUTION + 0.5, (3, 2))
+    b = a + rng.normal(size=(3, 2))
+    wanted = bool(
+        ObstacleField(risk_map).clear_segments(a, b, clearance).all()
+        and risk_map.contains(np.concatenate((a, b))).all())
+    assert ground.clear(risk_map.to_world(a), risk_map.to_world(b), on) == wanted

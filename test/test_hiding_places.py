@@ -1,0 +1,89 @@
+"""Hiding places in obstacles: their cells and losses, and their effect on a plan."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
+from ambush_planner.network.hiding_places import with_hiding_places
+from ambush_planner.planning.plan import DriveOptions, PlanningOptions, add_hiding_places
+from ambush_planner.planning.trip import plan_trip
+
+START, GOAL = (0.5, 10.0), (39.5, 10.0)
+
+
+def walled_map(hidden=5.0) -> RiskMap:
+    """Ground of loss 1, 20 m x 40 m, with a strip of obstacles, and of loss 9 along its side."""
+    alpha, obstacles = np.ones((20, 40)), np.zeros((20, 40), bool)
+    obstacles[8:12, 15:25] = True
+    alpha[8:12, 15:25] = hidden
+    alpha[7, 15:25] = 9.0
+    return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
+
+
+def hidden(network, covered) -> tuple[np.ndarray, np.ndarray]:
+    """The places and the losses that were added."""
+    count = len(network.points)
+    assert np.array_equal(covered.points[:count], network.points)
+    return covered.points[count:], covered.alpha[count:]
+
+
+def test_hiding_places_have_the_loss_of_the_nearest_free_cell():
+    risk_map = walled_map(np.nan)
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
+    covered = with_hiding_places(network, risk_map, 3.0, 2.0)
+    places, losses = hidden(network, covered)
+    assert risk_map.obstacles[risk_map.cells(places)].all() and len(places) == 40
+    free = np.argwhere(~risk_map.obstacles) + 0.5
+    for (x, y), loss in zip(places, losses, strict=True):
+        apart = np.hypot(*(free - (y, x)).T)
+        nearest = free[np.isclose(apart, apart.min())].astype(int)
+        assert loss in risk_map.alpha[tuple(nearest.T)]
+    assert np.array_equal(covered.edges, network.edges)
+
+
+def test_omits_cells_out_of_reach_and_thins_the_others():
+    risk_map = walled_map()
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=4.0))
+    assert len(hidden(network, with_hiding_places(network, risk_map, 3.0, 4.0))[0]) == 12
+    solid = RiskMap(np.ones((40, 40)), np.mgrid[:40, :40][0] > 20, 1.0)
+    network = build_network(solid, START, GOAL, NetworkOptions(spacing=2.0))
+    places, _ = hidden(network, with_hiding_places(network, solid, 3.0, 2.0))
+    assert 21 < places[:, 1].max() < 27
+
+
+def test_each_layer_of_a_trip_has_hiding_places():
+    risk_map = walled_map()
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0), [(20.0, 15.0)])
+    covered = with_hiding_places(network, risk_map, 3.0, 2.0)
+    assert covered.legs == 2 and covered.place_count == network.place_count + 40
+    assert np.array_equal(covered.points[covered.edges], network.points[network.edges])
+    assert np.array_equal(covered.points[covered.stops], network.points[network.stops])
+    lone = np.setdiff1d(np.arange(len(covered.points)), covered.edges)
+    assert np.isin(np.arange(network.place_count, covered.place_count), lone).all()
+
+
+def test_no_hiding_places_without_an_ambush_radius():
+    risk_map = walled_map()
+    network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0))
+    game = GameOptions(ambush_in_obstacles=True)
+    assert add_hiding_places(network, risk_map, PlanningOptions(game=game)) is network
+    reaching = PlanningOptions(game=replace(game, ambush_radius=3.0))
+    assert len(add_hiding_places(network, risk_map, reaching).points) > len(network.points)
+
+
+@pytest.mark.parametrize('hides', [False, True])
+def test_a_plan_uses_hiding_places_if_enabled(hides):
+    options = PlanningOptions(
+        NetworkOptions(spacing=2.0),
+        GameOptions(ambush_radius=3.0, secured_radius=6.0, ambush_in_obstacles=hides),
+        StrategyOptions(),
+        DriveOptions(tube=0.0),
+    )
+    made = plan_trip(walled_map(), START, GOAL, options)
+    sites = made.strategy.game.sites
+    inside = walled_map().obstacles[walled_map().cells(made.network.points[sites])]
+    assert inside.any() == hides

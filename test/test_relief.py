@@ -1,0 +1,141 @@
+"""Heights brought to square cells, slope, and depth below the surroundings."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ambush_planner.maps import (
+    Elevation,
+    InvalidTerrain,
+    Raster,
+    elevation_from_raster,
+    mask_from_raster,
+    relative_depth,
+    slope,
+)
+from ambush_planner.maps.relief import disc_rectangles
+
+
+def plane(rows, columns, north, east):
+    row, column = np.mgrid[:rows, :columns] + 0.5
+    return north * row + east * column
+
+
+def test_resampling_preserves_a_plane():
+    raster = Raster(10.0 * plane(30, 40, 1.0, 0.0) + 20.0 * plane(30, 40, 0.0, 1.0), 10.0, 20.0)
+    result = elevation_from_raster(raster, 8.0)
+    assert result.heights.shape == (37, 100)
+    inner = (slice(1, -1), slice(2, -2))
+    np.testing.assert_allclose(
+        result.heights[inner], 8.0 * plane(37, 100, 1.0, 1.0)[inner], rtol=1e-6
+    )
+
+
+def test_square_cells_are_not_resampled():
+    heights = np.random.default_rng(0).uniform(size=(300, 200)).astype(np.float32)
+    result = elevation_from_raster(Raster(heights.astype(float), 0.1, 0.1))
+    np.testing.assert_array_equal(result.heights, heights)
+
+
+@pytest.mark.parametrize('resolution', [-1.0, np.inf, 1e6, 1e-6])
+def test_rejects_an_invalid_resolution(resolution):
+    with pytest.raises(InvalidTerrain, match='resolution'):
+        elevation_from_raster(Raster(np.zeros((30, 30)), 10.0, 10.0), resolution)
+
+
+def test_unknown_heights_spread_only_to_interpolated_cells():
+    heights = np.zeros((20, 20))
+    heights[10, 10] = np.nan
+    unknown = np.isnan(elevation_from_raster(Raster(heights, 10.0, 10.0), 5.0).heights)
+    assert unknown[20:22, 20:22].all() and not unknown[:18].any() and not unknown[:, 24:].any()
+
+
+@pytest.mark.parametrize(
+    ('heights', 'resolution', 'reason'),
+    [
+        (np.zeros(4), 1.0, '2 x 2'),
+        (np.zeros((1, 4)), 1.0, '2 x 2'),
+        (np.full((3, 3), np.nan), 1.0, 'no elevation is known'),
+        (np.full((3, 3), np.inf), 1.0, 'finite'),
+        (np.zeros((3, 3)), 0.0, 'resolution'),
+    ],
+)
+def test_rejects_malformed_elevations(heights, resolution, reason):
+    with pytest.raises(InvalidTerrain, match=reason):
+        Elevation(heights, resolution)
+
+
+def test_thin_roads_survive_on_coarser_cells():
+    roads = np.zeros((100, 100))
+    roads[50] = 1
+    mask = mask_from_raster(Raster(roads, 10.0, 10.0), Elevation(np.zeros((14, 14)), 70.0))
+    assert mask[7].all() and mask.sum() == 14
+
+
+def test_wide_roads_have_no_holes_on_finer_cells():
+    roads = np.zeros((10, 10))
+    roads[4] = 1
+    mask = mask_from_raster(Raster(roads, 70.0, 70.0), Elevation(np.zeros((70, 70)), 10.0))
+    assert mask[28:35].all() and mask.sum() == 7 * 70
+
+
+def test_rejects_roads_that_cover_another_area():
+    elevation = Elevation(np.zeros((60, 50)), 10.0)
+    with pytest.raises(InvalidTerrain, match='same area'):
+        mask_from_raster(Raster(np.zeros((50, 50)), 10.0, 10.0), elevation)
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(0.5, 90.0))
+def test_slope_is_exact_on_planes(north, east, resolution):
+    elevation = Elevation(resolution * plane(8, 9, north, east), resolution)
+    np.testing.assert_allclose(slope(elevation), np.hypot(north, east), atol=1e-5)
+
+
+def test_slope_is_exact_inside_a_paraboloid():
+    row, column = np.mgrid[:40, :50] * 2.0
+    x, y = column - 47.0, row - 31.0
+    elevation = Elevation(0.01 * x**2 + 0.02 * y**2 + 0.005 * x * y, 2.0)
+    exact = np.hypot(0.02 * x + 0.005 * y, 0.04 * y + 0.005 * x)
+    np.testing.assert_allclose(slope(elevation)[1:-1, 1:-1], exact[1:-1, 1:-1], atol=2e-5)
+
+
+def test_unknown_terrain_makes_no_cliff_and_has_no_slope():
+    heights = 500.0 + plane(20, 20, 0.1, 0.0)
+    heights[5:9, 5:9] = np.nan
+    result = slope(Elevation(heights, 1.0))
+    assert np.isnan(result[5:9, 5:9]).all() and np.isnan(result).sum() == 16
+    assert np.nanmax(result) < 0.2
+
+
+def naive_depth(heights, resolution, radius):
+    rows, columns = np.indices(heights.shape)
+    depth = np.empty(heights.shape)
+    for row, column in np.ndindex(heights.shape):
+        near = resolution * np.hypot(rows - row, columns - column) <= radius
+        depth[row, column] = heights[near].max()
+    return depth - heights
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 15.9))
+def test_depth_matches_a_brute_force_search_of_the_disc(seed, radius):
+    rng = np.random.default_rng(seed)
+    heights = rng.normal(size=(13, 17)).astype(np.float32)
+    heights[rng.random(heights.shape) < 0.1] = np.nan
+    heights[0, 0] = 1.0
+    here = ~np.isnan(heights)
+    result = relative_depth(Elevation(heights, 3.0), 3.0 * radius)
+    assert np.isnan(result[~here]).all()
+    expected = naive_depth(np.where(here, heights, -1e9), 3.0, 3.0 * radius)
+    np.testing.assert_allclose(result[here], expected[here], rtol=1e-6)
+
+
+@given(st.floats(16.0, 400.0))
+def test_large_discs_are_covered_from_inside(radius):
+    rectangles = np.array(disc_rectangles(radius))
+    assert len(rectangles) <= 17
+    assert (np.hypot(*rectangles.T) <= radius).all()
+    for angle in np.linspace(0.0, np.pi / 2.0, 50):
+        row, column = 0.95 * radius * np.sin(angle) - 1.0, 0.95 * radius * np.cos(angle) - 1.0
+        assert ((rectangles[:, 0] >= row) & (rectangles[:, 1] >= column)).any()

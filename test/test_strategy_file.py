@@ -1,0 +1,26 @@
+"""Strategy files: read back whole, their certificates computed from the probabilities."""
+
+import numpy as np
+import pytest
+from games import terrain_network
+
+from ambush_planner import GameOptions, StrategyOptions, solve
+from ambush_planner.recordings.strategy_file import NUMBERS, strategy_file, strategy_from_file
+
+
+@pytest.mark.parametrize('solver', ['max_entropy', 'interior_point', 'simplex'])
+@pytest.mark.parametrize('radius', [0.0, 1.0])
+def test_a_strategy_comes_back_whole(solver, radius):
+    network = terrain_network(3)
+    theirs = solve(network, GameOptions(radius), StrategyOptions(solver))
+    ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(radius))
+    for name in ('points', 'alpha', 'edges', 'source', 'target', 'legs'):
+        assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
+    for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
+        assert np.array_equal(getattr(ours, name), getattr(theirs, name))
+    assert stated == {name: getattr(theirs, name) for name in NUMBERS}
+    for name in NUMBERS:
+        assert getattr(ours, name) == pytest.approx(stated[name], rel=1e-9, abs=1e-12)
+    rngs = np.random.default_rng(4), np.random.default_rng(4)
+    assert np.array_equal(*(each.sample_route(rng) for each, rng in zip(
+        (ours, theirs), rngs, strict=True)))

@@ -1,0 +1,151 @@
+"""Visibility compared with two slow computations."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
+
+from ambush_planner.maps import Elevation, InvalidTerrain, ViewOptions, viewshed, visibility
+from ambush_planner.maps.visibility import make_rays
+
+
+def hills(shape, seed, height, width):
+    noise = np.random.default_rng(seed).normal(size=shape)
+    smooth = gaussian_filter(noise, width, mode='wrap')
+    return height * smooth / smooth.std()
+
+
+def height_at(heights, row, column):
+    inside = 0 <= row < heights.shape[0] and 0 <= column < heights.shape[1]
+    return heights[row, column] if inside else np.nan
+
+
+def along_the_rays(heights, resolution, options):
+    """Exposure and approach cell by cell, sample by sample."""
+    rays = make_rays(options.weapon_range / resolution, options.rays)
+    exposure, approach = np.full(heights.shape, np.nan), np.full(heights.shape, np.nan)
+    for row, column in zip(*np.nonzero(~np.isnan(heights)), strict=True):
+        top = heights[row, column] + options.vehicle_height
+        seen, ground, nearest = 0.0, 0.0, []
+        for ray in rays:
+            horizon, hidden_at = -math.inf, options.weapon_range
+            for sample in ray:
+                first, second = (
+                    height_at(heights, row + offset[0], column + offset[1])
+                    for offset in (sample.first, sample.second)
+                )
+                height = (1.0 - sample.share) * first + sample.share * second
+                if np.isnan(height):
+                    continue
+                distance = sample.distance * resolution
+                head = (height + options.person_height - top) / distance
+                ground += sample.weight
+                if head >= horizon:
+                    seen += sample.weight
+                else:
+                    hidden_at = min(hidden_at, distance)
+                horizon = max(horizon, (height - top) / distance)
+            nearest.append(hidden_at)
+        exposure[row, column] = seen / ground if ground else 0.0
+        approach[row, column] = np.mean(nearest)
+    return exposure, approach
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(1.0, 9.0), st.sampled_from([8, 24, 64]))
+def test_views_match_a_cell_by_cell_computation(seed, reach, rays):
+    heights = hills((11, 14), seed, 6.0, 1.0).astype(np.float32)
+    heights[np.random.default_rng(seed).random(heights.shape) < 0.05] = np.nan
+    heights[0, 0] = 0.0
+    options = ViewOptions(reach * 5.0, 2.5, 1.7, rays)
+    views = viewshed(Elevation(heights, 5.0), options)
+    exposure, approach = along_the_rays(heights.astype(float), 5.0, options)
+    np.testing.assert_allclose(views.exposure, exposure, atol=1e-5)
+    np.testing.assert_allclose(views.approach, approach, rtol=1e-5)
+
+
+def lines_of_sight(heights, here, there, options):
+    """Whether each line between two heads clears the ground, read bilinearly every 1/4 cell."""
+    along = there - np.array(here, float)
+    cells = np.hypot(*along.T)[:, None]
+    # Beyond the other head it is read there again, where it is clear.
+    share = np.minimum(np.arange(0.25, cells.max(), 0.25) / cells, 1.0)
+    row, column = (here[k] + share * along[:, k, None] for k in (0, 1))
+    r, c = np.floor(row).astype(int), np.floor(column).astype(int)
+    r, c = np.minimum(r, heights.shape[0] - 2), np.minimum(c, heights.shape[1] - 2)
+    u, v = row - r, column - c
+    ground = ((1 - u) * (1 - v) * heights[r, c] + (1 - u) * v * heights[r, c + 1]
+              + u * (1 - v) * heights[r + 1, c] + u * v * heights[r + 1, c + 1])
+    start = heights[here] + options.vehicle_height
+    line = start + share * (heights[tuple(there.T)][:, None] + options.person_height - start)
+    return (ground <= line).all(axis=1)
+
+
+def by_brute_force(heights, resolution, here, options):
+    """Share of all cells within range that see the cell ``here``."""
+    there = np.argwhere(np.ones(heights.shape, bool))
+    distance = resolution * np.hypot(*(there - here).T)
+    there = there[(0.0 < distance) & (distance <= options.weapon_range)]
+    return float(lines_of_sight(heights, here, there, options).mean())
+
+
+@pytest.mark.parametrize('seed', range(2))
+def test_exposure_approximates_all_lines_of_sight(seed):
+    heights = hills((61, 61), seed, 12.0, 5.0).astype(np.float32).astype(float)
+    options = ViewOptions(200.0)
+    views = viewshed(Elevation(heights, 10.0), options)
+    cells = np.random.default_rng(seed).integers(20, 41, (20, 2))
+    exact = [by_brute_force(heights, 10.0, tuple(cell), options) for cell in cells]
+    found = [views.exposure[tuple(cell)] for cell in cells]
+    assert np.ptp(exact) > 0.2
+    assert np.abs(np.subtract(found, exact)).mean() < 0.03
+    assert abs(np.mean(found) - np.mean(exact)) < 0.02
+    assert np.corrcoef(found, exact)[0, 1] > 0.97
+
+
+def test_a_plane_is_fully_visible():
+    row, column = np.mgrid[:40, :40]
+    views = viewshed(Elevation(3.0 * row - 2.0 * column, 10.0), ViewOptions(100.0))
+    assert (views.exposure == 1.0).all()
+    np.testing.assert_allclose(views.approach, 100.0)
+
+
+def test_tiles_do_not_change_results(monkeypatch):
+    heights = hills((30, 40), 1, 10.0, 3.0)
+    heights[10:20, 20:25] = np.nan
+    elevation = Elevation(heights, 10.0)
+    whole = viewshed(elevation, ViewOptions(150.0))
+    monkeypatch.setattr(visibility, 'TILE', (7, 13))
+    told = []
+    parts = viewshed(elevation, ViewOptions(150.0), told.append)
+    np.testing.assert_array_equal(whole.exposure, parts.exposure)
+    np.testing.assert_array_equal(whole.approach, parts.approach)
+    assert told == sorted(told) and told[-1] == 1.0 and len(told) == 20
+
+
+@given(st.floats(1.0, 400.0), st.sampled_from([4, 64, 128]))
+@settings(max_examples=40, deadline=None)
+def test_rays_stay_within_reach_and_go_outwards(reach, count):
+    for ray in make_rays(reach, count):
+        distances = [sample.distance for sample in ray]
+        assert all(a < b for a, b in zip(distances, distances[1:], strict=False))
+        assert distances[-1:] <= [reach + 1e-9]
+        assert sum(sample.weight for sample in ray) <= 65_535
+        assert all(0 < sample.weight for sample in ray)
+
+
+def test_rejects_a_range_below_one_cell():
+    with pytest.raises(InvalidTerrain, match='at least'):
+        viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(20.0))
+
+
+@pytest.mark.parametrize(
+    'values', [{'weapon_range': 0.0}, {'vehicle_height': -1.0}, {'person_height': math.nan},
+               {'rays': 7}, {'rays': 0}],
+)
+def test_rejects_options_out_of_range(values):
+    with pytest.raises(InvalidTerrain, match=next(iter(values))):
+        ViewOptions(**values)
