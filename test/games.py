@@ -163,6 +163,23 @@ def geometric_hits(network: Network, radius: float) -> csr_matrix:
     return csr_matrix(hits.astype(float))
 
 
+def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
+    """P(hit) (S,) of a route drawn from an acyclic p, each site once; ``hits`` (S, M) is bool.
+
+    One pass per site over the nodes in order: the probability of arriving at a node unhit.
+    """
+    used = np.flatnonzero(p > 0.0)
+    order = list(networkx.topological_sort(networkx.DiGraph(network.edges[used].tolist())))
+    leaving = {node: used[network.tails[used] == node] for node in order}
+    unhit = np.zeros((len(network.points), len(hits)))
+    unhit[network.source] = 1.0
+    for node in order[:-1]:
+        total = p[leaving[node]].sum()
+        for edge in leaving[node]:
+            unhit[network.heads[edge]] += unhit[node] * p[edge] / total * ~hits[:, edge]
+    return 1.0 - unhit[network.target]
+
+
 def program_value(
     network: Network, hits: csr_matrix | None = None, budget: float = np.inf, ambushers: int = 1
 ) -> float:

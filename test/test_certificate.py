@@ -92,7 +92,7 @@ def test_a_wrong_price_is_refused(price):
 def test_a_bound_above_the_value_is_refused(monkeypatch):
     arguments = case()
     wrong = 1.0001 * worst_loss(*arguments[:2])
-    monkeypatch.setattr('ambush_planner.game.certificate.lower_bound', lambda *_: wrong)
+    monkeypatch.setattr('ambush_planner.game.certificate.hit_bound', lambda *_: wrong)
     with pytest.raises(SolverFailed, match='above the value'):
         certify(*arguments)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from games import geometric_hits, quiet_network, terrain_network
+from games import geometric_hits, hit_once, quiet_network, terrain_network
 
 from ambush_planner import GameOptions, StrategyOptions, solve
 from ambush_planner.game.revaluation import revalue
@@ -21,9 +21,9 @@ def test_revalue_gives_the_value_on_the_new_losses(reach):
     assert same.value == pytest.approx(strategy.value) and same.bound <= same.value
     changed = with_alpha(network, network.alpha * np.linspace(0.5, 2.0, len(network.alpha)))
     other, best = revalue(strategy, game, changed.alpha), solve(changed, game, free)
-    hits = geometric_hits(changed, reach) if reach else None
-    p = strategy.edge_probability
-    hit = hits @ p if reach else np.bincount(changed.heads, p, len(changed.alpha))
+    entered = np.arange(len(changed.alpha))[:, None] == changed.heads
+    hits = geometric_hits(changed, reach).toarray() > 0.0 if reach else entered
+    hit = hit_once(changed, strategy.edge_probability, hits)
     assert other.value == pytest.approx((changed.alpha * hit).max())
     assert other.bound <= best.value and best.lower_bound <= other.value
 

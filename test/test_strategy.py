@@ -12,6 +12,7 @@ from games import (
     examples,
     geometric_hits,
     ground_network,
+    hit_once,
     is_acyclic,
     least_weight,
     networks,
@@ -232,8 +233,9 @@ def test_any_time_limit_gives_a_certified_strategy_or_none(limit, detour, reach)
         assert strategy.value > strategy.lower_bound * (1 + SLACK + 1e-5)
     p, q = strategy.edge_probability, strategy.ambush_probability
     check_flow(network, p, 'max_entropy')
-    hits = geometric_hits(network, reach) if reach else None
-    losses = network.alpha * (hits @ p if reach else np.bincount(network.heads, p, len(q)))
+    entered = np.arange(len(q))[:, None] == network.heads
+    hits = geometric_hits(network, reach).toarray() > 0.0 if reach else entered
+    losses = network.alpha * hit_once(network, p, hits)
     assert strategy.value == pytest.approx(losses.max(), rel=1e-9)
     assert strategy.lower_bound <= strategy.value
     assert p @ network.lengths <= strategy.length_budget * (1 + 1e-6)
@@ -245,7 +247,8 @@ def test_a_wide_gap_raises_time_limit_with_the_strategy(monkeypatch):
     """A strategy with an open gap is never published."""
     network = terrain_network(3, cells=9)
 
-    def careless(game, budgets, *_):
+    def careless(stage):
+        game = stage.game
         p = route_strategy(network, shortest_route(network, np.flatnonzero(game.playable)))
         return Solution(p, uniform_ambusher(game), (0.0, 0.0), 7)
 

@@ -26,8 +26,10 @@ from .strategy_solver import EntropyStage, LimitRows, Solution, mixture
 SAMPLED_ROUTES = 60
 # The program over routes closes its gap to this share of the slack.
 PROGRAM_GAP = 0.2
-# Most repetitions of the law, and the share of the slack that raised limits aim at.
-MAX_ROUNDS, AIM = 8, 0.9
+# Most repetitions of the law, and the share of the slack that its limits aim at.
+MAX_ROUNDS, AIM = 10, 0.9
+# Limits less than this share of the slack below the best value are not worth another law.
+LEAST_GAIN = 0.2
 # Flows below this are rounding of the program over routes.
 NEGLIGIBLE = 1e-9
 # Hit probabilities below this have no reliable ratio to entries.
@@ -38,7 +40,7 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     """Improve a solution until its value, hits counted once, is within the slack of its bound.
 
     If the slack cannot be reached, returns the solution of most entropy among those whose value is
-    within the slack of the least one found.
+    within the slack of the least one found, and not above the value of ``solution``.
     """
     game, budgets = stage.game, stage.budgets
     if not hits_can_differ(game):
@@ -69,8 +71,8 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
         if fitting is not None:
             return replace(law, p=fitting)
     candidates = [_Valued(value, solution), _Valued(worst_loss(game, base), mixed), *laws]
-    least = min(each.value for each in candidates)
-    good = [each for each in candidates if each.value <= least * (1.0 + stage.slack)]
+    most = min(value, min(each.value for each in candidates) * (1.0 + stage.slack))
+    good = [each for each in candidates if each.value <= most]
     best = max(good, key=lambda each: route_entropy(network, each.solution.p))
     return replace(best.solution, iterations=stage.evaluations)
 
@@ -83,13 +85,14 @@ class _Valued(NamedTuple):
 def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Valued]:
     """Repeat the law with limits on entries that follow from the hits of the law before.
 
-    Ends at a law whose value is within the slack of ``bound``.
+    The limits aim at the ``bound``; each time that no law can keep them, half way from there to the
+    least value so far. Ends at a law whose value is within the slack of the bound.
     """
     game = stage.game
     network = stage.acyclic_part(game, base.p)
     loss, aim = game.loss[game.sites], bound * (1.0 + AIM * stage.slack)
     eased, latest, start = np.ones(len(loss)), base, None
-    found: list[_Valued] = []
+    best, found = worst_loss(game, base.p), []
     for _ in range(MAX_ROUNDS):
         hit = hit_probabilities(game, latest.p)
         ratio = np.where(hit > LEAST_HIT, (game.hits @ latest.p) / np.maximum(hit, LEAST_HIT), 1.0)
@@ -97,20 +100,18 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
             eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
         limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)
         p, law = stage.gibbs_strategy(network, limits, limits.start(start), stage.tolerance)
-        if law.infeasible:
-            # Ease the sites that were tightened, half way in logarithms.
-            eased = np.sqrt(eased)
-            start = None
-            if not found or eased.min() > 0.999:
+        p = None if law.infeasible else mixture(p, base.p, stage.within_budgets)
+        if time.monotonic() > stage.deadline:
+            break
+        if p is None:
+            eased[:], start, aim = 1.0, None, np.sqrt(aim * best)
+            if aim > best * (1.0 - LEAST_GAIN * stage.slack):
                 break
             continue
         start = limits.unscaled(law.multipliers)
-        p = mixture(p, base.p, stage.within_budgets)
-        if p is None:
-            break
         latest = replace(base, p=p, multipliers=start, iterations=stage.evaluations)
         found.append(_Valued(worst_loss(game, p), latest))
-        if found[-1].value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
+        best = min(best, found[-1].value)
+        if best <= bound * (1.0 + stage.slack):
             break
     return found
-
