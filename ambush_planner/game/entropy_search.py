@@ -64,7 +64,8 @@ class _LimitJoins(Exception):
 class GibbsStrategy:
     """The last evaluation of the search: p (m,) and the multipliers v (R,).
 
-    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits.
+    ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits. With
+    ``log_partition`` = log Z(C' v), log Z + u' v bounds the entropy of any p with C p <= u.
     """
 
     p: FloatArray
@@ -72,6 +73,7 @@ class GibbsStrategy:
     excess: float = np.inf
     infeasible: bool = False
     evaluations: int = 0
+    log_partition: float = np.inf
 
 
 def maximize_entropy(
@@ -87,8 +89,8 @@ def maximize_entropy(
     that a minimum always exists.
     """
     if rows.shape[0] == 0:
-        _, p, _ = network.law(np.zeros(len(network.edge)))
-        return GibbsStrategy(p, start, 0.0, False, 1)
+        log_z, p, _ = network.law(np.zeros(len(network.edge)))
+        return GibbsStrategy(p, start, 0.0, False, 1, log_z)
     search = _DualSearch(network, rows, tolerance, deadline, softness, evaluations)
     with contextlib.suppress(_SearchEnded):
         first = min(FIRST_EVALUATIONS, evaluations)
@@ -122,7 +124,7 @@ class _DualSearch:
             raise _SearchEnded
         log_z, p, self.share = self.network.law(weights)
         used, total, found = self.rows @ p, float(v.sum()), self.found
-        found.p, found.multipliers = p, v.copy()
+        found.p, found.multipliers, found.log_partition = p, v.copy(), log_z
         found.excess = float(used.max()) - 1.0
         found.evaluations += 1
         value = log_z + total + self.softness / 2.0 * total**2

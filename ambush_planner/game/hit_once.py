@@ -63,7 +63,7 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     base = conserved_strategy(game, program.p, NEGLIGIBLE)
     if value <= limit or base is None:
         return solution
-    mixed = replace(solution, p=base)
+    mixed = replace(solution, p=base, entropy_bound=np.nan)
     laws = _laws_around(stage, mixed, program.bound)
     if laws:
         law = min(laws, key=lambda each: each.value).solution
@@ -99,7 +99,7 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
         if found:
             eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
         limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)
-        p, law = stage.gibbs_strategy(network, limits, limits.start(start), stage.tolerance)
+        p, law = stage.gibbs_strategy(network, limits, limits.start(start))
         p = None if law.infeasible else mixture(p, base.p, stage.within_budgets)
         if time.monotonic() > stage.deadline:
             break
@@ -109,7 +109,10 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
                 break
             continue
         start = limits.unscaled(law.multipliers)
-        latest = replace(base, p=p, multipliers=start, iterations=stage.evaluations)
+        most = limits.entropy_bound(law, (1.0 + stage.slack) / (1.0 + AIM * stage.slack))
+        latest = replace(
+            base, p=p, multipliers=start, iterations=stage.evaluations, entropy_bound=most
+        )
         found.append(_Valued(worst_loss(game, p), latest))
         best = min(best, found[-1].value)
         if best <= bound * (1.0 + stage.slack):

@@ -125,6 +125,9 @@ class Strategy:
         Evaluations of the Gibbs law, or iterations of the interior point or simplex method.
     multipliers : Multipliers or None
         Those of the Gibbs law, for a warm start.
+    entropy_gap : float
+        How much more route entropy another strategy on the same acyclic part could have [nats];
+        NaN if that is not known.
     counting_gap : bool
         Whether the value exceeds its bound by more than the slack because the methods here found
         no better strategy when each route counts once. More time would not change it.
@@ -150,6 +153,7 @@ class Strategy:
     iterations: int
     multipliers: Multipliers | None = field(repr=False)
     counting_gap: bool = False
+    entropy_gap: float = math.nan
 
     @property
     def network(self) -> Network:
@@ -316,4 +320,5 @@ def strategy_from_solution(
         exposure_price=solution.prices[1],
         iterations=solution.iterations,
         multipliers=solution.multipliers,
+        entropy_gap=max(solution.entropy_bound - route_entropy(network, p), 0.0),
     )

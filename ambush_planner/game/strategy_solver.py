@@ -37,9 +37,13 @@ from .route_sampler import shortest_route_strategy
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
-# Shares of the slack and of each budget's margin that the search aims at, and its tolerance as a
-# share of the slack.
-LEVEL_AIM, BUDGET_AIM, LIMIT_TOLERANCE = 0.95, 0.999, 0.04
+# Share of the slack that the search aims at, and its tolerance as a share of the slack.
+LEVEL_AIM, LIMIT_TOLERANCE = 0.95, 0.04
+# Most that the search keeps below a budget: a share of its margin, and a share of the slack by the
+# budget's price.
+KEPT_MARGIN, KEPT_SLACK = 1e-3, 0.02
+# Smallest tolerance of the search, relative to a limit.
+LEAST_TOLERANCE = 1e-6
 # Bisection steps for the share of a mixture.
 BISECTIONS = 30
 # Relative gap of the linear program, as a share of the slack.
@@ -66,13 +70,17 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A solver's p (M,), q (N,), prices of the budgets [loss / unit], effort and multipliers."""
+    """A solver's p (M,), q (N,), prices of the budgets [loss / unit], effort and multipliers.
+
+    ``entropy_bound`` is the most entropy [nats] that a strategy on the same acyclic part can have.
+    """
 
     p: FloatArray
     q: FloatArray
     prices: tuple[float, ...]
     iterations: int
     multipliers: Multipliers | None = None
+    entropy_bound: float = np.nan
 
 
 def max_entropy_strategy(stage: EntropyStage) -> Solution:
@@ -105,23 +113,33 @@ class EntropyStage:
         warm: Multipliers | None,
     ) -> None:
         self.game, self.budgets = game, budgets
-        self.slack = slack = max(risk_slack, LEAST_SLACK)
+        self.slack = max(risk_slack, LEAST_SLACK)
         self.deadline, self.warm = deadline, warm
         self.potential = order_potential(game)
-        self.tolerance = min(LIMIT_TOLERANCE * slack, 1.0 - BUDGET_AIM)
         self.evaluations = 0
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
         game = without_excessive_sites(self.game, least.bound, least.p)
         network = self.acyclic_part(game, least.p)
-        limits = LimitRows(
-            self.game, network, least.level * (1.0 + LEVEL_AIM * self.slack), self.budgets
-        )
-        p, found = self.gibbs_strategy(network, limits, limits.start(self.warm), self.tolerance)
+        aimed = least.level * (1.0 + LEVEL_AIM * self.slack)
+        for kept in (self._kept_margins(least), (0.0,) * len(self.budgets)):
+            limits = LimitRows(self.game, network, aimed, self.budgets, kept)
+            p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
+            if not found.infeasible:
+                break
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
-        solution = Solution(p, least.q, least.prices, self.evaluations, multipliers)
+        bound = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
+        solution = Solution(p, least.q, least.prices, self.evaluations, multipliers, bound)
         return self._mixed_to_fit(solution, least)
+
+    def _kept_margins(self, least: LeastRisk) -> tuple[float, ...]:
+        """What the search keeps below each budget, so that it may end a little over its aim."""
+        worth = KEPT_SLACK * self.slack * least.bound
+        return tuple(
+            min(KEPT_MARGIN * b.margin, worth / price if price > 0.0 else np.inf)
+            for b, price in zip(self.budgets, least.prices, strict=True)
+        )
 
     def acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
         """The edges that go forward in an order of the nodes around the strategy p (M,)."""
@@ -131,12 +149,13 @@ class EntropyStage:
         return AcyclicNetwork(part, rank)
 
     def gibbs_strategy(
-        self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray, tolerance: float,
+        self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
         softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
     ) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result."""
         found = maximize_entropy(
-            network, limits.rows, start, tolerance, self.deadline, softness, evaluations
+            network, limits.rows, start, min(LIMIT_TOLERANCE * self.slack, limits.tolerance),
+            self.deadline, softness, evaluations,
         )
         self.evaluations += found.evaluations
         p = np.zeros(len(self.game.network.edges))
@@ -180,7 +199,7 @@ class EntropyStage:
         limits = LimitRows(self.game, network, level, self.budgets)
         start, softness = limits.start(self.warm), value / reference / FIRST_ENTROPY
         for _ in range(SOFT_ROUNDS):
-            p, found = self.gibbs_strategy(network, limits, start, 0.0, softness, SOFT_EVALUATIONS)
+            p, found = self.gibbs_strategy(network, limits, start, softness, SOFT_EVALUATIONS)
             start, softness = found.multipliers, softness * SOFTNESS_FACTOR
             short = mixture(p, shortest, self.within_budgets)
             if short is not None and entry_value(self.game, short) < value:
@@ -225,7 +244,8 @@ class LimitRows:
     """The limits of stage 3 as rows C p <= 1: sites that can exceed theirs, then the budgets."""
 
     def __init__(
-        self, game: Game, network: AcyclicNetwork, level: FloatArray, budgets: tuple[Budget, ...]
+        self, game: Game, network: AcyclicNetwork, level: FloatArray,
+        budgets: tuple[Budget, ...], kept: tuple[float, ...] | None = None,
     ) -> None:
         self._game, self._budgets = game, budgets
         hits = game.hits[:, network.edge]
@@ -233,7 +253,13 @@ class LimitRows:
         self._row = np.flatnonzero((hits.getnnz(axis=1) > 0) & (most < _most_hits(game)))
         self._most = most[self._row]
         self._binding = [b for b in budgets if b.binds]
-        self._margin = np.array([BUDGET_AIM * b.margin for b in self._binding])
+        whole = np.array([b.margin for b in self._binding])
+        if kept is None:
+            kept = tuple(KEPT_MARGIN * b.margin for b in budgets)
+        self._margin = whole - [k for k, b in zip(kept, budgets, strict=True) if b.binds]
+        self._whole = whole / self._margin
+        # What the search may exceed a limit by, relative: no more than what is kept of a budget.
+        self.tolerance = max(float((self._whole - 1.0).min(initial=1.0)), LEAST_TOLERANCE)
         over = [csr_matrix(b.excess[network.edge]) for b in self._binding]
         scale = np.concatenate((self._most, self._margin))
         self.rows = csr_matrix(diags(1.0 / scale) @ vstack([hits[self._row], *over]))
@@ -258,6 +284,11 @@ class LimitRows:
         price = iter(multipliers[count:] / self._margin)
         budgets = (float(next(price)) if b.binds else 0.0 for b in self._budgets)
         return Multipliers(sites, tuple(budgets))
+
+    def entropy_bound(self, found: GibbsStrategy, slack: float) -> float:
+        """Most entropy within ``slack`` times the limits of the sites and the whole budgets."""
+        limits = np.concatenate((np.full(len(self._row), slack), self._whole))
+        return found.log_partition + float(found.multipliers @ limits)
 
     def ambusher(self, multipliers: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
         """The ambusher's strategy q (N,) and the prices in proportion to the multipliers (R,)."""
