@@ -21,10 +21,12 @@ from ..arrays import FloatArray, IndexArray
 from .budget import Budget
 from .game import Game
 
-# Labels after which the search stops: the cost reached by then is still a lower bound.
-MAX_LABELS = 400_000
-# Sites that the ambusher uses less than this, as a share of the most used, cannot be worth a label.
+# Comparisons of labels after which the search stops, about a second: the cost reached by then is
+# still a lower bound.
+MAX_COMPARISONS = 1_500_000
+# Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
 _NEGLIGIBLE = 1e-9
+
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,6 @@ class BestResponse:
 
 def best_response(
     game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...],
-    max_labels: int = MAX_LABELS,
 ) -> BestResponse:
     """Find the route that costs least against q (N,) with each site counted once."""
     base, paid = np.zeros(len(game.network.edges)), 0.0
@@ -48,7 +49,7 @@ def best_response(
             paid += price * budget.margin
     charge = (game.loss * q)[game.sites]
     rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
-    cost, edges, labels = _Labels(game, base, rows, charge[rows]).search(max_labels)
+    cost, edges, labels = _Labels(game, base, rows, charge[rows]).search()
     return BestResponse(max(cost - paid, 0.0), edges, labels)
 
 
@@ -75,27 +76,30 @@ class _Labels:
         self._losses: dict[int, float] = {0: 0.0}
         self._source, self._target = network.source, network.target
 
-    def search(self, max_labels: int) -> tuple[float, IndexArray | None, int]:
+    def search(self) -> tuple[float, IndexArray | None, int]:
         """Least cost, its route as edges, labels made; the route is None at the limit."""
         behind, loss = self._behind, self._loss
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
         settled: dict[int, list[tuple[float, int]]] = {}
         queue = [(behind[self._source], 0.0, 0, self._source, 0)]
+        comparisons = 0
         while queue:
             least, cost, number, node, met = heapq.heappop(queue)
             if node == self._target:
                 return cost, self._route(labels, number), len(labels)
-            if len(labels) > max_labels:
+            if comparisons > MAX_COMPARISONS:
                 return least, None, len(labels)
             here = settled.setdefault(node, [])
+            comparisons += len(here)
             if any(c + loss(met & ~m) <= cost for c, m in here):
                 continue
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
                 after = cost + self._base[k] + (loss(new) if new else 0.0)
-                both = met | new
-                if any(c + loss(both & ~m) <= after for c, m in settled.get(head, ())):
+                both, there = met | new, settled.get(head, ())
+                comparisons += len(there) + 1
+                if any(c + loss(both & ~m) <= after for c, m in there):
                     continue
                 labels.append((number, k))
                 heapq.heappush(queue, (after + behind[head], after, len(labels) - 1, head, both))

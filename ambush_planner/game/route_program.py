@@ -23,8 +23,6 @@ from .game import Game
 
 # Most programs that are solved for one game.
 MAX_ROUNDS = 60
-# Most labels of one best response here: an ambusher who needs more is not worth the wait.
-LABELS = 30_000
 # Weights of the best ambusher so far against the program's own in the ambushers that are tried.
 BLENDS = (0.0, 0.5)
 
@@ -60,7 +58,7 @@ def solve_on_routes(
     def respond(q: FloatArray, prices: tuple[float, ...]) -> bool:
         """Try an ambusher; tell whether he gave a better bound or a new route."""
         nonlocal bound, best
-        found, before = best_response(game, q, budgets, prices, LABELS), len(known)
+        found, before = best_response(game, q, budgets, prices), len(known)
         if found.edges is not None:
             known.setdefault(tuple(found.edges.tolist()), found.edges)
         better = found.bound > bound

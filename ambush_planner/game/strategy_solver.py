@@ -214,7 +214,18 @@ class EntropyStage:
                 best = replace(best, q=q, prices=prices)
             if time.monotonic() > self.deadline:
                 break
+        plain = self._ambusher_without_reach()
+        if plain is not None and plain[0] > bound:
+            best = replace(best, q=plain[1], prices=(0.0,) * len(self.budgets))
         return best
+
+    def _ambusher_without_reach(self) -> tuple[float, FloatArray] | None:
+        """Value and q (N,) of the plain game on the same sites, which a reach can only raise."""
+        game = self.game
+        if game.ambush_radius == 0.0 or game.ambushers > 1 or game.network.legs > 1:
+            return None
+        plain = least_risk_by_cut(replace(game, ambush_radius=0.0))
+        return None if plain is None else (plain.bound, plain.q)
 
     def within_budgets(self, p: FloatArray) -> bool:
         """Whether p (M,) is within all budgets."""
