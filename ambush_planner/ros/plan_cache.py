@@ -141,7 +141,7 @@ class PlanCache:
         """
         with self._lock:
             if (found := self.find(trip, parameters)) is not None:
-                return completed(lambda: found)
+                return completed(found)
             for each in self._pending:
                 if not each.solve.done() and _will_suit(each, trip, parameters):
                     return self._submit(each.trip, each.parameters, background=False)
