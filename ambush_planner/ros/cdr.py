@@ -1,8 +1,7 @@
-"""Serialise large marker arrays and paths as whole arrays, without an object per point.
+"""Serialise large marker arrays as whole arrays, without an object per point.
 
 rclpy reads every field of every point in Python: 60 000 coloured points take 300 ms that way and
-3 ms here (benchmarks/markers.py), a path of 500 poses 5 ms and 0.4 ms. All other messages are
-left to rclpy.
+3 ms here (benchmarks/markers.py). All other messages are left to rclpy.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import struct
 
 import numpy as np
 import numpy.typing as npt
-from nav_msgs.msg import Path as PathMessage
 from rclpy.serialization import serialize_message
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
@@ -24,12 +22,9 @@ _HEADER_SIZE = 4
 # frame name nor a namespace can be mistaken for it.
 _PLACEHOLDER = -(2.0**126)
 _PLACEHOLDER_BYTES = struct.pack('<4f', *[_PLACEHOLDER] * 4)
-_POSE_SIZE = struct.calcsize('<7d')
 
 
-def marker_array(
-    marker: Marker, points: FloatArray, colours: npt.NDArray[np.float32]
-) -> bytes:
+def marker_array(marker: Marker, points: FloatArray, colours: npt.NDArray[np.float32]) -> bytes:
     """Return the serialised MarkerArray of one marker whose points lie at height 0 in its frame.
 
     Parameters
@@ -54,27 +49,3 @@ def marker_array(
     xyz[:, :2] = points
     rgba = np.ascontiguousarray(colours, dtype='<f4')
     return b''.join((head, padding, xyz.data, struct.pack('<I', len(rgba)), rgba.data, after))
-
-
-def path_bytes(ends: PathMessage, numbers: FloatArray) -> bytes:
-    """Return the serialised path whose first and last poses are those of ``ends``.
-
-    All stamped poses after the first have the same bytes except for their last seven numbers: they
-    share a frame, and each begins and ends aligned to 8 bytes.
-
-    Parameters
-    ----------
-    ends
-        A path of two poses that have the same header as all others.
-    numbers : (L, 7)
-        Positions and quaternions of the poses between them, in the order of the message.
-    """
-    none, one, both = (
-        serialize_message(PathMessage(header=ends.header, poses=ends.poses[:count]))
-        for count in range(3)
-    )
-    last = both[len(one):]
-    inner = np.tile(np.frombuffer(last, np.uint8), (len(numbers), 1))
-    inner[:, -_POSE_SIZE:] = np.ascontiguousarray(numbers, dtype='<f8').view(np.uint8)
-    count = struct.pack('<I', len(numbers) + 2)
-    return b''.join((none[:-4], count, both[len(none):len(one)], inner.data, last))

@@ -104,7 +104,7 @@ class ComputePath:
                 result.error_msg = str(error)
             handle.abort()
             return result
-        result.path = done.path.to_message()
+        result.path = done.path
         result.planning_time = Duration(nanoseconds=done.end_ns - done.begin_ns).to_msg()
         handle.succeed()
         return result

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
@@ -23,7 +24,6 @@ from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.strategy_file import STRATEGY_FILE
 from .conversions import fields_of
 from .current_map import ReceivedMessage
-from .departure_path import DeparturePath
 from .inputs import Trip
 from .plan_cache import CachedPlan
 from .qos import LATEST
@@ -69,7 +69,7 @@ class Departure:
     held: CachedPlan
     entropy_source: list[int]
     route: Route
-    path: DeparturePath
+    path: Path
     published: RecordedMessage
     others: tuple[RecordedMessage, ...]
     begin_ns: int

@@ -13,6 +13,7 @@ from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..errors import AmbushPlannerError, InvalidOption
@@ -21,7 +22,8 @@ from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.solve_errors import SolveCancelled, for_the_log
-from .departure_path import DeparturePath, draw_path, route_entropy_source
+from .conversions import path_to_ros
+from .departure_path import draw_path, route_entropy_source
 from .departure_record import Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
 from .error_codes import GroundChanges, NotActive
@@ -219,17 +221,18 @@ class Dispatcher:
         source = route_entropy_source(parameters.seed, number)
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.begin_ns, self._now())
-        stamp = Time(nanoseconds=leaving).to_msg()
-        drawn = draw_path(cached, trip, source, parameters.path_spacing, stamp)
+        drawn = draw_path(cached, trip, source, parameters.path_spacing)
         if drawn is None:
             self._try_after(self._plans.solve(trip, parameters), pending)
             return
         if not pending.departure.set_running_or_notify_cancel():
             return
-        route, path = drawn
+        route, rows = drawn
+        header = Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=leaving).to_msg())
+        path = path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
         published = self._publish_path(path, pending)
         self._count = number
-        tight = tight_turns(path.rows, cached.plan.options.drive.turning_radius)
+        tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
         report, trouble = self._reporter.departed(number, departure_id, tight)
         pending.departure.set_result(Departure(
             departure_id, number, pending.call, trip, parameters, cached, source, route, path,
@@ -237,11 +240,11 @@ class Dispatcher:
             max(leaving, self._now()), trouble,
         ))
 
-    def _publish_path(self, path: DeparturePath, pending: _Pending) -> RecordedMessage:
+    def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:
         """Publish the path if that is allowed, and return it as the recording keeps it."""
         if pending.parameters.publish_path and self._settings.current.publish_path:
-            return self._publishers.publish('path', path.to_bytes())
-        return self._publishers.as_recorded('path', path.to_bytes(), f'{pending.call.name}/path')
+            return self._publishers.publish('path', path)
+        return self._publishers.as_recorded('path', path, f'{pending.call.name}/path')
 
     def _refuse_unheard(self, call: ServiceCall) -> None:
         """Refuse a departure whose path would reach nobody."""

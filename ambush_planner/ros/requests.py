@@ -134,7 +134,7 @@ class Requests:
 
 def plan_response(departure: Departure) -> GetPlan.Response:
     """Return the answer of ``~/get_plan``."""
-    return GetPlan.Response(plan=departure.path.to_message())
+    return GetPlan.Response(plan=departure.path)
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:
