@@ -25,17 +25,10 @@ _PLACEHOLDER_BYTES = struct.pack('<4f', *[_PLACEHOLDER] * 4)
 
 
 def marker_array(marker: Marker, points: FloatArray, colours: npt.NDArray[np.float32]) -> bytes:
-    """Return the serialised MarkerArray of one marker whose points lie at height 0 in its frame.
+    """Return the serialised MarkerArray of one marker with other ``points`` and ``colors``.
 
-    Parameters
-    ----------
-    marker
-        All other fields; its ``points`` and ``colors`` are replaced.
-    points : (K, 2)
-        Positions [m].
-    colours : (K, 4) or (0, 4)
-        Red, green, blue and alpha of each point, 0..1. If empty, the marker's own ``color`` holds
-        for all points.
+    The points (K, 2) [m] lie at height 0 in the marker's frame. The colours (K, 4) are red, green,
+    blue and alpha, 0..1; if there are none, the marker's own ``color`` holds for all points.
     """
     placeholder = ColorRGBA(r=_PLACEHOLDER, g=_PLACEHOLDER, b=_PLACEHOLDER, a=_PLACEHOLDER)
     marker.points, marker.colors = [], [placeholder]

@@ -92,14 +92,12 @@ class ComputePath:
         if departure.cancelled():
             handle.canceled()
             return result
-        done, error = self._error_boundary.attempt(
-            'compute_path_to_pose', 'request', departure.result
-        )
+        name = NAME.removeprefix('~/')
+        done, error = self._error_boundary.attempt(name, 'request', departure.result)
         if done is None:
             code = code_of(error or RuntimeError())
-            result.error_code = getattr(
-                self._action.Result, _NAV2_CODES.get(code, code), self._action.Result.UNKNOWN
-            )
+            codes = self._action.Result
+            result.error_code = getattr(codes, _NAV2_CODES.get(code, code), codes.UNKNOWN)
             if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
                 result.error_msg = str(error)
             handle.abort()
@@ -112,12 +110,8 @@ class ComputePath:
     def _plan_request(self, goal: Any) -> GetPlan.Request:
         """Return the goal as a request of get_plan.
 
-        Raises
-        ------
-        InvalidPlanner
-            The goal is for another planner.
-        NoStart, FrameMismatch
-            The start is missing or has no frame.
+        Raises InvalidPlanner if the goal is for another planner, and NoStart or FrameMismatch if
+        the start is missing or has no frame.
         """
         name = self._node.get_name()
         if goal.planner_id not in ('', name):

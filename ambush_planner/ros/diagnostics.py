@@ -35,18 +35,9 @@ class Problem(NamedTuple):
 class Status:
     """The node's status.
 
-    Attributes
-    ----------
-    lifecycle
-        unconfigured, inactive, active or finalized.
-    problems
-        By what they concern: 'request', 'map' or 'recording'.
-    warnings
-        Texts by what they concern: 'parameters' or 'alpha_map'.
-    assessment, stale
-        How good the displayed plan is on the current map; why it is stale, '' if it is not.
-    tight_turns
-        Number of turns of the last path that are tighter than ``route.turning_radius``.
+    ``problems`` are by what they concern: 'request', 'map' or 'recording'; ``warnings`` are texts
+    on 'parameters' or 'alpha_map'. ``assessment`` is of the displayed plan on the current map, and
+    ``stale`` says why that plan is stale, if it is.
     """
 
     lifecycle: str = 'active'

@@ -23,14 +23,8 @@ from .serial_executor import SerialExecutor
 class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
-    Call all methods on the departures thread, which is that of ``departures``.
-
-    Attributes
-    ----------
-    cached
-        The plan; None before the first one.
-    markers
-        The markers published for it.
+    Call all methods on the departures thread, which is that of ``departures``. The plan is
+    ``cached``, None before the first one; ``markers`` are those published for it.
     """
 
     def __init__(

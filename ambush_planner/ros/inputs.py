@@ -24,16 +24,10 @@ MOST_STOPS = 50
 
 @dataclass(frozen=True, eq=False)
 class TripRequest:
-    """Where somebody wants to go, in any frames.
+    """Where somebody wants to go, in any frames, via some stops.
 
-    Attributes
-    ----------
-    start
-        None: the robot's pose at departure.
-    goal_tolerance
-        How far a blocked goal may be moved [m].
-    via
-        The stops on the way, if any.
+    Without a start it is the robot's pose at departure. A blocked goal may be moved by
+    ``goal_tolerance`` [m].
     """
 
     start: ReceivedMessage | None
@@ -83,10 +77,7 @@ class Inputs:
     def accept_map(self, received: ReceivedMessage) -> CurrentMap:
         """Make a map the current one and return it; an equal map changes nothing.
 
-        Raises
-        ------
-        InvalidRiskMap
-            The map is malformed; the previous one stays.
+        Raises InvalidRiskMap if the map is malformed; the previous one stays.
         """
         try:
             new = map_from(received)
@@ -98,31 +89,23 @@ class Inputs:
     def update_map(self, update: Any) -> CurrentMap:
         """Change the cells that a map_msgs/OccupancyGridUpdate gives, and return the map.
 
-        Raises
-        ------
-        NoMap
-            No map has arrived.
-        InvalidRiskMap
-            The update does not fit the map, which stays as it was.
+        Raises NoMap if no map has arrived, and InvalidRiskMap if the update does not fit the map,
+        which stays as it was.
         """
         return self._replace_map(updated_map(self.current_map(), update))
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        arrived = {
-            'alpha_map': self._map is not None,
-            'start_pose': self.start is not None or bool(robot.frame),
-            'goal_pose': self.goal is not None,
+        inputs = {
+            'alpha_map': self._map, 'start_pose': self.start or robot.frame,
+            'goal_pose': self.goal,
         }
-        return tuple(name for name, done in arrived.items() if not done)
+        return tuple(name for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises
-        ------
-        NoMap, NoStart, NoGoal
-            An input has not arrived.
+        Raises NoMap, NoStart or NoGoal if an input has not arrived.
         """
         self.current_map()
         if self.start is None and not robot.frame:
@@ -143,12 +126,8 @@ class Inputs:
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
 
-        Raises
-        ------
-        NoMap
-            No map has arrived.
-        FrameMismatch, InvalidPose
-            A pose cannot be transformed into the map's frame, or is not a valid pose.
+        Raises NoMap if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
+        transformed into the map's frame or is not a valid pose.
         """
         present = self.current_map()
         start, start_pose = self._located_start(request.start, robot, present.frame)

@@ -29,26 +29,11 @@ class NodeSettings:
 
     The changes of one request must be possible for some values of the other parameters. They may
     contradict the present values, for instance while ``ros2 param load`` sets one parameter after
-    the other; then ``current`` keeps the last values that agreed.
+    the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
+    reason. ``changed`` is called after each change with the values before it.
 
-    Parameters
-    ----------
-    changed
-        Called after each change with the values before it.
-
-    Attributes
-    ----------
-    current
-        The values.
-    contradiction
-        Why the latest values contradict each other; None if they do not.
-
-    Raises
-    ------
-    InvalidOption
-        The initial values are invalid as a set.
-    rclpy.exceptions.ParameterException
-        An initial value has the wrong type or is out of its range.
+    Raises InvalidOption if the initial values are invalid as a set, and
+    rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
 
     def __init__(self, node: Node, changed: Callable[[NodeParameters], None]) -> None:
@@ -139,14 +124,11 @@ def _descriptor(declaration: Declaration) -> ParameterDescriptor:
         description=declaration.description,
         additional_constraints='read at the start only' if declaration.fixed else constraint,
     )
+    low, high = declaration.low, declaration.high
     if isinstance(declaration.default, float):
-        result.floating_point_range = [
-            FloatingPointRange(from_value=float(declaration.low), to_value=float(declaration.high))
-        ]
+        limits = FloatingPointRange(from_value=float(low), to_value=float(high))
+        result.floating_point_range = [limits]
     elif isinstance(declaration.default, int) and not isinstance(declaration.default, bool):
-        result.integer_range = [
-            IntegerRange(
-                from_value=int(declaration.low), to_value=int(min(declaration.high, _INT64_MAX))
-            )
-        ]
+        ends = IntegerRange(from_value=int(low), to_value=int(min(high, _INT64_MAX)))
+        result.integer_range = [ends]
     return result

@@ -53,10 +53,7 @@ class PlannerNode(LifecycleNode):
     Callbacks never wait, so a single-threaded executor is enough and answers soonest. With several
     threads rclpy can raise ``InvalidHandle`` if the node is cleaned up while messages arrive.
 
-    Raises
-    ------
-    InvalidOption, rclpy.exceptions.ParameterException
-        The initial parameters are invalid.
+    Raises InvalidOption or rclpy.exceptions.ParameterException if initial parameters are invalid.
     """
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -103,7 +100,10 @@ class PlannerNode(LifecycleNode):
         self._closing.callback(lambda: self._configured.close())
         # A steady clock: diagnostics go on while simulated time is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_REPORT_PERIOD, self._on_timer, clock=steady)
+        self.create_timer(
+            _REPORT_PERIOD, clock=steady,
+            callback=lambda: self._error_boundary.attempt('diagnostics', 'request', self._report),
+        )
 
     def _autostart(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -206,9 +206,6 @@ class PlannerNode(LifecycleNode):
         self._report_missing()
         _configured(self._dispatcher).map_changed()
 
-    def _on_timer(self) -> None:
-        self._error_boundary.attempt('diagnostics', 'request', self._report)
-
     def _report(self) -> None:
         listening = self._topic_subscriptions
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
@@ -216,7 +213,7 @@ class PlannerNode(LifecycleNode):
 
 
 def _configured(part: _Part | None) -> _Part:
-    """Return a part of a configured node; raises NotActive if the node is not configured."""
+    """Return a part of a configured node; raises NotActive without one."""
     if part is None:
         raise NotActive(
             'the node is not configured: nobody departs before it is configured and activated '

@@ -27,9 +27,9 @@ _PATIENCE = 2.0
 class Recordings:
     """Writes departures one after the other, each as its own parameters say.
 
-    At first, temporary files in the folder of ``options`` are removed, with a ``warn``-ing each.
-    ``done`` gets each departure's recording options, and the error or None, once the departure is
-    written or given up.
+    At the start, temporary files in the folder of ``options`` are removed, and ``warn`` called for
+    each. Once a departure is written or given up, ``done`` gets its recording options, and the
+    error or None.
     """
 
     def __init__(

@@ -146,10 +146,8 @@ class TransformBuffer:
     def lookup(self, target: str, source: str, stamp_ns: int | None = None) -> Found:
         """Return the motion from ``source`` to ``target``, by default at the latest common time.
 
-        Raises
-        ------
-        TransformUnknown
-            A frame does not exist, or the two frames are not connected at one time.
+        Raises TransformUnknown if a frame does not exist, or the two frames are not connected at
+        one time.
         """
         with self._lock:
             up, down = self._to_root(source), self._to_root(target)

@@ -53,13 +53,8 @@ class FrameTransforms:
         where the robot is now. The result has the stamp of the transform, or none if that is
         static. Never waits for a transform.
 
-        Raises
-        ------
-        FrameMismatch
-            The pose has no frame, or no transform to ``frame`` is known, or it is older than
-            ``max_age`` [s].
-        InvalidPose
-            The pose needs a transform and is not a valid pose.
+        Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
+        is older than ``max_age`` [s], and InvalidPose if a pose to transform is not a valid one.
         """
         given = pose.header.frame_id
         if given and given == frame:
