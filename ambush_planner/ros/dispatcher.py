@@ -22,6 +22,7 @@ from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.solve_errors import SolveCancelled, for_the_log
+from .cdr import path_bytes
 from .conversions import path_to_ros
 from .departure_path import draw_path, route_entropy_source
 from .departure_record import Departure, ServiceCall
@@ -242,9 +243,10 @@ class Dispatcher:
 
     def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:
         """Publish the path if that is allowed, and return it as the recording keeps it."""
+        data = path_bytes(path)
         if pending.parameters.publish_path and self._settings.current.publish_path:
-            return self._publishers.publish('path', path)
-        return self._publishers.as_recorded('path', path, f'{pending.call.name}/path')
+            return self._publishers.publish('path', data)
+        return self._publishers.as_recorded('path', data, f'{pending.call.name}/path')
 
     def _refuse_unheard(self, call: ServiceCall) -> None:
         """Refuse a departure whose path would reach nobody."""
