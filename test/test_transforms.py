@@ -291,7 +291,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(monkeypat
             solves.append(request.start_xy)
             place = places[len(solves) - 1]
             robot.is_at(*place)
-            inputs, robot_options = running.planner._inputs, running.planner._settings.robot
+            inputs, robot_options = running.planner._inputs, running.planner._settings.current.robot
             wait_until(lambda: inputs.locate(
                 inputs.latest(robot_options), robot_options).start_xy == pytest.approx(place),
                 'the move')

@@ -7,19 +7,21 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from threading import Event
 
 import numpy as np
 import pytest
 from forging import AGAIN, GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from ros_harness import header, pose, risk_grid, stage
+from waiting import TIMEOUT
 
 from ambush_planner.commands import verify as tool
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
 from ambush_planner.recordings.map_changes import changed_map, map_changes_file
 from ambush_planner.recordings.verify import replan_problems
 from ambush_planner.ros.dispatcher import Dispatcher
-from ambush_planner.ros.displayed_plan import DisplayedPlan
+from ambush_planner.worker.process import WorkerProcess
 
 
 @pytest.fixture(scope='module')
@@ -252,7 +254,14 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
 
 def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal move a little and an obstacle appears: routes are drawn until clear."""
-    monkeypatch.setattr(DisplayedPlan, '_solve_anew', lambda *_: None)
+    go_on, solve = Event(), WorkerProcess.solve
+
+    def solve_again_later(worker, request):
+        if request.warm is not None:
+            go_on.wait(TIMEOUT)
+        return solve(worker, request)
+
+    monkeypatch.setattr(WorkerProcess, 'solve', solve_again_later)
     parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}
     with stage(tmp_path, parameters) as running:
         client = running.give()
@@ -266,6 +275,7 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
         client.diagnostics(stale='yes')
         for k in range(6):
             assert client.get_plan(pose(1.5 + 0.04 * k, 5.4), pose(8.5, 5.5 + 0.05 * k)).poses
+        go_on.set()
     files = recordings_in(tmp_path)
     departures = [read_departure(path) for path in files]
     assert [each.newest is each.planned_on for each in departures] == [True] + 6 * [False]
