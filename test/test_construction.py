@@ -181,22 +181,6 @@ def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
                 assert has_flat_detour(uv[:count], field, i, j)
 
 
-@pytest.mark.parametrize('method', METHODS[3:])
-@pytest.mark.parametrize('obstacles', [0.0, 0.03, 0.1])
-def test_triangulation_by_parts_gives_the_same_network(monkeypatch, method, obstacles):
-    for seed in range(5):
-        risk_map = random_map(seed, 26, obstacles)
-        free = np.argwhere(~risk_map.obstacles)[[0, -1], ::-1] + (0.4, 0.7)
-        with monkeypatch.context() as patch:
-            networks = []
-            for part in (10**6, 40):
-                patch.setattr('ambush_planner.network.connectivity.PART', part)
-                networks.append(build(risk_map, *free, method, spacing=1.0, seed=seed))
-        whole, parts = networks
-        np.testing.assert_array_equal(parts.points, whole.points)
-        np.testing.assert_array_equal(parts.edges, whole.edges)
-
-
 def has_flat_detour(uv, field, i, j) -> bool:
     """Whether the way over a third node, near the line from i to j, is clear, too."""
     along = uv[j] - uv[i]
