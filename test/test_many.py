@@ -119,20 +119,32 @@ def test_an_error_in_on_result_cancels_the_rest():
     assert len(taken) <= 8
 
 
-def test_a_process_unpacks_each_map_once_and_keeps_few():
+class CountingExecutor:
+    """An executor that counts the maps sent."""
+
+    def __init__(self, executor):
+        self.executor, self.maps = executor, 0
+
+    def submit(self, function, key, content, *rest):
+        self.maps += content is not None
+        return self.executor.submit(function, key, content, *rest)
+
+
+def test_maps_are_sent_only_to_processes_without_them():
+    risk_map, others = field(7), [field(seed) for seed in range(4)]
     with ProcessPoolExecutor(1, FRESH) as pool:
-        maps = [field(seed) for seed in range(5)]
-        results = solve_many(
-            [problem(risk_map, k) for risk_map in maps for k in range(2)], pool, answer=numbers,
-            in_flight=1,
-        )
-        assert all(result.error is None for result in results)
-        hits, misses, _, kept = pool.submit(unpacked_maps).result(60.0)
-    assert (hits, misses, kept) == (5, 5, 4)
+        post = CountingExecutor(pool)
+        for maps, sent in (([risk_map] * 12, 1), ([risk_map] * 3, 1), (others, 5), ([risk_map], 6)):
+            results = solve_many(
+                [problem(each, k) for k, each in enumerate(maps)], post, answer=numbers,
+                in_flight=1,
+            )
+            assert all(result.error is None for result in results) and post.maps == sent
+        assert pool.submit(kept_maps).result(60.0) == 4
 
 
-def unpacked_maps():
-    return tuple(many._unpacked_map.cache_info())
+def kept_maps():
+    return len(many._maps)
 
 
 def end_here(strategy):

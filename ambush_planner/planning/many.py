@@ -1,17 +1,20 @@
 """Many games at once, on any ``concurrent.futures.Executor``: threads, processes, a cluster.
 
-Problems carry their map compressed, and processes keep the last ones: many problems share a map.
+A map is much larger than the rest of a problem, and many problems share it. So problems carry only
+the map's hash; a process without the map says so and gets the problem again with the map, which it
+keeps for the next ones.
 """
 
 from __future__ import annotations
 
+import hashlib
 import os
 import pickle
+import threading
 import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, wait
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import islice
 from typing import Any
 
@@ -77,20 +80,37 @@ def solve_many(
         raise InvalidOption(f'in_flight must be >= 0, got {in_flight}')
     capacity = in_flight or 2 * (os.cpu_count() or 1)
     results: dict[int, Solved] = {}
-    pending: dict[Future[Any], int] = {}
-    packed: dict[RiskMap, bytes] = {}
+    pending: dict[Future[Any], tuple[int, Problem]] = {}
+    packed: dict[RiskMap, tuple[bytes, bytes]] = {}
     waiting = iter(enumerate(problems))
+
+    def send(index: int, problem: Problem, with_map: bool = False) -> None:
+        if problem.risk_map not in packed:
+            packed[problem.risk_map] = _packed(problem.risk_map)
+        key, content = packed[problem.risk_map]
+        rest = (problem.start_xy, problem.goal_xy, problem.network, problem.game, problem.strategy)
+        try:
+            future = executor.submit(_solve, key, content if with_map else None, rest, answer)
+        except Exception as error:  # the pool broke or was shut down
+            future = Future()
+            future.set_exception(error)
+        pending[future] = index, problem
+
     try:
         while True:
             for index, problem in islice(waiting, capacity - len(pending)):
-                pending[_submit(executor, problem, packed, answer)] = index
+                send(index, problem)
             if not pending:
                 break
             done, _ = wait(pending, return_when=FIRST_COMPLETED)
             for future in done:
-                index = pending.pop(future)
+                index, problem = pending.pop(future)
                 error = _error_of(future)
-                results[index] = Solved(index, None if error else future.result(), error)
+                found = None if error else future.result()
+                if isinstance(found, _MapMissing):
+                    send(index, problem, with_map=True)
+                    continue
+                results[index] = Solved(index, found, error)
                 if on_result is not None:
                     on_result(results[index])
     finally:
@@ -99,22 +119,10 @@ def solve_many(
     return [results[index] for index in sorted(results)]
 
 
-def _submit(
-    executor: Executor,
-    problem: Problem,
-    packed: dict[RiskMap, bytes],
-    answer: Callable[[Strategy], Any] | None,
-) -> Future[Any]:
-    risk_map = problem.risk_map
-    if risk_map not in packed:
-        packed[risk_map] = zlib.compress(pickle.dumps(risk_map, pickle.HIGHEST_PROTOCOL), 1)
-    rest = (problem.start_xy, problem.goal_xy, problem.network, problem.game, problem.strategy)
-    try:
-        return executor.submit(_solve, packed[risk_map], rest, answer)
-    except Exception as error:  # the pool broke or was shut down
-        failed: Future[Any] = Future()
-        failed.set_exception(error)
-        return failed
+def _packed(risk_map: RiskMap) -> tuple[bytes, bytes]:
+    """A map's hash and its compressed content."""
+    content = pickle.dumps(risk_map, pickle.HIGHEST_PROTOCOL)
+    return hashlib.sha256(content).digest(), zlib.compress(content, 1)
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:
@@ -124,17 +132,31 @@ def _error_of(future: Future[Any]) -> BaseException | None:
         return error
 
 
+class _MapMissing:
+    """Answer of a process that does not have the map."""
+
+
+# Maps by hash that this process, possibly a worker, keeps for the next problems, oldest first.
+_maps: dict[bytes, RiskMap] = {}
+_maps_lock = threading.Lock()
+
+
 def _solve(
-    content: bytes, rest: tuple[Any, ...], answer: Callable[[Strategy], Any] | None
+    key: bytes,
+    content: bytes | None,
+    rest: tuple[Any, ...],
+    answer: Callable[[Strategy], Any] | None,
 ) -> Any:
     """Solve one problem in the executor's process."""
+    with _maps_lock:
+        if content is not None:
+            _maps[key] = pickle.loads(zlib.decompress(content))
+            while len(_maps) > _KEPT_MAPS:
+                del _maps[next(iter(_maps))]
+        if key not in _maps:
+            return _MapMissing()
+        risk_map = _maps[key]
     start_xy, goal_xy, network_options, game, options = rest
-    network = build_network(_unpacked_map(content), start_xy, goal_xy, network_options)
+    network = build_network(risk_map, start_xy, goal_xy, network_options)
     strategy = solve(network, game, options)
     return strategy if answer is None else answer(strategy)
-
-
-@lru_cache(_KEPT_MAPS)
-def _unpacked_map(content: bytes) -> RiskMap:
-    risk_map: RiskMap = pickle.loads(zlib.decompress(content))
-    return risk_map
