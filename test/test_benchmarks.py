@@ -22,8 +22,7 @@ SCRIPTS = {
     'trips': '--spacing 1500 --picture trip.png',
 }
 NODE_SCRIPTS = {
-    'node_fuzz': '--messages 20 --seed 3',
-    'node_latency': '--samples 1 --calls 2 --nodes 400',
+    'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',
     'node_map_changes': '--seconds 0.6 --cells 200 --nodes 400',
     'node_soak': '--seconds 0.5 --period 0.1 --spacing 5',
 }

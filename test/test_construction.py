@@ -65,10 +65,8 @@ def random_networks(draw):
     risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.12, draw(st.floats(-4, 4)))
     place = st.tuples(*[st.floats(0.35, cells - 0.35)] * 2)
     options = NetworkOptions(
-        draw(st.sampled_from(METHODS)),
-        draw(st.sampled_from((0.7, 1.0, 1.3, 1.7))),
-        draw(st.sampled_from((0.0, 0.3))),
-        draw(st.integers(0, 9)),
+        draw(st.sampled_from(METHODS)), draw(st.sampled_from((0.7, 1.0, 1.3, 1.7))),
+        draw(st.sampled_from((0.0, 0.3))), draw(st.integers(0, 9)),
     )
     ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
     try:
@@ -152,8 +150,7 @@ def test_grid8_joins_each_node_to_its_eight_neighbours():
 
 @examples(25)
 @given(
-    st.integers(0, 10**6),
-    st.sampled_from((*METHODS[:2], *METHODS[3:])),
+    st.integers(0, 10**6), st.sampled_from((*METHODS[:2], *METHODS[3:])),
     st.sampled_from((0.0, 0.1, 0.25)),
 )
 def test_delaunay_edges_have_an_empty_circle(seed, method, obstacles):
@@ -227,8 +224,7 @@ def test_nothing_lies_on_the_outer_edge_of_the_map(method, clear_of_edge):
     """A map 50.1 m high at a spacing of 0.6 m has lattice nodes exactly on its edge."""
     risk_map = RiskMap(np.ones((167, 40)), np.zeros((167, 40), bool), 0.3, (5.0, -3.0, 0.4))
     network = build(
-        risk_map, (1, 1), (11, 49), method,
-        spacing=0.6, clearance=0.4, clear_of_edge=clear_of_edge,
+        risk_map, (1, 1), (11, 49), method, spacing=0.6, clearance=0.4, clear_of_edge=clear_of_edge
     )
     uv = risk_map.to_map_axes(network.points)
     margin = 0.4 if clear_of_edge else 0.0

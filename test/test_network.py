@@ -10,11 +10,8 @@ from hypothesis import given
 from ambush_planner import InvalidNetwork, Network
 
 GOOD = {
-    'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]],
-    'alpha': [0.0, 2.0, 0.0],
-    'edges': [(0, 1), (1, 2)],
-    'source': 0,
-    'target': 2,
+    'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]], 'alpha': [0.0, 2.0, 0.0],
+    'edges': [(0, 1), (1, 2)], 'source': 0, 'target': 2,
 }
 
 

@@ -164,9 +164,7 @@ def test_risk_slack_bounds_the_extra_risk(network, slack, max_detour):
 @examples(3)
 @given(terrain_networks)
 def test_the_value_falls_as_the_budget_grows(network):
-    found = [
-        solve(network, options=StrategyOptions(max_detour=d, risk_slack=0.0)) for d in DETOURS
-    ]
+    found = [solve(network, options=StrategyOptions(max_detour=d, risk_slack=0.0)) for d in DETOURS]
     for tight, loose in zip(found[:-1], found[1:], strict=True):
         assert loose.value <= tight.value * (1 + 2e-5)
         assert loose.lower_bound <= tight.value * (1 + 1e-9)

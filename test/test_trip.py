@@ -211,8 +211,7 @@ def test_the_best_order_is_the_best_of_all(risk_map, radius):
         order: build_network(risk_map, START, GOAL, asked.network, [STOPS[k] for k in order])
         for order in itertools.permutations(range(3))
     }
-    lengths = {order: least_weight(network, network.lengths)
-               for order, network in networks.items()}
+    lengths = {order: least_weight(network, network.lengths) for order, network in networks.items()}
     budget = asked.strategy.max_detour * min(lengths.values())
     values = {
         order: solve_on_network(risk_map, network, PlanningOptions(
@@ -228,14 +227,12 @@ def test_the_best_order_is_the_best_of_all(risk_map, radius):
 def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order):
     other = plan_trip(risk_map, START, GOAL, options(), stops=STOPS[::-1], order='best')
     assert other.stops_xy == in_best_order.stops_xy
-    assert np.array_equal(
-        other.strategy.edge_probability, in_best_order.strategy.edge_probability)
+    assert np.array_equal(other.strategy.edge_probability, in_best_order.strategy.edge_probability)
 
 
 def test_the_network_of_a_trip_is_reproducible(risk_map, in_best_order, as_given):
     for each, order in ((in_best_order, 'best'), (as_given, 'given')):
-        again = trip_network(
-            risk_map, START, GOAL, options().network, each.stops_xy, order)
+        again = trip_network(risk_map, START, GOAL, options().network, each.stops_xy, order)
         assert np.array_equal(again.points, each.network.points)
         assert np.array_equal(again.edges, each.network.edges)
 

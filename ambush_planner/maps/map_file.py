@@ -45,13 +45,9 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     pixels = np.where(values < 0, 255, values).astype(np.uint8)
     picture.write_bytes(b'P5\n%d %d\n255\n' % (columns, rows) + pixels.tobytes())
     fields = {
-        'image': picture.name,
-        'mode': 'raw',
-        'resolution': float(occupancy.resolution),
-        'origin': [float(value) for value in occupancy.origin],
-        'negate': 0,
-        'occupied_thresh': 0.65,
-        'free_thresh': 0.196,
+        'image': picture.name, 'mode': 'raw', 'resolution': float(occupancy.resolution),
+        'origin': [float(value) for value in occupancy.origin], 'negate': 0,
+        'occupied_thresh': 0.65, 'free_thresh': 0.196,
     }
     comments = ''.join(f'# {line}\n' for line in remark.splitlines())
     path.write_text(comments + yaml.safe_dump(fields, sort_keys=False), encoding='utf-8')
@@ -108,9 +104,7 @@ def _cells(
         value = np.rint(light * 255.0)
         return np.where(value <= 100.0, value, -1).astype(np.int8)
     defaults = {'occupied_thresh': 0.65, 'free_thresh': 0.196, 'negate': 0}
-    full, free, negate = (
-        _numbers(path, defaults | fields, name, 1)[0] for name in defaults
-    )
+    full, free, negate = (_numbers(path, defaults | fields, name, 1)[0] for name in defaults)
     occupied = light if negate else 1.0 - light
     if mode == 'scale' and full > free:
         between = np.rint((occupied - free) / (full - free) * 100.0)

@@ -33,11 +33,7 @@ from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
 from .shortest_paths import reachable_from
 
 METHODS = (
-    'uniform_delaunay',
-    'lattice_delaunay',
-    'uniform_grid8',
-    'random_delaunay',
-    'gradient_delaunay',
+    'uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay'
 )
 
 
@@ -87,8 +83,7 @@ MAX_CANDIDATES = 20_000_000
 _SAMPLES = 4096
 # Errors raised for an end off the map and for a blocked one; all other positions are stops.
 POSITION_ERRORS: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
-    'start': (StartOutsideMap, StartBlocked),
-    'goal': (GoalOutsideMap, GoalBlocked),
+    'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked),
 }
 
 
@@ -123,21 +118,15 @@ class TripGraph:
                 layers[-1][edges[:, 1] == target, 1] += count
         edges = np.concatenate(layers)
         return Network(
-            np.tile(self.points, (legs, 1)),
-            np.tile(self.alpha, legs),
-            edges[np.lexsort((edges[:, 1], edges[:, 0]))],
-            visits[0],
-            visits[-1] + (legs - 1) * count,
-            legs=legs,
+            np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs),
+            edges[np.lexsort((edges[:, 1], edges[:, 0]))], visits[0],
+            visits[-1] + (legs - 1) * count, legs=legs,
         )
 
 
 def build_network(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: NetworkOptions | None = None,
-    stops: Iterable[npt.ArrayLike] = (),
+    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+    options: NetworkOptions | None = None, stops: Iterable[npt.ArrayLike] = (),
 ) -> Network:
     """Build the network for driving from start to goal via stops; world positions [m].
 
@@ -163,10 +152,7 @@ def build_network(
 
 
 def build_trip_graph(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: NetworkOptions,
+    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike, options: NetworkOptions,
     stops: Iterable[npt.ArrayLike] = (),
 ) -> TripGraph:
     """Place the nodes and join them; raises as ``build_network``."""

@@ -50,12 +50,9 @@ class Solved:
 
 
 def solve_many(
-    problems: Iterable[Problem],
-    executor: Executor,
-    *,
+    problems: Iterable[Problem], executor: Executor, *,
     answer: Callable[[Strategy], Any] | None = None,
-    on_result: Callable[[Solved], None] | None = None,
-    in_flight: int = 0,
+    on_result: Callable[[Solved], None] | None = None, in_flight: int = 0,
 ) -> list[Solved]:
     """Solve problems in parallel; the results have the problems' order.
 
@@ -142,9 +139,7 @@ _maps_lock = threading.Lock()
 
 
 def _solve(
-    key: bytes,
-    content: bytes | None,
-    rest: tuple[Any, ...],
+    key: bytes, content: bytes | None, rest: tuple[Any, ...],
     answer: Callable[[Strategy], Any] | None,
 ) -> Any:
     """Solve one problem in the executor's process."""

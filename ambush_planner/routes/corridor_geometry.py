@@ -67,12 +67,8 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
 
 
 def limit_to_map(
-    corridors: CorridorWidths,
-    uv: FloatArray,
-    pairs: IndexArray,
-    risk_map: RiskMap,
-    clearance: float,
-    clear_of_edge: bool,
+    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
+    clearance: float, clear_of_edge: bool,
 ) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from obstacles and, if asked, the map's edge."""
     margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * risk_map.resolution
@@ -84,12 +80,8 @@ def limit_to_map(
 
 
 def limit_to_cells(
-    corridors: CorridorWidths,
-    uv: FloatArray,
-    pairs: IndexArray,
-    centres: FloatArray,
-    clearance: float,
-    resolution: float,
+    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, centres: FloatArray,
+    clearance: float, resolution: float,
 ) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from cells with ``centres`` (C, 2).
 

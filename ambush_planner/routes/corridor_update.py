@@ -47,13 +47,8 @@ def with_new_obstacles(
 
 
 def with_moved_end(
-    corridors: Corridors,
-    node: int,
-    place: tuple[float, float],
-    around: RiskMap,
-    corner: FloatArray,
-    clearance: float = 0.0,
-    tube: float | None = None,
+    corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
+    corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
     clear_of_edge: bool = True,
 ) -> Corridors:
     """Update the corridors after the source or target ``node`` moved slightly.
@@ -89,9 +84,6 @@ def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidt
     beyond[links] = measured.beyond
     shortcut[links] &= measured.widths.min(axis=1) > 0.0  # without width it may touch an obstacle
     return replace(
-        corridors,
-        shortcut=frozen_array(shortcut, np.bool_),
-        left=frozen_array(left, np.float64),
-        right=frozen_array(right, np.float64),
-        beyond=frozen_array(beyond, np.float64),
+        corridors, shortcut=frozen_array(shortcut, np.bool_), left=frozen_array(left, np.float64),
+        right=frozen_array(right, np.float64), beyond=frozen_array(beyond, np.float64),
     )

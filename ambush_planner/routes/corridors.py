@@ -100,10 +100,7 @@ class Corridors:
 
 
 def make_corridors(
-    network: Network,
-    risk_map: RiskMap,
-    clearance: float = 0.0,
-    tube: float | None = None,
+    network: Network, risk_map: RiskMap, clearance: float = 0.0, tube: float | None = None,
     clear_of_edge: bool = True,
 ) -> Corridors:
     """Measure the strips and quarters of a network on its map.

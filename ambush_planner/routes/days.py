@@ -63,10 +63,7 @@ class DayEffect:
 
 
 def sample_departures(
-    strategy: Strategy,
-    n: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
+    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5,
     tries: int = MOST_TRIES,
 ) -> list[IndexArray]:
     """Draw the routes of ``n`` convoys of one day: node indices (K,) each.
@@ -96,11 +93,7 @@ def sample_departures(
 
 
 def draw_days(
-    strategy: Strategy,
-    n: int,
-    count: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
+    strategy: Strategy, n: int, count: int, rng: np.random.Generator, distinct: float = 0.5,
     tries: int = MOST_TRIES,
 ) -> tuple[list[list[IndexArray]], float]:
     """Draw ``count`` days as ``sample_departures`` does; also return the share that was distinct.
@@ -125,11 +118,7 @@ def draw_days(
 
 
 def day_effect(
-    strategy: Strategy,
-    n: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
-    days: int = 1000,
+    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5, days: int = 1000,
     tries: int = MOST_TRIES,
 ) -> DayEffect:
     """Estimate how the distribution of a day's convoys differs from the strategy.
@@ -161,11 +150,8 @@ def day_effect(
         off = cost - losses[worst] * chance
         error = float(np.sqrt(off @ off * len(off) / (len(off) - 1)) / chance.sum())
     return DayEffect(
-        share * float(chance.sum()) / days,
-        frozen_array(visits, np.float64),
-        float(np.abs(visits - strategy.visit_probability).max()),
-        upper_bound(game, p),
-        error,
+        share * float(chance.sum()) / days, frozen_array(visits, np.float64),
+        float(np.abs(visits - strategy.visit_probability).max()), upper_bound(game, p), error,
     )
 
 
