@@ -20,7 +20,6 @@ from ambush_planner import (
     build_network,
 )
 from ambush_planner.maps.obstacles import ObstacleField
-from ambush_planner.network.construction import expected_nodes
 from ambush_planner.network.node_sampling import lattice_points
 from ambush_planner.network.shortest_paths import distances_from
 
@@ -44,18 +43,6 @@ def lattice_pairs(network) -> set:
     """Pairs of nodes by (column, row) of a lattice of spacing 1, start and goal by their cells."""
     place = [tuple(int(c) for c in np.floor(point)) for point in network.points]
     return {frozenset((place[i], place[j])) for i, j in joined(network)}
-
-
-@pytest.mark.parametrize('method', METHODS)
-@pytest.mark.parametrize('clearance', [0.0, 0.6])
-def test_expected_nodes_approximates_the_number_of_nodes(method, clearance):
-    risk_map = random_map(3, 40, 0.05, 0.0)
-    options = NetworkOptions(method, 0.4, clearance)
-    places = np.stack(np.meshgrid(*[np.arange(40) + 0.5] * 2), axis=-1).reshape(-1, 2)
-    free = ObstacleField(risk_map).clear_points(places, clearance)
-    ends = risk_map.to_world(places[free][[0, -1]])
-    count = len(build_network(risk_map, *ends, options).points)
-    assert expected_nodes(risk_map, options) == pytest.approx(count, rel=0.15)
 
 
 @st.composite

@@ -91,6 +91,8 @@ def test_accepts_a_network_without_edges():
         ({'source': 0.0}, r'source must be a node index \(int\), got 0\.0'),
         ({'source': True}, 'source must be a node index'),
         ({'target': None}, 'target must be a node index .*None'),
+        ({'legs': 0}, '0 legs'),
+        ({'legs': 2}, '2 legs need as many copies'),
         ({'source': 2}, 'source and target are the same node, 2'),
     ],
 )

@@ -157,22 +157,6 @@ def test_a_site_that_two_legs_pass_counts_twice():
     assert solve(roads.network((2, 3)), options=FREE).value == pytest.approx(0.75, rel=NEAR)
 
 
-@pytest.mark.parametrize(('change', 'words'), [
-    ({'legs': 0}, 'legs must be'), ({'legs': 4}, 'copies'), ({'legs': True + 1.5}, 'legs must be'),
-    ({'alpha': [0, 0, 0, 0, 1, 0]}, 'same points and losses'),
-    ({'edges': [(0, 1), (1, 2), (2, 5), (3, 4), (1, 4), (4, 5)]}, 'end at one stop'),
-    ({'edges': [(0, 1), (4, 5)]}, 'end at one stop'),
-    ({'edges': [(4, 1), (1, 5)]}, 'end at one stop'),
-    ({'target': 1}, 'end at one stop'),
-])
-def test_invalid_layers_are_refused(change, words):
-    good = {'points': [(0, 0), (1, 0), (2, 0)] * 2, 'alpha': [0] * 6,
-            'edges': [(0, 4), (4, 5)], 'source': 0, 'target': 5, 'legs': 2}
-    assert Network(**good).stops.tolist() == [4]
-    with pytest.raises(InvalidNetwork, match=words):
-        Network(**{**good, **change})
-
-
 @pytest.fixture(scope='module')
 def risk_map():
     rng = np.random.default_rng(5)
@@ -273,7 +257,7 @@ def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):
                   network.edges[network.tails < count] % count, network.source,
                   int(network.stops[0]) % count)
     alone = make_corridors(leg, risk_map)
-    for name in ('uv', 'links', 'left', 'right', 'beyond'):
+    for name in ('uv', 'links', 'widths', 'beyond'):
         assert np.array_equal(getattr(trip.corridors, name), getattr(alone, name))
 
 

@@ -31,11 +31,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     The image is written first, so that an existing YAML file implies both. ``remark`` becomes a
     comment.
 
-    Raises
-    ------
-    InvalidTerrain
-        ``path`` does not end with .yaml or .yml.
-    OSError
+    Raises InvalidTerrain if ``path`` does not end with .yaml or .yml; OSError.
     """
     if path.suffix not in ('.yaml', '.yml'):
         raise InvalidTerrain(f'{path}: the name of a map must end with .yaml')
@@ -57,12 +53,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
 def read_map(path: Path) -> OccupancyMap:
     """Read a map_server YAML file and its image; formats other than PGM need Pillow.
 
-    Raises
-    ------
-    InvalidTerrain
-        Either file is malformed.
-    OSError
-        Either file cannot be opened.
+    Raises InvalidTerrain if either file is malformed, OSError if it cannot be opened.
     """
     try:
         fields = yaml.safe_load(path.read_text(encoding='utf-8'))

@@ -68,26 +68,12 @@ def sample_departures(
 ) -> list[IndexArray]:
     """Draw the routes of ``n`` convoys of one day: node indices (K,) each.
 
-    Parameters
-    ----------
-    strategy
-        Distribution of each single route.
-    n
-        Number of convoys.
-    rng
-        Random source.
-    distinct
-        Size of the middle section, as a share of the way, in which routes share no node; 0: no
-        constraint, 1: routes meet only at their ends.
-    tries
-        Number of days drawn before giving up.
+    ``distinct`` is the size of the middle section, as a share of the way, in which routes share no
+    node; with 0 they may share any, with 1 they meet only at their ends. After ``tries`` days, it
+    gives up.
 
-    Raises
-    ------
-    NotDistinct
-        No such day was drawn; states how many convoys can have distinct routes.
-    InvalidOption
-        ``n``, ``distinct`` or ``tries`` is out of range, or the strategy has stops.
+    Raises NotDistinct, which states how many convoys can have distinct routes, if no such day was
+    drawn; InvalidOption if an option is out of range or the strategy has stops.
     """
     return draw_days(strategy, n, 1, rng, distinct, tries)[0][0]
 
