@@ -44,20 +44,6 @@ def test_warns_of_dropped_edges_into_the_source_and_out_of_the_target():
     assert network.dropped_edges.tolist() == [[1, 0], [2, 1], [2, 0]]
 
 
-@pytest.mark.parametrize('integer', [np.int32, np.uint8, np.int64])
-def test_accepts_any_integer_type(integer):
-    edges = np.array(GOOD['edges'], dtype=integer)
-    network = Network(**{**GOOD, 'edges': edges, 'source': integer(0), 'target': integer(2)})
-    assert network.edges.dtype == np.int64
-    assert type(network.source) is int
-
-
-def test_accepts_a_network_without_edges():
-    for edges in ([], np.empty((0, 2), int)):
-        network = Network(**{**GOOD, 'edges': edges})
-        assert network.edges.shape == (0, 2) and network.lengths.shape == (0,)
-
-
 @pytest.mark.parametrize(
     'change, words',
     [

@@ -75,9 +75,8 @@ def with_moved_end(
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:
     """Replace the widths of some links (K,)."""
-    widths, beyond, shortcut = (
-        each.copy() for each in (corridors.widths, corridors.beyond, corridors.shortcut)
-    )
+    widths, beyond = corridors.widths.copy(), corridors.beyond.copy()
     widths[links], beyond[links] = measured.widths, measured.beyond
+    shortcut = corridors.shortcut.copy()
     shortcut[links] &= measured.widths.min(axis=1) > 0.0  # without width it may touch an obstacle
     return replace(corridors, shortcut=shortcut, widths=widths, beyond=beyond)
