@@ -60,8 +60,7 @@ def test_rows_equal_cold_solves(network):
     detours, game = (1.5, 1.05), GameOptions(ambush_radius=1.5)
     for row in frontier(network, game, detours, (0.1,)):
         alone = solve(
-            network, game,
-            StrategyOptions(max_detour=row.max_detour, risk_slack=row.risk_slack),
+            network, game, StrategyOptions(max_detour=row.max_detour, risk_slack=row.risk_slack)
         )
         assert row.lower_bound == pytest.approx(alone.lower_bound, rel=1e-5)
         assert row.route_entropy == pytest.approx(alone.route_entropy, rel=ENTROPY, abs=ENTROPY)
@@ -149,10 +148,8 @@ def test_row_without_a_strategy_is_a_finding(map_file, tmp_path):
 
 
 @pytest.mark.parametrize(('arguments', 'reason'), [
-    (('--set', 'strategy.max_detour=0.5'), 'max_detour'),
-    (('--detours', '0.5'), 'max_detour'),
-    (('--goal', '95', '95'), 'goal'),
-    (('-o', 'f.png'), 'choose TABLE.csv'),
+    (('--set', 'strategy.max_detour=0.5'), 'max_detour'), (('--detours', '0.5'), 'max_detour'),
+    (('--goal', '95', '95'), 'goal'), (('-o', 'f.png'), 'choose TABLE.csv'),
 ])
 def test_bad_input_exits_3_with_one_line(map_file, tmp_path, arguments, reason):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)

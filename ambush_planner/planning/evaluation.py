@@ -42,9 +42,7 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
     """
     game, q = strategy.game, strategy.ambush_probability
     p_first = _meeting_probability(game, strategy.edge_probability, q)
-    stochastic = Measures(
-        'stochastic', strategy.expected_length, p_first, p_first, strategy.value
-    )
+    stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
     return {
         'stochastic': stochastic,
         'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
@@ -73,9 +71,6 @@ def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measur
     p = route_strategy(game.network, route)
     worst = upper_bound(game, p)
     return Measures(
-        planner,
-        float(p @ game.network.lengths),
-        _meeting_probability(game, p, q),
-        1.0 if worst > 0.0 else 0.0,
-        worst,
+        planner, float(p @ game.network.lengths), _meeting_probability(game, p, q),
+        1.0 if worst > 0.0 else 0.0, worst,
     )
