@@ -11,9 +11,14 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..maps.risk_map import RiskMap
-from ..recordings import UnreadableRecording, recordings_in
+from ..recordings import (
+    RecordedDeparture,
+    UnreadableRecording,
+    read_departures,
+    recordings_in,
+    source_findings,
+)
 from ..recordings.audit import Audit, NotAuditable, audit
-from ..recordings.recorded_departures import RecordedDeparture, read_departures, source_findings
 from . import cli
 from .figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, probability_scale
 

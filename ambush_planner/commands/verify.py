@@ -49,7 +49,7 @@ def verify_files(
     return [verifier.verify(path) for path in console.progress(paths, 'verified')]
 
 
-def _work(options: argparse.Namespace, console: cli.Console) -> int:
+def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     paths = recordings_in(options.recordings)
     console.say(f'verifying {cli.count(len(paths), "recording")}')
     verdicts = verify_files(paths, console, options.replan)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from .recorded_departures import RecordedDeparture
+from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
