@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from .messages import RecordedMessage
+from .messages import Channel, RecordedMessage
 from .qos_text import fields_from_yaml
 from .schemas import load_definition
 
@@ -24,18 +24,18 @@ class BagFile(NamedTuple):
     name: str
     start_ns: int
     end_ns: int
-    counts: tuple[tuple[tuple[str, str, str], int], ...]
+    counts: tuple[tuple[Channel, int], ...]
 
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = Counter((each.topic, each.type, each.qos_text) for each in messages)
+    counts = Counter(each.channel for each in messages)
     return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, tuple(counts.items()))
 
 
 def bag_text(files: Sequence[BagFile]) -> bytes:
     """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
-    counts: Counter[tuple[str, str, str]] = Counter()
+    counts: Counter[Channel] = Counter()
     # Nearly all files have equal counts; adding them up one by one takes longer than recording.
     for equal, times in Counter(each.counts for each in files).items():
         for topic, number in equal:

@@ -3,9 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from .qos_text import qos_to_yaml
+
+
+class Channel(NamedTuple):
+    """A topic with one type and one quality of service, as the text of ``offered_qos_profiles``."""
+
+    topic: str
+    type: str
+    qos: str
 
 
 @dataclass(frozen=True)
@@ -33,9 +41,10 @@ class RecordedMessage:
     stamp_ns: int
 
     @property
-    def qos_text(self) -> str:
-        """The profile in the format of ``offered_qos_profiles``."""
-        return self.qos if isinstance(self.qos, str) else qos_to_yaml(self.qos)
+    def channel(self) -> Channel:
+        """The channel on which the message is recorded."""
+        qos = self.qos if isinstance(self.qos, str) else qos_to_yaml(self.qos)
+        return Channel(self.topic, self.type, qos)
 
 
 def type_name(message: Any) -> str:

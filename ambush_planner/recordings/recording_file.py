@@ -18,7 +18,7 @@ from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from .messages import RecordedMessage
+from .messages import Channel, RecordedMessage
 from .recording_errors import UnreadableRecording, reading_from
 from .schemas import load_definition
 
@@ -96,20 +96,20 @@ def encode(
     for name, data in attachments.items():
         writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
     schemas: dict[str, int] = {}
-    channels: dict[tuple[str, str, str], int] = {}
+    channels: dict[Channel, int] = {}
     for message in messages:
         definition = load_definition(message.type)
         if message.type not in schemas:
             schemas[message.type] = writer.register_schema(
                 message.type, definition.encoding, definition.text.encode()
             )
-        key = message.topic, message.type, message.qos_text
-        if key not in channels:
-            channels[key] = writer.register_channel(
+        channel = message.channel
+        if channel not in channels:
+            channels[channel] = writer.register_channel(
                 message.topic, MessageEncoding.CDR, schemas[message.type],
-                {'offered_qos_profiles': key[2], 'topic_type_hash': definition.type_hash},
+                {'offered_qos_profiles': channel.qos, 'topic_type_hash': definition.type_hash},
             )
-        writer.add_message(channels[key], message.stamp_ns, message.data, message.stamp_ns)
+        writer.add_message(channels[channel], message.stamp_ns, message.data, message.stamp_ns)
     writer.finish()
     return stream.getvalue()
 
