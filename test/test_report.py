@@ -250,7 +250,7 @@ def test_output_is_required_private_and_replaced_only_if_requested(tmp_path, a_p
     assert report.main([str(tmp_path / 'in'), '-o', str(out)]) == 0
     assert out.stat().st_mode & 0o777 == 0o700
     assert (out / 'report.html').stat().st_mode & 0o777 == 0o600
-    for arguments, said in (([], '-o DIR'), (['-o', str(out)], '--replace')):
+    for arguments, said in (([], '-o/--output'), (['-o', str(out)], '--replace')):
         with pytest.raises(SystemExit) as stop:
             report.main([str(tmp_path / 'in'), *arguments])
         assert stop.value.code == 2 and said in capsys.readouterr().err

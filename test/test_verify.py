@@ -252,7 +252,7 @@ def test_a_clock_at_zero_or_set_back_on_the_way(tmp_path, capsys, monkeypatch):
 
 def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys, monkeypatch):
     """Start and goal move a little and an obstacle appears: routes are drawn until clear."""
-    monkeypatch.setattr(DisplayedPlan, '_solve_anew', lambda *_: None)
+    monkeypatch.setattr(DisplayedPlan, '_resolve', lambda *_: None)
     parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9, 'network.spacing': 1.0}
     with stage(tmp_path, parameters) as running:
         client = running.give()

@@ -49,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
         help='folder for the results; made if missing (default: %(default)s)',
     )
     made.add_argument(
-        '-n', '--departures', type=cli.positive, default=8, metavar='COUNT',
+        '-n', '--departures', type=cli.number(1, 1e6, int), default=8, metavar='COUNT',
         help='number of routes to request (default: %(default)s)',
     )
     return made
@@ -71,11 +71,10 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if len(recordings) != options.departures:
         raise DemoFailed(f'{options.departures} departures left {len(recordings)} recordings')
     console.step('verifying the recordings and writing the report')
-    written = write_report(recordings[0].parent, folder, True, console)
-    if written.code != cli.Exit.HOLDS:
+    code, sections = write_report(recordings[0].parent, folder, True, console)
+    if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
-    section = written.sections[-1]
-    strategy = section.strategy
+    section, strategy = sections[-1], sections[-1].strategy
     figure = routes_figure(
         section.risk_map, strategy, [path[:, :2] for path in paths], fixed_routes(strategy),
         SECURED_RADIUS,

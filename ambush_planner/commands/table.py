@@ -48,7 +48,7 @@ def parser() -> argparse.ArgumentParser:
     )
     add_set(made)
     made.add_argument(
-        '--jobs', type=cli.positive, default=len(os.sched_getaffinity(0)), metavar='N',
+        '--jobs', type=cli.number(1, 1e3, int), default=len(os.sched_getaffinity(0)), metavar='N',
         help='processes (default: one for each processor)',
     )
     return made
