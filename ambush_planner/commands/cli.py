@@ -92,6 +92,12 @@ def add_output(parser: argparse.ArgumentParser, what: str, required: bool = Fals
     parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
 
 
+def add_table(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a command that writes a table."""
+    parser.add_argument('-o', '--output', type=Path, required=True, metavar='TABLE.csv',
+                        help='the table to write')
+
+
 def number(least: float, most: float, kind: type = float) -> Callable[[str], Any]:
     """Return a parser of numbers of a kind from ``least`` to ``most``."""
     def number(text: str) -> Any:
