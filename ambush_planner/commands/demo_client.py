@@ -30,10 +30,7 @@ class NoAnswer(AmbushPlannerError):
 
 
 class DemoClient:
-    """A ROS node with its own context, used as a context manager.
-
-    ``check`` is called while waiting, and may raise.
-    """
+    """A ROS node with its own context; ``check`` is called while waiting, and may raise."""
 
     def __init__(self, domain: int, check: Callable[[], None]) -> None:
         self._domain, self._check = domain, check
@@ -60,10 +57,8 @@ class DemoClient:
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def publish_inputs(
-        self, values: np.ndarray, resolution: float, start: tuple[float, float],
-        goal: tuple[float, float],
-    ) -> None:
+    def publish_inputs(self, values: np.ndarray, resolution: float, start: tuple[float, float],
+                       goal: tuple[float, float]) -> None:
         """Publish map values, start and goal, and wait until the node plans; raises NoAnswer."""
         # The node's subscriptions of start and goal are volatile: earlier messages would be lost.
         inputs = self._map, self._start, self._goal
