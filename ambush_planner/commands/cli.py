@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from functools import partial
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -158,6 +159,11 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
     make_private_folders(Path(os.path.abspath(folder)))
     for name, data in files.items():
         write_durably(folder / name, data)
+
+
+def resource(name: str) -> str:
+    """Return the text of a file of this package."""
+    return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
 def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:

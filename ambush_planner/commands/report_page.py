@@ -12,13 +12,12 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib import resources
 from string import Template
 
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
-from .cli import count
+from .cli import count, resource
 from .figures import ROUTES
 
 SEVERAL = (
@@ -62,11 +61,6 @@ def page(sections: Sequence[Section], unreadable: int, checks: Checks | None) ->
             for k, section in enumerate(sections, start=1)
         ),
     )
-
-
-def resource(name: str) -> str:
-    """Return the text of a file of this package."""
-    return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
 def colours(section: Section) -> dict[int, str]:
