@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import AmbushPlannerError
-from .console import WIDTH as WIDTH
 from .console import Console as Console
 from .console import count as count
 from .console import place as place
@@ -145,11 +144,10 @@ def _run(
 
 def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
     """Raise UsageError if a file with one of the names exists in the folder, unless ``replace``."""
-    for path in (folder / name for name in names):
-        if os.path.lexists(path) and not replace:
-            raise UsageError(
-                f'{place(path)} exists already; add --replace, or choose another folder with -o'
-            )
+    for name in names:
+        if (folder / name).exists() and not replace:
+            raise UsageError(f'{place(folder / name)} exists already; add --replace, or choose '
+                             'another folder with -o')
 
 
 def write_private(folder: Path, files: Mapping[str, bytes]) -> None:

@@ -35,10 +35,10 @@ class Console:
         if not (self._json or self._quiet):
             print(text, flush=True)
 
-    def item(self, text: str) -> None:
-        """Print details of the line before, indented and wrapped."""
-        self.line(fill(text, WIDTH, initial_indent=' ' * 7, subsequent_indent=' ' * 9,
-                       break_long_words=False, break_on_hyphens=False))
+    def item(self, text: str, indent: int = 7) -> None:
+        """Print wrapped text, by default as details of the line before."""
+        self.line(fill(text, WIDTH, initial_indent=' ' * indent, break_long_words=False,
+                       subsequent_indent=' ' * (indent + 2), break_on_hyphens=False))
 
     def say(self, text: str) -> None:
         """Print a progress message."""
