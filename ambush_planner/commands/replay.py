@@ -13,8 +13,7 @@ from typing import Any
 
 from ..errors import AmbushPlannerError
 from ..recordings import UnreadableRecording, read_recording, recordings_in
-from ..recordings.messages import Channel
-from ..recordings.qos_text import DURATIONS, fields_from_yaml
+from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
 from . import cli
 
 NODE_NAME = 'ambush_replay'

@@ -62,10 +62,9 @@ def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
     sections: list[Section] = []
     for each in departures:
         section = next((section for section in sections if section.includes(each)), None)
-        if section:
-            section.departures.append(each)
-        else:
-            sections.append(Section([each]))
+        if section is None:
+            sections.append(section := Section([]))
+        section.departures.append(each)
     return sections
 
 
