@@ -103,13 +103,10 @@ def _as_text(rows: Sequence[FrontierRow]) -> str:
     return '\n'.join(lines)
 
 
-def frontier_figure(
-    rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
-) -> Figure:
+def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: float) -> Figure:
     """Plot value, exposure and route entropy: over the detour (left) and over the slack (right).
 
-    Dashed lines mark ``max_detour`` and ``risk_slack``, each of which is fixed in the sweep of the
-    other.
+    Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
     """
     figure = Figure(figsize=(11.0, 9.0), dpi=110, layout='constrained')
     panels = figure.subplots(3, 2, sharex='col', sharey='row')

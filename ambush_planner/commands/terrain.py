@@ -88,12 +88,9 @@ def _summary(ground: TerrainMap) -> str:
     values = ground.values
     risk = values[(values >= 0) & (values < 100)]
     spread = ', '.join(f'{v:.0f}' for v in np.percentile(risk, [10, 50, 90])) if risk.size else '-'
-    return (
-        f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
-        f'{100.0 * np.mean(values == 100):.1f} % too steep, '
-        f'{100.0 * np.mean(values == -1):.1f} % unknown; risk of the rest (10 %, 50 %, 90 %) '
-        f'{spread}'
-    )
+    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
+            f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
+            f' % unknown; risk of the rest (10 %, 50 %, 90 %) {spread}')
 
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:

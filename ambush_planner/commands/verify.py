@@ -76,12 +76,9 @@ def _print_below(console: cli.Console, problems: Sequence[str], notes: Sequence[
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
     return {
-        'file': cli.place(verdict.path),
-        'number': verdict.number,
-        'holds': verdict.holds,
+        'file': cli.place(verdict.path), 'number': verdict.number, 'holds': verdict.holds,
         'value': verdict.value if math.isfinite(verdict.value) else None,
-        'problems': verdict.problems,
-        'notes': verdict.notes,
+        'problems': verdict.problems, 'notes': verdict.notes,
     }
 
 

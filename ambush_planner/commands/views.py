@@ -1,9 +1,8 @@
 """``ambush_views``: RViz and Foxglove layouts for a map of any size.
 
 The two templates next to this file, installed in share/ambush_planner/config, fit the example map
-of 10 m x 8 m. Heights: the path is at 0, as it is driven; line markers are below it and discs above
-it, see ``ros.markers``. Foxglove draws transparent lines last, the higher ones in front, and a
-transparent map hides nothing below it.
+of 10 m x 8 m. The path is at height 0, line markers are below it and discs above it. Foxglove draws
+transparent lines last, the higher ones in front.
 """
 
 from __future__ import annotations

@@ -251,9 +251,7 @@ def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatAr
     return mean, variance
 
 
-def _p_value(
-    passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray
-) -> float:
+def _p_value(passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray) -> float:
     """Monte Carlo p-value of the first row of ``passages`` (1 + resamples, C)."""
     recorded, *drawn = ((row - expected) ** 2 @ (1.0 / (variance + 1.0)) for row in passages)
     reached = np.count_nonzero(np.array(drawn) >= recorded * (1.0 - ROUNDING))

@@ -54,8 +54,8 @@ class RecordedDeparture:
         ``request`` and ``response``.
     topics
         The topics of map, start, goal and path, and of the stops (``via``) if there are any.
-    trip, ends
-        The planned trip, and the ends of the driven path, which may lie near the trip's [m].
+    ends
+        The ends of the driven path, which may lie near the trip's [m].
     route : (K,)
         Node indices, drawn by ``numpy.random.default_rng(route_entropy_source)``.
     strategy, stated

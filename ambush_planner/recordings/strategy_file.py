@@ -40,9 +40,7 @@ def strategy_file(strategy: Strategy) -> bytes:
     return stream.getvalue()
 
 
-def strategy_from_file(
-    data: bytes, options: GameOptions
-) -> tuple[Strategy, Mapping[str, float]]:
+def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Mapping[str, float]]:
     """Return the strategy in the bytes of a ``strategy.npz``, and the numbers stated there.
 
     ``options`` are the game's. Everything that follows from the probabilities, including the

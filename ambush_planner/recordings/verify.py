@@ -143,9 +143,7 @@ def network_problems(
 ) -> list[str]:
     """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
-    laid = trip_network(
-        risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order
-    )
+    laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
     ends = attrgetter('source', 'target', 'legs')
     if ends(recorded) != ends(network) or not all(
