@@ -163,7 +163,7 @@ def message_of(recorded):
 
 def fields(message):
     """What of a recorded message comes back from a file."""
-    return (message.topic, message.type, message.data, message.qos_text, message.stamp_ns)
+    return (message.topic, message.type, message.data, message.channel.qos, message.stamp_ns)
 
 
 def assert_same(sent, read):

@@ -94,8 +94,7 @@ def test_random_sources_that_repeat_are_short_or_fixed_are_found(
     tmp_path, a_plan, capsys, entry, seed, said
 ):
     folder = recorded(tmp_path / 'in', a_plan, drawn(a_plan, 6), lambda k: {
-        'route_entropy_source': json.dumps(entry(k)),
-        'parameters': json.dumps(parameters(seed=seed)),
+        'route_entropy_source': entry(k), 'parameters': parameters(seed=seed),
     })
     code, text = run(capsys, folder)
     assert code == 1 and said in text

@@ -70,7 +70,7 @@ def play(files, client, rate):
 
 
 def _qos(recorded):
-    latched = 'durability: transient_local' in recorded.qos_text
+    latched = 'durability: transient_local' in recorded.channel.qos
     return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
                       else DurabilityPolicy.VOLATILE)
 

@@ -85,13 +85,6 @@ def test_paths_are_relative_below_the_current_folder(tmp_path, monkeypatch):
     assert cli.place(tmp_path / 'a\x1b[2J\udcff') == 'a\\x1b[2J\\udcff'
 
 
-def test_colours_only_on_a_terminal(monkeypatch):
-    for terminal, colour in ((False, False), (True, True)):
-        monkeypatch.setattr(sys.stdout, 'isatty', lambda terminal=terminal: terminal)
-        marked = Console('x', as_json=False, quiet=False).marked('FAILS', False)
-        assert ('\x1b[31m' in marked) == colour
-
-
 @pytest.mark.parametrize('tqdm', [True, False])
 def test_progress_yields_all_items_with_and_without_tqdm(tqdm, monkeypatch, capsys):
     if tqdm:

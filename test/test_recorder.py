@@ -35,7 +35,6 @@ from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recordings import Recorder, RecordingFailed, recordings_in
-from ambush_planner.recordings import durable_files as durable
 from ambush_planner.recordings import recorder as recorder_module
 from ambush_planner.recordings.durable_files import make_private_folders, write_durably
 from ambush_planner.recordings.recorder import remove_abandoned
@@ -122,7 +121,7 @@ def test_a_file_appears_under_its_name_once_it_is_on_the_disk(tmp_path, monkeypa
     assert path.read_bytes() == data and list(tmp_path.iterdir()) == [path]
 
 
-def test_existing_folders_keep_their_mode(tmp_path, monkeypatch):
+def test_existing_folders_keep_their_mode(tmp_path):
     tmp_path.chmod(0o755)
     make_private_folders(tmp_path / 'a' / 'b')
     make_private_folders(tmp_path / 'a' / 'b')
@@ -131,14 +130,6 @@ def test_existing_folders_keep_their_mode(tmp_path, monkeypatch):
     for path in (tmp_path / 'file', tmp_path / 'file' / 'below'):
         with pytest.raises(FileExistsError):
             make_private_folders(path)
-
-    def made_meanwhile(path):
-        path.mkdir()
-        raise FileExistsError
-
-    monkeypatch.setattr(durable, 'make_private_folder', made_meanwhile)
-    make_private_folders(tmp_path / 'c')
-    assert (tmp_path / 'c').is_dir()
 
 
 def test_folders_and_files_are_private_and_named_like_those_of_rosbag2(tmp_path, monkeypatch):

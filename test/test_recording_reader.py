@@ -147,7 +147,7 @@ def test_damaged_files_are_refused_or_read_the_same(tmp_path):
         # A record of a kind that no reader knows.
         assert (found.entries, found.messages) == (whole.entries, whole.messages)
         assert found.attachments == whole.attachments
-    assert refused > 200
+    assert refused > 90  # the summary is not read
 
 
 @pytest.mark.parametrize(('change', 'words'), [
@@ -201,7 +201,7 @@ def test_a_part_that_cannot_be_read_is_named(files, tmp_path, spoil, words):
 
 
 def test_what_is_no_file(tmp_path):
-    for path, words in ((tmp_path / 'none', 'No such file'), (tmp_path, 'it is not a file')):
+    for path, words in ((tmp_path / 'none', 'No such file'), (tmp_path, 'Is a directory')):
         with pytest.raises(UnreadableRecording, match=words):
             read_recording(path)
     with pytest.raises(UnreadableRecording, match='no .mcap file in this folder'):

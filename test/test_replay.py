@@ -167,7 +167,7 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
     path = [m for m in forger.messages if m.type.endswith('Path')]
     with listener(path) as (found, domain):
         code, _ = replayed(
-            domain, tmp_path, '--rate', '5', '--every', '1', '--', '/path')
+            domain, tmp_path, '--rate', '5', '--every', '1', '--topics', '/path')
         assert_received(found, path * 3)
         # Not the hours that passed between them, but 2 s, or less if the first came late.
         assert 0.5 < found.span() < 300.0
@@ -175,7 +175,7 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
     for number in ('2', '-1'):
         with listener(path) as (found, domain):
             code, _ = replayed(
-                domain, tmp_path, '--rate', '50', '--departure', number, '--', '/path')
+                domain, tmp_path, '--rate', '50', '--departure', number, '--topics', '/path')
             assert code == 0
             assert_received(found, path)
 
@@ -183,7 +183,7 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
 def test_publishers_stay_until_ctrl_c_with_keep(slow):
     path = [m for m in read_recording(slow).messages if m.topic == '/path']
     with listener(path) as (found, domain), \
-            replaying(domain, slow, '--rate', '50', '--keep', '--', '/path') as process:
+            replaying(domain, slow, '--rate', '50', '--keep', '--topics', '/path') as process:
         wait_until(found.count, 'the path')
         late = Listener(found.node)
         late.listen('/path', PathMessage, LATCHED)
@@ -215,7 +215,7 @@ def test_only_some_topics_and_other_names(slow):
             found.listen(topic, kind, LATCHED)
         remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
         code, said = replayed(
-            domain, slow, '--', '/path', '/goal_pose', *remap, listening=False)
+            domain, slow, '--topics', '/path', '/goal_pose', *remap, listening=False)
         assert code == 0
         assert 'nobody listens to /goal_pose' in said
         wait_until(found.count, 'the path under its other name')
@@ -303,8 +303,8 @@ def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
     (['{}', '--rate', '0'], 2, '--rate'),
     (['{}', '--every', 'nan'], 2, '--every'),
     (['{}', '--departure', '2'], 3, 'there are 1 departure'),
-    (['{}', '--', '/x'], 3, "nothing is recorded on '/x', only on /alpha_map, "),
-    (['{}', '--inputs-only', '--', '/path'], 3, 'none of these topics is an input'),
+    (['{}', '--topics', '/x'], 3, 'nothing is recorded on /x, only on /alpha_map, '),
+    (['{}', '--inputs-only', '--topics', '/path'], 3, 'none of these topics is an input'),
     (['{}', '--ros-args', '-x'], 2, 'after --ros-args'),
     (['--help'], 0, ''),
 ])
@@ -323,21 +323,6 @@ def test_recorded_profiles_are_what_the_node_offers(files):
     assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())
 
 
-def test_signal_handlers_are_restored(slow, tmp_path):
-    def mine(*_):
-        pass
-
-    numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, mine) for number in numbers]
-    try:
-        with free_domain() as domain:
-            assert replayed(domain, tmp_path / 'none')[0] == 3
-        assert [signal.getsignal(number) for number in numbers] == [mine, mine]
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
-
-
 @pytest.mark.slow
 def test_a_listener_that_pauses_loses_nothing(files, tmp_path):
     for name in ('1.mcap', '2.mcap'):
@@ -351,7 +336,7 @@ def test_a_listener_that_pauses_loses_nothing(files, tmp_path):
         stack.callback(listening.kill)
         assert listening.stdout.readline() == 'listening\n'
         process = stack.enter_context(
-            replaying(domain, tmp_path, '--every', '2', '--', '/goal_pose'))
+            replaying(domain, tmp_path, '--every', '2', '--topics', '/goal_pose'))
         assert listening.stdout.readline() == 'received\n'
         listening.send_signal(signal.SIGSTOP)
         assert any('2.mcap: 1 message' in line for line in process.stderr)

@@ -20,7 +20,7 @@ from audit_samples import START, departure, drawn, parameters, record, sample_pl
 from commands import documented_keys
 from ros_harness import stage
 
-from ambush_planner.commands import report, report_page, report_words
+from ambush_planner.commands import cli, report, report_page, report_words
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
@@ -109,7 +109,7 @@ def test_the_page_is_whole_and_needs_nothing_else(made):
 def test_the_policy_names_the_only_script(made):
     page, _ = made
     (script,) = re.findall(r'(?s)<script>(.*?)</script>', page.html)
-    assert page.scripts == 1 and script == report_page.resource('report_map.js')
+    assert page.scripts == 1 and script == cli.resource('report_map.js')
     digest = b64encode(hashlib.sha256(script.encode()).digest()).decode()
     assert f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{digest}'" in [
         value for _, name, value in page.attributes if name == 'content'
@@ -250,7 +250,7 @@ def test_output_is_required_private_and_replaced_only_if_requested(tmp_path, a_p
     assert report.main([str(tmp_path / 'in'), '-o', str(out)]) == 0
     assert out.stat().st_mode & 0o777 == 0o700
     assert (out / 'report.html').stat().st_mode & 0o777 == 0o600
-    for arguments, said in (([], '-o DIR'), (['-o', str(out)], '--replace')):
+    for arguments, said in (([], '-o/--output'), (['-o', str(out)], '--replace')):
         with pytest.raises(SystemExit) as stop:
             report.main([str(tmp_path / 'in'), *arguments])
         assert stop.value.code == 2 and said in capsys.readouterr().err

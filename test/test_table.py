@@ -89,7 +89,7 @@ def test_options_have_the_names_of_parameters():
 
 
 @pytest.mark.parametrize(('assignment', 'reason'), [
-    ('network.spacing', 'NAME=VALUE'),
+    ('network.spacing', 'of type float'),
     ('spacing=3', 'no option'),
     ('network.spacing=wide', 'of type float'),
     ('network.target_nodes=2.5', 'of type int'),
