@@ -101,16 +101,6 @@ def test_random_sources_that_repeat_are_short_or_fixed_are_found(
     assert code == 1 and said in text
 
 
-def test_departures_of_several_strategies_are_audited_together(tmp_path, a_plan, capsys):
-    other = sample_plan(hill=90)
-    record(tmp_path / 'in', [
-        *(departure(a_plan, r, k) for k, r in enumerate(drawn(a_plan, 3))),
-        *(departure(other, r, k + 20, hill=90) for k, r in enumerate(drawn(other, 3, 9))),
-    ])
-    code, text = run(capsys, tmp_path / 'in', '-o', tmp_path / 'out')
-    assert code == 0 and '6 departures' in text
-
-
 def test_too_few_departures_and_strategies_with_cycles_exit_4(tmp_path, a_plan, capsys):
     few = recorded(tmp_path / 'few', a_plan, drawn(a_plan, 4))
     code, text = run(capsys, few, '-o', tmp_path / 'out')

@@ -1,13 +1,10 @@
 """Bad requests: the answer names the input and its numbers, and the node goes on."""
 
-import gc
 import math
 
 import numpy as np
 import pytest
 from ros_harness import pose, risk_grid, stage
-
-from ambush_planner.ros.inputs import Trip
 
 NAN = math.nan
 START, GOAL = (1.5, 5.5), (8.5, 5.5)
@@ -74,30 +71,6 @@ def test_no_route():
         assert not answer.success
         assert 'no route from (1.500, 5.500) to (8.500, 5.500)' in answer.message
         running.client.diagnostics(code='NO_VALID_PATH')
-
-
-def test_requests_that_fail_leave_nothing_for_the_garbage_collector(client):
-    outside = pose(*START), pose(100.0, 5.5)
-    gc.collect()
-    gc.disable()
-    try:
-        for _ in range(5):
-            assert not client.get_plan(*outside).poses
-        client.diagnostics(code='GOAL_OUTSIDE_MAP', state='ready')
-        assert sum(isinstance(each, Trip) for each in gc.get_objects()) <= 1
-    finally:
-        gc.enable()
-
-
-def test_too_little_time():
-    # The plain game's value needs no program and is the best at once: a reach takes its time.
-    parameters = {
-        'max_planning_time': 0.001, 'network.spacing': 0.2, 'game.ambush_radius': 1.0}
-    with stage(parameters=parameters) as running:
-        answer = running.give().call('new_route')
-        assert not answer.success
-        assert 'allow more time' in answer.message
-        running.client.diagnostics(code='TIMEOUT')
 
 
 def test_a_cached_plan_does_not_answer_for_a_goal_at_the_start(client):

@@ -113,7 +113,3 @@ def test_bad_pose_is_refused_by_name_and_number(name):
     message, words = BAD_POSES[name]
     with pytest.raises(InvalidPose, match=words):
         position_from_ros(message, 'goal')
-
-
-def test_position_of_a_good_pose():
-    assert position_from_ros(pose(1.0, 2.0, 0.5), 'goal') == (1.0, 2.0)

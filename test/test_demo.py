@@ -15,7 +15,7 @@ import pytest
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
 import rclpy
-from commands import documented_keys, run_here
+from commands import documented_keys
 from matplotlib.image import imread
 from rclpy.context import Context
 from rosbags.highlevel import AnyReader
@@ -114,19 +114,6 @@ def test_table_frontier_and_progress_agree_with_the_result(done, folder):
         row = next(csv.DictReader(file))
     assert float(row['value']) == pytest.approx(value, rel=0.01)
     assert (folder / 'frontier.png').read_bytes().startswith(b'\x89PNG')
-
-
-def test_output_that_is_a_file_is_refused(tmp_path):
-    (tmp_path / 'file').write_text('')
-    done = run_here(demo, '-o', tmp_path / 'file')
-    assert done.code == 3
-    assert done.err.startswith('ambush_demo: ') and 'Traceback' not in done.err
-
-
-@pytest.mark.parametrize('count', ['0', '-1', '1.5', 'many'])
-def test_bad_number_of_departures_is_refused(count):
-    done = run_here(demo, f'--departures={count}')
-    assert done.code == 2 and repr(count) in done.err
 
 
 def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):

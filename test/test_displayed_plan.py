@@ -173,22 +173,6 @@ def test_updates_that_do_not_fit_are_refused_and_the_map_stays(
     client.diagnostics(code='NONE')
 
 
-def test_updates_that_are_malformed_or_come_before_a_map_are_refused():
-    with stage() as running:
-        client = running.client
-        update(client, 0, 0, [[1]])
-        client.diagnostics(code='NO_MAP')
-        running.give()
-        client.diagnostics(code='NONE')
-        client.publish('alpha_map_updates', b'\0\1\0\0nothing', OccupancyGridUpdate)
-        client.diagnostics(code='INVALID_MESSAGE')
-        running.give(risk_grid(FLAT))
-        client.publish('alpha_map_updates', OccupancyGridUpdate(
-            header=header(), width=2, height=1, data=[1]))
-        assert '1 cells, but width 2 x height 1' in client.diagnostics(
-            code='INVALID_MAP')['message']
-
-
 def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp_path):
     with stage(tmp_path) as running:
         client = running.give(risk_grid(FLAT))

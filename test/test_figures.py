@@ -78,13 +78,6 @@ def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
     np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
 
 
-@pytest.mark.parametrize('largest', [0.0, 1e-9, 0.3, 1.0])
-def test_probability_scale_is_never_empty(largest):
-    scale = figures.probability_scale(np.array([0.0, largest]))
-    assert scale.vmin == figures.LEAST_PROBABILITY < scale.vmax
-    assert np.isfinite(scale(largest))
-
-
 def test_binned_directions_are_weighted_means():
     points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
@@ -98,16 +91,6 @@ def test_binned_directions_are_weighted_means():
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
 
 
-def test_one_bin_has_the_mean_of_all(small_plan):
-    strategy = small_plan.strategy
-    _, mean, share = binned_directions(
-        small_plan.network.points, strategy.mean_direction(), strategy.visit_probability, 1e9
-    )
-    assert share.tolist() == [1.0]
-    x = strategy.visit_probability
-    np.testing.assert_allclose(mean[0], x @ strategy.mean_direction() / x.sum())
-
-
 def test_markers_show_ambush_sites_by_probability(axes, small_plan):
     q = small_plan.strategy.ambush_probability
     figures.draw_ambush_sites(axes, small_plan.network, q)
@@ -116,11 +99,6 @@ def test_markers_show_ambush_sites_by_probability(axes, small_plan):
     sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
     np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
                                   np.argsort(shown, kind='stable'))
-
-
-def test_no_ambush_sites_no_markers(axes, small_plan):
-    figures.draw_ambush_sites(axes, small_plan.network, np.zeros(len(small_plan.network.points)))
-    assert len(axes.collections[0].get_offsets()) == 0
 
 
 def test_figure_of_the_demo(tmp_path, small_map, small_plan):

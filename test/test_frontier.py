@@ -140,14 +140,6 @@ def test_risk_map_from_an_npz_file(map_file, tmp_path):
         assert 'Traceback' not in done.err
 
 
-def test_row_without_a_strategy_is_a_finding(map_file, tmp_path):
-    done = run(
-        map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.0, '--slacks', 0.1,
-        '--set', 'network.spacing=15', 'game.alpha_threshold=7.5', 'strategy.max_detour=4',
-    )
-    assert done.code == 1 and 'raise max_detour' in done.out, done.err
-
-
 @pytest.mark.parametrize(('arguments', 'reason'), [
     (('--set', 'strategy.max_detour=0.5'), 'max_detour'),
     (('--detours', '0.5'), 'max_detour'),

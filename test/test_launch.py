@@ -134,19 +134,6 @@ def test_every_topic_of_the_rviz_configuration_is_remapped():
     assert shown <= remapped
 
 
-def test_the_nodes_of_the_file_run(tmp_path):
-    with launched(tmp_path) as (node, running):
-        client = Client(node)
-        client.publish('alpha_map', risk_grid())
-        client.publish('ambush/start_pose', pose(1.5, 5.5))
-        client.publish('ambush/goal_pose', pose(8.5, 5.5))
-        client.diagnostics(state='ready')
-        assert client.call('new_route').success
-        for name in OWN_NAMES:
-            assert not node.count_subscribers(name)
-            assert node.count_subscribers(f'ambush/{name}')
-
-
 def test_arguments_reach_the_node(tmp_path):
     with launched(tmp_path, namespace='convoy', map='/risk', autostart='false',
                   use_sim_time='true', params_file=str(NAV2)) as (node, running):
@@ -203,11 +190,6 @@ def test_each_command_of_the_document_is_run_or_listed_as_not_run():
     listed = DOCUMENT.split('## What has been run')[1]
     for each in NOT_RUN:
         assert f'`{each.removeprefix("ros2 run ")}`' in listed
-
-
-@pytest.mark.parametrize('text', [DOCUMENT, RVIZ.read_text()], ids=['document', 'rviz'])
-def test_rviz_by_hand_has_the_same_remappings(text):
-    assert dict(re.findall(r'-r /(\w+):=/(\S+)', text)) == OWN_NAMES
 
 
 def test_the_documents_table_has_the_arguments():

@@ -1,7 +1,5 @@
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
-import threading
-import time
 
 import pytest
 from handed_on import halt_workers
@@ -62,12 +60,6 @@ def start(running):
     manager = Manager(running.client)
     manager.go(configure='inactive', activate='active')
     return manager
-
-
-def test_it_starts_by_itself():
-    with stage() as running:
-        assert Manager(running.client).state == 'active'
-        assert running.give().call('new_route').success
 
 
 def test_without_autostart_it_waits_and_refuses_in_each_state():
@@ -198,36 +190,3 @@ def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
         monkeypatch.undo()
         start(running)
         assert running.give().call('new_route').success
-
-
-@pytest.mark.slow
-def test_it_is_cleaned_up_and_configured_under_load(tmp_path):
-    with stage(tmp_path, WAITING) as running:
-        client, manager, stop = running.client, Manager(running.client), threading.Event()
-        asked = []
-
-        def ask():
-            while not stop.is_set():
-                if sum(not each.done() for each in asked) < 10:
-                    asked.append(client.send('new_route'))
-                client.publish('goal_pose', GOAL)
-                client.publish('start_pose', START)
-                time.sleep(0.05)
-
-        start(running)
-        client.publish('alpha_map', risk_grid())
-        thread = threading.Thread(target=ask)
-        thread.start()
-        try:
-            for _ in range(3):
-                manager.go(deactivate='inactive', cleanup='unconfigured', configure='inactive')
-                manager.go(activate='active')
-                count = len(client.received['path'])
-                wait_until(lambda: len(client.received['path']) > count, 'a path')  # noqa: B023
-        finally:
-            stop.set()
-            thread.join()
-        wait_until(lambda: all(each.done() for each in asked), 'all answers')
-        answered = [each.result().success for each in asked]
-        assert any(answered) and not all(answered)
-        assert client.call('new_route').success

@@ -170,19 +170,6 @@ def test_one_cancel_ends_all_waiting_solves(submitted):
         assert report['level'] == b'\1', 'nothing has failed'
 
 
-def test_a_full_queue_answers_at_once_with_the_reason(submitted):
-    with solving() as (running, future):
-        client, before = running.client, len(submitted)
-        use(running, {'queue.size': 2})
-        for k in range(2):
-            client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(95.0, 40.0 + 10 * k)))
-        wait_until(lambda: len(submitted) == before + 2, 'the requests')
-        assert not client.get_plan(NORTH, START).poses
-        report = client.diagnostics(code='BUSY', level=b'\2', state='solving')
-        assert '2 others are waiting, the limit set by queue.size' in report['message']
-        assert client.call('cancel').success
-
-
 def test_a_queued_request_keeps_the_goal_at_the_time_of_the_request(submitted):
     with solving() as (running, future):
         client, before = running.client, len(submitted)

@@ -68,14 +68,6 @@ def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
                                   network.points[used.ravel()])
 
 
-def test_likelier_edges_are_more_opaque(strategy):
-    p = strategy.edge_probability
-    shown = alphas(only(edge_probabilities(strategy, header())))[::2]
-    order = np.argsort(p[p >= 1e-4])
-    assert (np.diff(shown[order]) >= 0.0).all()
-    assert shown.max() - shown.min() > 0.2
-
-
 def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
     marker = only(mean_direction(strategy, header()))
     strokes = positions(marker).reshape(-1, 6, 2)

@@ -70,19 +70,6 @@ def test_a_start_that_fails_leaves_nothing(values):
         assert threads() == before
 
 
-def test_a_start_that_fails_half_way_leaves_nothing(monkeypatch):
-    before = threads()
-
-    def broken(*_):
-        raise RuntimeError('half-way')
-
-    monkeypatch.setattr(PlannerNode, '_autostart', broken)
-    with free_domain() as domain, ros_context(domain) as context:
-        with pytest.raises(RuntimeError, match='half-way'):
-            PlannerNode(context=context, parameter_overrides=SMALL)
-        wait_until(lambda: threads() == before, 'the end of the threads')
-
-
 NO_END = """
 import rclpy
 from rclpy.parameter import Parameter

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from forging import GET_PLAN, MOVED_GOAL, NEW_ROUTE, SEEDED, Forger, record_runs
 from nav_msgs.msg import OccupancyGrid
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import deserialize_message
 from recording_samples import departure, fields, file_of, recorded, small_departure
 from std_msgs.msg import Header
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import (
-    RecordedMessage,
     UnreadableRecording,
     read_departure,
     read_departures,
@@ -101,21 +100,6 @@ def test_commands_read_recordings_without_ros(files):
         capture_output=True, text=True, timeout=60, check=False,
     )
     assert (done.returncode, done.stderr) == (0, '')
-
-
-def test_a_large_map_is_read_whole(tmp_path):
-    message = OccupancyGrid(header=Header(frame_id='map'))
-    message.info.width, message.info.height, message.info.resolution = 2000, 1500, 0.5
-    message.info.origin.orientation.w = 1.0
-    message.data = np.resize(np.arange(-1, 101, dtype=np.int8), 3_000_000).tolist()
-    data = serialize_message(message) + b'\0\0\0'  # padding as from the network
-    sent = RecordedMessage('/map', 'nav_msgs/msg/OccupancyGrid', data,
-                           small_departure()[0].qos, 5)
-    path = tmp_path / 'x.mcap'
-    path.write_bytes(file_of([sent]))
-    file = read_recording(path)
-    cells = np.frombuffer(file.decoded(file.messages[0]).data, np.int8)
-    assert np.array_equal(cells, message.data)
 
 
 def damaged(data):

@@ -180,33 +180,6 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
             assert_received(found, path)
 
 
-def test_publishers_stay_until_ctrl_c_with_keep(slow):
-    path = [m for m in read_recording(slow).messages if m.topic == '/path']
-    with listener(path) as (found, domain), \
-            replaying(domain, slow, '--rate', '50', '--keep', '--', '/path') as process:
-        wait_until(found.count, 'the path')
-        late = Listener(found.node)
-        late.listen('/path', PathMessage, LATCHED)
-        wait_until(late.count, 'the path for a late joiner')
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
-
-
-@pytest.mark.slow
-def test_rate(slow, tmp_path):
-    messages = read_recording(slow).messages
-    # At the recorded rate the first would take no time, and the second would not end in time. A
-    # message may come late, also the first one: little of the 1.8 s that the first takes is asked.
-    short = paced(slow, [0.001] * 9, tmp_path / 'short.mcap')
-    long = paced(slow, [100.0] * 5 + [0.1] * 4, tmp_path / 'long.mcap')
-    for path, rate, least in ((short, 0.005, 0.5), (long, 500.0, 0.0)):
-        with listener(messages) as (found, domain):
-            assert replayed(domain, path, '--rate', rate)[0] == 0
-            assert_received(found, messages)
-            assert found.span() > least
-
-
 def test_only_some_topics_and_other_names(slow):
     messages = read_recording(slow).messages
     with listener() as (found, domain):
@@ -321,21 +294,6 @@ def test_recorded_profiles_are_what_the_node_offers(files):
     assert qos['/path'].durability == DurabilityPolicy.TRANSIENT_LOCAL
     assert qos['/goal_pose'].durability == DurabilityPolicy.VOLATILE
     assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())
-
-
-def test_signal_handlers_are_restored(slow, tmp_path):
-    def mine(*_):
-        pass
-
-    numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, mine) for number in numbers]
-    try:
-        with free_domain() as domain:
-            assert replayed(domain, tmp_path / 'none')[0] == 3
-        assert [signal.getsignal(number) for number in numbers] == [mine, mine]
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 @pytest.mark.slow

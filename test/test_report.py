@@ -1,6 +1,5 @@
 """The report: one whole page, safe against what files may hold, with the right numbers."""
 
-import dataclasses
 import hashlib
 import json
 import re
@@ -27,7 +26,6 @@ from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
 from ambush_planner.recordings.report_data import (
     OBSTACLE,
-    Section,
     map_cells,
     map_data,
     packed,
@@ -143,12 +141,6 @@ def test_departures_and_settings_are_listed_without_routes_and_seeds(made):
         assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
 
 
-def test_distances_and_shares_are_readable():
-    assert report_words.distance(404.3) == '404 m'
-    assert report_words.distance(31_240.0) == '31.2 km'
-    assert report_words.percent(0.1064) == '10.6 %'
-
-
 def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
     entries = {'parameters': parameters(seed=77123)}
     page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
@@ -182,17 +174,6 @@ def test_maps_and_trips_have_sections(tmp_path, a_plan):
     assert page.tags.count('canvas') == 2 and page.tags.count('section') == 2
     assert page.text.count('3 strategies were computed for this trip') == 1
     assert 'recording.compression differs between departures' in page.text
-
-
-def test_if_no_ambush_causes_a_loss_nobody_waits(made):
-    _, section = made
-    free = dataclasses.replace(section.strategy, value=0.0)
-    calm = Section([dataclasses.replace(section.departures[-1], strategy=free)])
-    for sections, hidden in (([section], 0), ([calm], 1)):
-        page = Page(report_page.page(sections, 0, None))
-        assert page.attributes.count(('li', 'hidden', None)) == hidden
-    sites = dict(report_words.quantities(free))['sites of the best ambusher']
-    assert sites == 'none: no ambush causes a loss'
 
 
 def test_routes_on_the_map_have_the_colours_of_the_table(made):
@@ -269,13 +250,6 @@ def test_losses_and_obstacles_come_through(data):
     assert cell == 2.5 and (levels == [0.0] or not obstacles.all())
     np.testing.assert_array_equal(cells == OBSTACLE, obstacles)
     np.testing.assert_array_equal(np.array(levels)[cells[~obstacles]], alpha[~obstacles])
-
-
-def test_of_very_many_losses_the_nearest_are_kept():
-    alpha = np.random.default_rng(1).uniform(1.0, 9.0, (60, 70))
-    cells, levels, _ = map_cells(RiskMap(alpha, np.zeros(alpha.shape, bool), 1.0))
-    assert len(levels) == OBSTACLE
-    assert np.abs(np.array(levels)[cells] - alpha).max() <= 8.0 / 254 / 2 + 1e-9
 
 
 def test_blocks_of_a_large_map_show_the_worst_loss():

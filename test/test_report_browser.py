@@ -119,20 +119,6 @@ def test_layers_can_be_switched_by_clicking(browser, page):
     assert shown > 500 and near(browser, '#1146b0', 40) == 0
 
 
-def test_a_departure_that_is_picked_is_drawn_alone(browser, page):
-    opened(browser, page)
-    browser.click(f'{MAP} [data-layer=sites]')
-    browser.click(f'{MAP} [data-layer=chances]')
-    browser.evaluate(f'document.querySelector("{MAP} select").focus()')
-    # By keyboard: the fifth one, the first with a colour of its own.
-    for _ in range(5):
-        browser.key('ArrowDown')
-    assert browser.evaluate(f'document.querySelector("{MAP} select").value') == '4'
-    assert near(browser, ROUTES[4]) > 200
-    for k in (0, 1, 2, 3, 5, 6):
-        assert near(browser, ROUTES[k]) < 20
-
-
 def test_the_mouse_moves_zooms_and_tells(browser, page):
     opened(browser, page)
     x, y = browser.centre(f'{MAP} canvas')

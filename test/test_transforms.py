@@ -1,7 +1,6 @@
 """Poses in other frames: transforms that travel over DDS, and clear errors without them."""
 
 import math
-import threading
 from contextlib import ExitStack, closing, contextmanager
 
 import interfaces
@@ -178,20 +177,6 @@ def test_unknown_frames_and_invalid_orientations_are_errors(tf):
         given.pose.orientation.w = number
         with pytest.raises(InvalidPose, match='goal: orientation'):
             tf.frames.to_frame(given, 'goal', 'map', math.inf)
-
-
-def tf_threads():
-    return [thread for thread in threading.enumerate() if thread.name == '_planner_tf']
-
-
-def test_the_listeners_thread_ends_with_it_or_with_the_context(tf):
-    assert len(tf_threads()) == 1
-    tf.close()
-    assert not tf_threads()
-    with free_domain() as domain, node_in(domain, 'planner') as node:
-        frames = FrameTransforms(node)
-    with closing(frames):
-        wait_until(lambda: not tf_threads(), 'the end of the thread')
 
 
 def test_the_listener_is_remapped_like_the_node_but_keeps_its_name():

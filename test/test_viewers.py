@@ -139,12 +139,6 @@ def test_foxglove_shows_all_topics_and_clicks_set_start_and_goal(interface, foxg
         assert interface.subscribed[scene['publish'][key]] == kind
 
 
-def test_foxglove_calls_the_service(interface, foxglove):
-    (button,) = panels(foxglove, 'CallService')
-    assert interface.services[button['serviceName']] == 'std_srvs/srv/Trigger'
-    assert json.loads(button['requestPayload']) == {}
-
-
 def test_foxglove_reads_the_diagnostics(interface, foxglove):
     (detail,) = panels(foxglove, 'DiagnosticStatusPanel')
     assert detail['topicToRender'] == '/diagnostics'
@@ -157,10 +151,3 @@ def test_foxglove_reads_the_diagnostics(interface, foxglove):
         assert interface.published[topic] == 'diagnostic_msgs/msg/DiagnosticArray'
         assert name == interface.status_name
         assert key in interface.diagnostics
-
-
-def test_foxglove_places_every_panel_once(foxglove):
-    def leaves(part):
-        return [part] if isinstance(part, str) else leaves(part['first']) + leaves(part['second'])
-
-    assert sorted(leaves(foxglove['layout'])) == sorted(foxglove['configById'])

@@ -132,12 +132,6 @@ def _marker(data):
     return marker
 
 
-def test_departure_button_has_room():
-    layout = json.loads(foxglove_text(scene(*GROUNDS['example'])))['layout']
-    column = layout['second']
-    assert column['first'] == 'CallService!new_route' and column['splitPercentage'] >= 30
-
-
 def test_views_of_a_recording_have_its_map_and_topics(tmp_path):
     plan = sample_plan()
     messages, metadata, files = departure(plan, drawn(plan, 1)[0])

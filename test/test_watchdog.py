@@ -95,8 +95,3 @@ def test_a_run_that_hangs_can_be_ended_and_names_what_hangs(tmp_path, options):
     if not options:  # with xdist, the first worker that ends may end the run before the traceback
         assert 'in test_hangs' in said, 'with the place'
     assert_nothing_left(tmp_path)
-
-
-def test_a_run_has_a_limit(tmp_path):
-    code, said = run(tmp_path, '-o', 'session_limit=2', test_a=WAITS)
-    assert code == 1 and 'no end within 2 s; running: ' in said
