@@ -109,7 +109,7 @@ def test_a_player_drives_a_node_to_all_departures(tmp_path):
         # As a player does before it starts: its publishers and clients find the node.
         assert all(each.wait_for_service(10.0) for each in client._services.values())
         # Slower than recorded, so that a busy machine gets the inputs before the request.
-        answers = play(files, client, rate=0.25)
+        answers = play(files, client, rate=0.5)
         assert [answer.success if hasattr(answer, 'success') else bool(answer.plan.poses)
                 for answer in answers] == [True] * len(files)
         wait_until(lambda: len(client.received['path']) == len(files), 'paths')

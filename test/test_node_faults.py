@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+from contextlib import contextmanager
 from threading import Event
 
 import pytest
@@ -10,7 +12,6 @@ from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
-from test_recorder import small_disk
 from waiting import TIMEOUT, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
@@ -21,6 +22,19 @@ START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 
 def recordings(directory):
     return sorted(directory.rglob('*.mcap'))
+
+
+@contextmanager
+def small_disk(folder, size):
+    """A file system of this size on ``folder``."""
+    options = ['-t', 'tmpfs', '-o', f'size={size}', 'none', str(folder)]
+    done = subprocess.run(['mount', *options], capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip(f'only a privileged user may mount: {done.stderr.strip()}')
+    try:
+        yield
+    finally:
+        subprocess.run(['umount', '-l', str(folder)], check=True)
 
 
 def departs(client):
