@@ -133,8 +133,7 @@ def _generate(folder, package, source):
     hasher = 'rosidl_generator_type_description'
     hashes = import_module(hasher).generate_type_hash(arguments(
         hasher, include_paths=[f'{each.name}:{each}' for each in sorted(installed)]))
-    import_module(C).generate_c(arguments(
-        C, type_description_tuples=[f'{idl}:{hashes[0]}']))
+    import_module(C).generate_c(arguments(C, type_description_tuples=[f'{idl}:{hashes[0]}']))
     import_module(FAST_DDS).generate_typesupport_fastrtps_c(arguments(FAST_DDS))
     import_module(INTROSPECTION).generate_c(arguments(INTROSPECTION))
     import_module(DISPATCH).generate_c(arguments(DISPATCH), [FAST_DDS, INTROSPECTION])

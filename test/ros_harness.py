@@ -219,9 +219,7 @@ def stage_in(domain, directory=None, parameters=None, **planner_arguments):
     with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
         stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
-        planner = PlannerNode(
-            context=own, parameter_overrides=overrides, **planner_arguments
-        )
+        planner = PlannerNode(context=own, parameter_overrides=overrides, **planner_arguments)
         stack.enter_context(spinning(planner, SingleThreadedExecutor(context=own)))
         node = Node('client', context=other, namespace=planner.get_namespace())
         client = Client(node, planner.get_fully_qualified_name())

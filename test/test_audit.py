@@ -125,15 +125,9 @@ def reweighted(strategy, count, power):
     return RouteSampler(network, weight).draw_many(count, np.random.default_rng(3))
 
 
-def from_another_strategy(strategy, count):
-    other = solve(strategy.network, options=StrategyOptions(max_detour=1.05))
-    return drawn(other, count, 5)
-
-
 @pytest.mark.parametrize(('planner', 'options'), [
     (likeliest, (5,)), (cycled, (18, 3)), (repeated_every_fifth, (25,)),
     (reweighted, (20, 0.0)), (reweighted, (100, 2.0)),
-    (from_another_strategy, (50,)),
 ])
 def test_planners_that_do_not_follow_the_law_are_found(terrain, planner, options):
     routes = planner(terrain, *options)

@@ -63,16 +63,6 @@ def test_bad_tolerance(client, tolerance):
         code='INVALID_OPTION', message=f'tolerance must be finite and >= 0 [m], got {tolerance}')
 
 
-def test_no_route():
-    values = np.zeros((20, 20), dtype=np.int8)
-    values[:, 10] = 100
-    with stage() as running:
-        answer = running.give(risk_grid(values)).call('new_route')
-        assert not answer.success
-        assert 'no route from (1.500, 5.500) to (8.500, 5.500)' in answer.message
-        running.client.diagnostics(code='NO_VALID_PATH')
-
-
 def test_a_cached_plan_does_not_answer_for_a_goal_at_the_start(client):
     x, y = START
     assert client.get_plan(pose(x, y), pose(x + 0.01, y)).poses

@@ -14,17 +14,15 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
-import rclpy
 from commands import documented_keys
 from matplotlib.image import imread
-from rclpy.context import Context
 from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo, node_process
 from ambush_planner.commands.demo_client import DemoClient
 from ambush_planner.commands.demo_ground import GOAL, START
-from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, is_free
+from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
@@ -149,18 +147,6 @@ def nodes_of(folder):
         if b'planner_node' in words and str(folder).encode() in words:
             found.append(entry.parent.name)
     return found
-
-
-def test_domain_with_a_node_is_not_free():
-    context = Context()
-    with free_domain() as domain:
-        rclpy.init(context=context, domain_id=domain)
-        node = rclpy.create_node('somebody', context=context)
-        try:
-            assert not is_free(domain)
-        finally:
-            node.destroy_node()
-            rclpy.try_shutdown(context=context)
 
 
 def test_domain_is_reserved_until_it_is_released(monkeypatch):

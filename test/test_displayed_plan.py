@@ -162,8 +162,7 @@ def test_a_risk_slack_does_not_keep_departures_waiting():
     (0, 0, [[101]], 'map', r'map update: cell values must be in -1..100, got 101'),
     (0, 0, [[1]], 'odom', "map update: its frame is 'odom', but the frame of the map is 'map'"),
 ])
-def test_updates_that_do_not_fit_are_refused_and_the_map_stays(
-        running, x, y, values, frame, words):
+def test_updates_that_do_not_fit_are_refused_and_the_map_stays(running, x, y, values, frame, words):
     client = running.client
     update(client, x, y, values, frame)
     report = client.diagnostics(code='INVALID_MAP')
@@ -194,36 +193,3 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
     changes = np.load(BytesIO(second.map_changes))
     assert changes['cells'].tolist() == [0, 1]
     assert changes['values'].tolist() == [100, 90]
-
-
-def test_a_costmap_has_obstacles_from_99_on():
-    values = FLAT.copy()
-    values[4:16, 8:12] = 99
-    for preset, crosses in (('alpha', True), ('costmap', False)):
-        with stage(parameters={'map.preset': preset}) as running:
-            running.give(risk_grid(values))
-            answer = running.client.get_plan(START, pose(5.0, 5.5))
-            assert bool(answer.poses) == crosses
-
-
-def test_a_start_nearby_uses_the_first_steps_that_are_clear(monkeypatch):
-    solves, solve = [], WorkerProcess.solve
-    monkeypatch.setattr(
-        WorkerProcess, 'solve', lambda *given: (solves.append(1), solve(*given))[1])
-    parameters = {'replan.tolerance': 1e9, 'strategy.max_gap': 1e9}
-    with stage(parameters=parameters) as running:
-        client = running.give(risk_grid(FLAT))
-        assert client.call('new_route').success
-        cached = running.planner._dispatcher._displayed.cached
-        network = cached.plan.network
-        firsts = network.points[network.heads[
-            (network.tails == network.source) & (cached.plan.strategy.edge_probability > 0)]]
-        assert len(firsts) > 1
-        # A cell away from the start, so that it meets this step only.
-        x, y = firsts[np.argmax(firsts[:, 1])] * 0.8 + np.array([1.5, 5.5]) * 0.2
-        monkeypatch.setattr(DisplayedPlan, '_resolve', lambda *_: None)
-        update(client, int(x / 0.5), int(y / 0.5), [[100]])
-        client.diagnostics(stale='yes')
-        path = client.get_plan(pose(1.5, 5.45), GOAL)
-        assert path_from_ros(path)[0, :2] == pytest.approx((1.5, 5.45))
-        assert len(solves) == 1

@@ -49,12 +49,6 @@ def test_frame_contains_a_rotated_map(axes):
     assert axes.get_xlabel() == 'x [m]'
 
 
-def test_large_maps_have_ticks_in_kilometres(axes):
-    figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), 'large')
-    assert axes.get_xlabel() == 'x [km]'
-    assert axes.xaxis.get_major_formatter()(2500.0) == '2.5'
-
-
 def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
     image = figures.draw_risk_map(axes, risk_map)
@@ -81,9 +75,7 @@ def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
 def test_binned_directions_are_weighted_means():
     points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-    places, mean, share = binned_directions(
-        points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0
-    )
+    places, mean, share = binned_directions(points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0)
     np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
     np.testing.assert_allclose(mean, [[0.75, 0.25], [0.6, 0.8]])
     np.testing.assert_allclose(share, [1.0, 0.5])

@@ -82,13 +82,6 @@ def test_infeasible_budget_has_a_row_with_the_reason(network):
     assert not loose.error and loose.value > 0.0
 
 
-def test_rows_are_reported_longest_detour_first(network):
-    reported = []
-    rows = frontier(network, detours=(1.1, 1.3), slacks=(0.01,), on_row=reported.append)
-    assert [row.max_detour for row in reported] == [1.3, 1.2, 1.1]
-    assert set(reported) == set(rows)
-
-
 def test_bad_budgets_are_refused_before_the_first_solve(network):
     reported = []
     with pytest.raises(InvalidOption, match='max_detour'):

@@ -64,15 +64,13 @@ def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
     assert marker.type == Marker.LINE_LIST
     network, p = strategy.network, strategy.edge_probability
     used = network.edges[p >= 1e-4]
-    np.testing.assert_array_equal(positions(marker),
-                                  network.points[used.ravel()])
+    np.testing.assert_array_equal(positions(marker), network.points[used.ravel()])
 
 
 def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
     marker = only(mean_direction(strategy, header()))
     strokes = positions(marker).reshape(-1, 6, 2)
-    visited = (strategy.visit_probability >= 1e-4) & (
-        np.hypot(*strategy.mean_direction().T) > 1e-6)
+    visited = (strategy.visit_probability >= 1e-4) & (np.hypot(*strategy.mean_direction().T) > 1e-6)
     np.testing.assert_array_equal(strokes[:, 0], strategy.network.points[visited])
     shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
     across = shafts[:, 0] * wanted[:, 1] - shafts[:, 1] * wanted[:, 0]
@@ -84,15 +82,8 @@ def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
 def test_sites_are_where_the_ambusher_waits(strategy):
     marker = only(ambush_sites(strategy, header()))
     q = strategy.ambush_probability
-    np.testing.assert_array_equal(positions(marker),
-                                  strategy.network.points[q >= 1e-4 * q.max()])
+    np.testing.assert_array_equal(positions(marker), strategy.network.points[q >= 1e-4 * q.max()])
     assert alphas(marker).max() == pytest.approx(0.9)  # the path is seen through it
-
-
-def test_nobody_waits_where_no_ambush_costs_anything(strategy):
-    free = solve(strategy.network, GameOptions(secured_radius=100.0))
-    marker = only(ambush_sites(free, header()))
-    assert (len(marker.points), marker.action) == (0, Marker.DELETE)
 
 
 def test_sites_are_as_wide_as_the_ambush_reaches(strategy):

@@ -1,7 +1,5 @@
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
-import subprocess
-import sys
 import threading
 import time
 
@@ -23,7 +21,6 @@ from ros_harness import (
     stage,
     wait_until,
 )
-from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recordings import Recorder
@@ -68,26 +65,6 @@ def test_a_start_that_fails_leaves_nothing(values):
         with pytest.raises(InvalidOption):
             PlannerNode(context=context, parameter_overrides=overrides)
         assert threads() == before
-
-
-NO_END = """
-import rclpy
-from rclpy.parameter import Parameter
-from ambush_planner.ros.planner_node import PlannerNode
-rclpy.init()
-node = PlannerNode(parameter_overrides=[Parameter('recording.enabled', value=False)])
-print('started', flush=True)
-"""
-
-
-def test_a_program_that_does_not_destroy_the_node_ends():
-    with free_domain() as domain:
-        done = subprocess.run(
-            [sys.executable, '-c', f'import os; os.environ["ROS_DOMAIN_ID"] = "{domain}"{NO_END}'],
-            capture_output=True, text=True, timeout=TIMEOUT, check=False)
-    assert done.stdout == 'started\n'
-    assert done.returncode == 0, done.stderr
-    assert 'Traceback' not in done.stderr
 
 
 def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):

@@ -6,12 +6,7 @@ import re
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from ros_harness import (
-    MARKER_TOPICS,
-    pose,
-    risk_grid,
-    stage,
-)
+from ros_harness import MARKER_TOPICS, pose, risk_grid, stage
 from waiting import unstamped
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -66,26 +61,13 @@ def test_a_new_goal_a_new_map_and_new_parameters_are_solved_again(running):
     client = running.client
     departures(client, 1)
     client.publish('goal_pose', pose(8.5, 7.5))
-    client.call_until(
-        'new_route', lambda _: client.last('path').poses[-1].pose.position.y == 7.5)
+    client.call_until('new_route', lambda _: client.last('path').poses[-1].pose.position.y == 7.5)
     client.last('edge_probabilities', 2)
     client.publish('alpha_map', risk_grid(np.zeros((20, 20), dtype=np.int8)))
     client.call_until('new_route', lambda _: len(client.received['edge_probabilities']) == 3)
     running.planner.set_parameters([Parameter('strategy.max_detour', value=1.3)])
     departures(client, 1)
     client.last('edge_probabilities', 4)
-
-
-def test_going_back_and_forth_shows_the_strategy_without_solving(client):
-    client.get_plan(START, GOAL)
-    client.get_plan(GOAL, START)
-    client.diagnostics(departures='2')
-    reports = client.received['/diagnostics']
-    so_far = len(reports)
-    assert client.get_plan(START, GOAL).poses
-    client.last('edge_probabilities', 3)
-    client.diagnostics(departures='3')
-    assert all(report.status[0].values[0].value != 'solving' for report in reports[so_far:])
 
 
 def test_the_same_map_again_changes_nothing(client):
@@ -112,16 +94,6 @@ def test_a_seed_gives_the_same_sequence_and_none_another_one():
     assert len(set(runs)) == 3
 
 
-def test_replan_solves_without_a_departure(client):
-    departures(client, 1)
-    answer = client.call('replan')
-    assert answer.success
-    assert answer.message.startswith('solved in ')
-    client.last('edge_probabilities', 2)
-    assert client.diagnostics()['departures'] == '1'
-    assert len(client.received['path']) == 1
-
-
 def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     blocked = pose(5.1, 5.6, 1.0)  # 0.9 m from the block's left edge, 0.9 m + to a free centre
     assert not client.get_plan(START, blocked, 0.5).poses
@@ -133,24 +105,6 @@ def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     assert last.orientation == blocked.pose.orientation
     assert (last.position.x, last.position.y) == (6.25, 5.75), 'the nearest free centre'
     assert client.get_plan(START, GOAL, 2.0).poses[-1].pose == GOAL.pose, 'not blocked'
-
-
-def test_a_failed_recording_does_not_fail_the_departure(tmp_path):
-    file = tmp_path / 'file'
-    file.write_text('')
-    with stage(directory=file / 'below') as running:
-        client = running.give()
-        assert client.call('new_route').success
-        report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
-        assert report['level'] == b'\2'
-        answer = client.call('new_route')
-        assert answer.success
-        assert 'is published on /path; recording failed at' in answer.message
-        running.planner.set_parameters(
-            [Parameter('recording.directory', value=str(tmp_path / 'good'))])
-        client.diagnostics(recording='on')
-        assert client.call('new_route').message.endswith('is published on /path')
-        client.diagnostics(code='NONE', recording='on')
 
 
 def test_a_path_stays_when_map_goal_and_parameters_change(running):

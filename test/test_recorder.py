@@ -32,7 +32,7 @@ from recording_samples import (
 from std_msgs.msg import String
 from waiting import TIMEOUT
 
-from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.errors import AmbushPlannerError
 from ambush_planner.recordings import Recorder, RecordingFailed, recordings_in
 from ambush_planner.recordings import recorder as recorder_module
 from ambush_planner.recordings.durable_files import write_durably
@@ -222,12 +222,6 @@ def test_a_link_in_place_of_the_temporary_file_is_not_followed(tmp_path):
     assert victim.read_text() == 'mine'
     assert not path.is_symlink()
     assert_departure(departure(), read_with_rosbags(path))
-
-
-def test_an_unknown_compression(tmp_path):
-    with pytest.raises(InvalidOption, match="'gzip' is not one of zstd, lz4, none"):
-        Recorder(tmp_path, 'gzip')
-    assert not list(tmp_path.iterdir())
 
 
 def record_until_killed(directory):

@@ -10,10 +10,8 @@ from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, Reliabilit
 from recording_samples import (
     ATTACHMENTS,
     START_NS,
-    VOLATILE,
     assert_departure,
     departure,
-    diagnostics,
     get_plan_events,
     metadata_entries,
     pose,
@@ -83,22 +81,6 @@ def test_header_metadata_record_and_attachments(tmp_path):
     read = {key: json.loads(text) for key, text in entries.items()}
     assert read == {'format': 6, **metadata_entries()}
     assert {found.name: found.data} == ATTACHMENTS and found.log_time == 0
-
-
-def test_schemas_and_channels_are_written_once(tmp_path):
-    sent = departure()
-    again = recorded('/diagnostics', diagnostics(), VOLATILE, START_NS + 9_000_000)
-    summary = summary_of(record(Recorder(tmp_path), [*sent, again]))
-    assert sorted(schema.name for schema in summary.schemas.values()) == [
-        'diagnostic_msgs/msg/DiagnosticArray',
-        'geometry_msgs/msg/PoseStamped',
-        'nav_msgs/msg/OccupancyGrid',
-        'nav_msgs/msg/Path',
-        'visualization_msgs/msg/MarkerArray',
-    ]
-    assert {schema.encoding for schema in summary.schemas.values()} == {'ros2msg'}
-    assert [channel.topic for channel in summary.channels.values()] == [m.topic for m in sent]
-    assert {channel.message_encoding for channel in summary.channels.values()} == {'cdr'}
 
 
 def test_a_definition_that_is_not_installed_is_named():

@@ -160,14 +160,11 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
     forger = Forger(slow)
     for k in range(3):
         one = Forger(slow)
-        one.messages = [
-            replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages
-        ]
+        one.messages = [replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages]
         one.save(tmp_path / f'run_{k}.mcap')
     path = [m for m in forger.messages if m.type.endswith('Path')]
     with listener(path) as (found, domain):
-        code, _ = replayed(
-            domain, tmp_path, '--rate', '5', '--every', '1', '--', '/path')
+        code, _ = replayed(domain, tmp_path, '--rate', '5', '--every', '1', '--', '/path')
         assert_received(found, path * 3)
         # Not the hours that passed between them, but 2 s, or less if the first came late.
         assert 0.5 < found.span() < 300.0
@@ -187,8 +184,7 @@ def test_only_some_topics_and_other_names(slow):
             kind = OccupancyGrid if topic == '/alpha_map' else PathMessage
             found.listen(topic, kind, LATCHED)
         remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
-        code, said = replayed(
-            domain, slow, '--', '/path', '/goal_pose', *remap, listening=False)
+        code, said = replayed(domain, slow, '--', '/path', '/goal_pose', *remap, listening=False)
         assert code == 0
         assert 'nobody listens to /goal_pose' in said
         wait_until(found.count, 'the path under its other name')

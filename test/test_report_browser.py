@@ -166,11 +166,6 @@ def test_keyboard_and_fingers_move_and_zoom(browser, page):
     browser.touch('touchMove', (x - 60, y), (x + 60, y))
     browser.touch('touchEnd')
     assert state(browser)[2] == pytest.approx(2.0, rel=0.05)
-    before = state(browser)
-    browser.touch('touchStart', (x, y))
-    browser.touch('touchMove', (x - 40, y))
-    browser.touch('touchEnd')
-    assert state(browser)[0] > before[0] and state(browser)[1] == pytest.approx(before[1])
 
 
 def test_the_policy_stops_scripts_and_pictures_from_elsewhere(browser, page, tmp_path):

@@ -79,8 +79,7 @@ def test_the_worker_finds_the_same_plan_as_this_process(queue):
     asked = request()
     ours, theirs = plan_from_request(asked), submit(queue, 'key', asked).result(TIMEOUT)
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
-        np.testing.assert_array_equal(
-            getattr(theirs.strategy, name), getattr(ours.strategy, name))
+        np.testing.assert_array_equal(getattr(theirs.strategy, name), getattr(ours.strategy, name))
     np.testing.assert_array_equal(theirs.network.points, ours.network.points)
     assert theirs.strategy.value == ours.strategy.value
     assert (theirs.spacing, theirs.goal_xy) == (ours.spacing, ours.goal_xy)
@@ -167,18 +166,6 @@ def test_background_solves_run_last(fresh_queue):
     assert outcomes == ['asked', 'last']
 
 
-def test_a_requested_background_solve_is_kept(queue):
-    submit(queue, 'slow', slow_request())
-    begun(queue)
-    first = submit(queue, 'first', request(), background=True)
-    assert submit(queue, 'first', request()) is first
-    last = submit(queue, 'last', request(), background=True)
-    queue.withdraw_background()
-    with pytest.raises(SolveCancelled):
-        last.result(0.0)
-    assert not first.done()
-
-
 def test_a_withdrawn_request_leaves_the_background_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -241,17 +228,6 @@ def test_the_time_limit_is_hard(queue):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_an_error_in_the_owner_is_an_outcome_too(queue, monkeypatch):
-    def broken(*_):
-        raise MemoryError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(WorkerProcess, 'solve', broken)
-        with pytest.raises(Unexpected, match='MemoryError'):
-            submit(queue, 'key', request()).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-
-
 def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
     queue = fresh_queue
     future = submit(queue, 'slow', slow_request())
@@ -262,14 +238,6 @@ def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
         future.result(TIMEOUT)
     assert submit(queue, 'key', request()).result(TIMEOUT)
     assert pid != queue._worker._process.pid
-
-
-def test_a_worker_that_died_while_idle_is_replaced(fresh_queue):
-    submit(fresh_queue, 'key', request()).result(TIMEOUT)
-    pid = fresh_queue._worker._process.pid
-    os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: _is_zombie(pid), 'the end of the worker')
-    assert submit(fresh_queue, 'key', request()).result(TIMEOUT)
 
 
 def test_close_ends_everything_at_once():

@@ -19,7 +19,6 @@ from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
-from ambush_planner.ros import transforms
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF, TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
@@ -122,16 +121,6 @@ def test_a_pose_in_the_maps_frame_is_unchanged_and_one_without_a_frame_refused(n
                 frames.to_frame(pose(1.0, 2.0, frame=''), 'goal', frame, math.inf)
 
 
-def test_without_tf_another_frame_is_an_error_that_says_what_to_do(node, monkeypatch):
-    monkeypatch.setattr(transforms, 'installed_type', lambda *_: None)
-    with pytest.raises(FrameMismatch) as error:
-        FrameTransforms(node).to_frame(pose(1.0, 2.0, frame='odom'), 'start', 'map', math.inf)
-    assert str(error.value) == (
-        "start is given in the frame 'odom', the map in 'map'; give it in the map's frame, or "
-        'install tf2_msgs to have it transformed'
-    )
-
-
 def test_a_pose_in_space_is_turned_and_moved(tf):
     turn, ahead = Rotation.from_euler('xyz', (0.9, 0.2, -1.3)), np.array((2.0, -0.5, 1.0))
     there = pose(3.0, 4.0, frame='arm')
@@ -177,15 +166,6 @@ def test_unknown_frames_and_invalid_orientations_are_errors(tf):
         given.pose.orientation.w = number
         with pytest.raises(InvalidPose, match='goal: orientation'):
             tf.frames.to_frame(given, 'goal', 'map', math.inf)
-
-
-def test_the_listener_is_remapped_like_the_node_but_keeps_its_name():
-    arguments = ['--ros-args', '-r', '__node:=convoy', '-r', '__ns:=/lead', '-r', '/tf:=tf']
-    with free_domain() as domain, node_in(domain, 'planner', cli_args=arguments) as node:
-        with closing(FrameTransforms(node)):
-            wait_until(lambda: node.count_subscribers('/lead/tf'), 'the remapped subscription')
-            names = node.get_node_names()
-            assert names.count('convoy') == names.count('_convoy_tf') == 1
 
 
 def test_invalid_transforms_and_unreadable_bytes_are_survived(tf):

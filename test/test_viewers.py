@@ -15,7 +15,6 @@ from rclpy.qos import (
     qos_check_compatible,
 )
 from ros_harness import FRAME, stage, wait_until, whole_graph
-from ros_yaml import EXAMPLES
 
 LAYOUTS = Path(__file__).resolve().parent.parent / 'config'
 DISPLAYS = {
@@ -35,8 +34,7 @@ CLICKS = {
     'poseTopic': 'geometry_msgs/msg/PoseStamped',
     'poseEstimateTopic': 'geometry_msgs/msg/PoseWithCovarianceStamped',
 }
-MESSAGE_PATH = re.compile(
-    r'(/\w+)\.status\[:]\{name=="(\w+)"}\.values\[:]\{key=="(\w+)"}\.value')
+MESSAGE_PATH = re.compile(r'(/\w+)\.status\[:]\{name=="(\w+)"}\.values\[:]\{key=="(\w+)"}\.value')
 
 
 @pytest.fixture(scope='module')
@@ -121,12 +119,6 @@ def test_rviz_tools_set_start_and_goal(interface, rviz):
         topic = tool['Topic']['Value']
         assert interface.subscribed[topic] == TOOLS[tool['Class']]
         assert_compatible(qos_of(tool['Topic']), interface.requested(topic))
-
-
-def test_rviz_looks_from_above_in_the_frame_of_the_example(rviz):
-    assert rviz['Views']['Current']['Class'] == 'rviz_default_plugins/TopDownOrtho'
-    example = yaml.safe_load((EXAMPLES / 'alpha_map.yaml').read_text())
-    assert rviz['Global Options']['Fixed Frame'] == example['header']['frame_id'] == FRAME
 
 
 def test_foxglove_shows_all_topics_and_clicks_set_start_and_goal(interface, foxglove):
