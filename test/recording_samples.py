@@ -14,7 +14,6 @@ from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader, anyreader
-from service_msgs.msg import ServiceEventInfo
 from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
@@ -64,25 +63,6 @@ def diagnostics():
 def path_message():
     poses = [pose(i / 3, -float(i)) for i in range(5)]
     return PathMessage(header=Header(frame_id='map'), poses=poses)
-
-
-def service_events(service, request, response):
-    """What a service publishes about one call: the request received, the response sent."""
-    return [
-        service.Event(info=ServiceEventInfo(event_type=1, sequence_number=7), request=[request]),
-        service.Event(info=ServiceEventInfo(event_type=2, sequence_number=7), response=[response]),
-    ]
-
-
-def trigger_events():
-    return service_events(
-        Trigger, Trigger.Request(), Trigger.Response(success=True, message='route 1')
-    )
-
-
-def get_plan_events():
-    request = GetPlan.Request(start=pose(1.0, 2.0), goal=pose(3.0, 4.0), tolerance=0.5)
-    return service_events(GetPlan, request, GetPlan.Response(plan=path_message()))
 
 
 def recorded(topic, message, qos=VOLATILE, stamp_ns=START_NS):

@@ -182,13 +182,6 @@ def test_impossible_steps_and_ends_are_counted_and_are_a_finding(paper, wrong, c
     assert (result.impossible, result.p_value, result.finding) == (count, 0.0, True)
 
 
-def test_a_step_of_probability_0_is_impossible(terrain):
-    network = terrain.network
-    tail, head = network.edges[np.flatnonzero(terrain.edge_probability == 0.0)[0]]
-    impossible = 1 + int(tail != network.source) + int(head != network.target)
-    assert run(terrain, [*drawn(terrain, 8, 1), [tail, head]]).impossible == impossible
-
-
 def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
     with pytest.raises(NotAuditable, match='at least 5 departures .* needed, got 4'):
         run(paper, drawn(paper, FEWEST_DEPARTURES - 1, 1))
@@ -246,9 +239,3 @@ def test_watching_honest_draws_brings_about_the_value(reach):
     assert result.observer_loss >= 0.7 * strategy.value
     low, high = result.observer_range
     assert low < strategy.value < 1.2 * high
-
-
-def test_a_planner_that_repeats_itself_is_foreseen(terrain):
-    result = run(terrain, likeliest(terrain, 20))
-    assert result.observer_loss > 1.1 * result.value
-    assert result.observer_loss > result.observer_range[1]

@@ -2,7 +2,6 @@
 
 import math
 
-import numpy as np
 import pytest
 from ros_harness import pose, risk_grid, stage
 
@@ -37,14 +36,6 @@ def test_nothing_has_arrived():
         client.diagnostics(code='NO_GOAL')
         client.publish('goal_pose', pose(*GOAL))
         client.call_until('new_route', lambda answer: answer.success)
-
-
-def test_without_a_map_the_answer_names_the_fault_of_the_refused_one():
-    with stage() as running:
-        running.client.publish('alpha_map', risk_grid(np.array([[0, 101]])))
-        answer = running.client.call_until('new_route', lambda answer: 'refused' in answer.message)
-        assert not answer.success
-        assert '101 at (row, column) (0, 1)' in answer.message
 
 
 def test_a_bad_pose_on_a_topic_replaces_the_last_one(client):

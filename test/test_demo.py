@@ -19,7 +19,7 @@ from matplotlib.image import imread
 from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
-from ambush_planner.commands import cli, demo, node_process
+from ambush_planner.commands import cli, demo
 from ambush_planner.commands.demo_client import DemoClient
 from ambush_planner.commands.demo_ground import GOAL, START
 from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
@@ -147,12 +147,3 @@ def nodes_of(folder):
         if b'planner_node' in words and str(folder).encode() in words:
             found.append(entry.parent.name)
     return found
-
-
-def test_domain_is_reserved_until_it_is_released(monkeypatch):
-    with free_domain() as ours:
-        monkeypatch.setattr(node_process, 'DOMAINS', [ours])
-        with pytest.raises(NodeFailed, match='no ROS domain id is free'), free_domain():
-            pass
-    with free_domain() as again:
-        assert again == ours

@@ -15,7 +15,6 @@ from waiting import TIMEOUT
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
-from ambush_planner.ros.displayed_plan import DisplayedPlan
 from ambush_planner.worker.process import WorkerProcess
 
 interfaces.install('map_msgs')
@@ -59,24 +58,6 @@ def test_an_update_far_from_the_routes_changes_the_map_and_not_the_plan(running)
     assert client.call('new_route').success
     client.diagnostics(departures='2', stale='no', level=b'\1')
     assert displays(client) == 1
-
-
-def test_many_updates_are_reviewed_at_once(running, monkeypatch):
-    reviews, review, go_on = [], DisplayedPlan.review, Event()
-    monkeypatch.setattr(
-        DisplayedPlan, 'review', lambda *given: (reviews.append(1), review(*given))[1])
-    running.planner._dispatcher._departures.submit(lambda: go_on.wait(TIMEOUT))
-    for column in range(20):
-        update(running.client, column, 0, [[100]])
-    try:
-        wait_until(lambda: (current_values(running)[0] == 100).all(), 'the updates')
-    finally:
-        go_on.set()
-    assert running.client.call('new_route').success
-    before = len(reviews)
-    assert before < 3
-    update(running.client, 0, 1, [[100]])
-    wait_until(lambda: len(reviews) > before, 'the next one')
 
 
 def test_an_obstacle_on_a_route_is_avoided_at_once(running):

@@ -8,13 +8,11 @@ import pytest
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
-from matplotlib.image import imread
 
 from ambush_planner.commands import figures
-from ambush_planner.commands.demo_figures import FixedRoute, routes_figure
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions, depart
+from ambush_planner.planning.plan import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from paper.figures import binned_directions
 
@@ -91,16 +89,3 @@ def test_markers_show_ambush_sites_by_probability(axes, small_plan):
     sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
     np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
                                   np.argsort(shown, kind='stable'))
-
-
-def test_figure_of_the_demo(tmp_path, small_map, small_plan):
-    rng = np.random.default_rng(3)
-    routes = [depart(small_plan, rng).points for _ in range(8)]
-    fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(('a', 'b'))]
-    figure = routes_figure(small_map, small_plan.strategy, routes, fixed, 15.0)
-    (tmp_path / 'routes.png').write_bytes(figures.as_png(figure))
-    picture = imread(tmp_path / 'routes.png')
-    assert picture.shape[0] > 900 and picture.shape[1] > 1500
-    assert np.std(picture) > 0.05
-    labels = ' '.join(text.get_text() for text in figure.legends[0].get_texts())
-    assert 'secured' in labels and 'obstacle' in labels

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from ros_harness import header, risk_grid
-from steps import steps
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.game.game import GameOptions
@@ -107,16 +106,3 @@ def test_edges_of_one_direction_are_drawn_too():
     marker = only(network_lines(Network(points, np.zeros(4), edges, 3, 0), header()))
     ends = positions(marker).reshape(-1, 2, 2)
     np.testing.assert_array_equal(ends, points[[[0, 1], [1, 2], [2, 3]]])
-
-
-def test_sixty_thousand_edges_take_no_loop_over_fields():
-    n = 123
-    xy = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2).astype(float)
-    right = np.array([[k, k + 1] for k in range(n * n - 1) if (k + 1) % n])
-    up = np.array([[k, k + n] for k in range(n * n - n)])
-    edges = np.concatenate((right, right[:, ::-1], up, up[:, ::-1]))
-    network = Network(xy, np.zeros(n * n), edges[(edges[:, 1] != 0) & (edges[:, 0] != n * n - 1)],
-                      0, n * n - 1)
-    assert len(network.edges) > 59_000
-    # rclpy looks at each point once. To set the fields of each would be some millions.
-    assert steps(network_lines, network, header()) < 400_000

@@ -3,10 +3,8 @@
 import threading
 import time
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.srv import GetPlan
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -148,15 +146,3 @@ def test_ground_that_changes_too_fast_is_reported(monkeypatch):
         assert not answer.success
         assert 'were out of date before they were done' in answer.message
         running.client.diagnostics(code='NO_VALID_PATH')
-
-
-def test_more_plans_at_once_than_are_cached(monkeypatch):
-    """A departure leaves on the plan it waited for, even if that is no longer cached."""
-    monkeypatch.setattr(plan_cache, '_CAPACITY', 1)
-    with stage(parameters={'queue.size': 20}) as running:
-        client = running.give(risk_grid(np.zeros((20, 20))))
-        requests = [GetPlan.Request(start=START, goal=pose(8.5, 1.5 + k)) for k in range(7)]
-        futures = [client.send('get_plan', each) for each in requests]
-        wait_until(lambda: all(each.done() for each in futures), 'the answers')
-        ends = [each.result().plan.poses[-1].pose for each in futures]
-        assert ends == [each.goal.pose for each in requests]

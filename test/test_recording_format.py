@@ -5,6 +5,7 @@ import json
 import pytest
 import yaml
 from mcap.reader import make_reader
+from nav_msgs.srv import GetPlan
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from recording_samples import (
@@ -12,15 +13,16 @@ from recording_samples import (
     START_NS,
     assert_departure,
     departure,
-    get_plan_events,
     metadata_entries,
+    path_message,
     pose,
     read_with_mcap_ros2,
     read_with_rosbags,
     record,
     recorded,
-    trigger_events,
 )
+from service_msgs.msg import ServiceEventInfo
+from std_srvs.srv import Trigger
 
 from ambush_planner.recordings import Recorder, RecordingFailed, schemas
 from ambush_planner.recordings.schemas import load_definition
@@ -28,12 +30,18 @@ from ambush_planner.recordings.schemas import load_definition
 
 def service_calls():
     """The events of a call to each service, as rosbag2 names their topics."""
-    calls = {'/new_route': trigger_events(), '/get_plan': get_plan_events()}
-    return [
-        recorded(f'/ambush_planner{name}/_service_event', event, stamp_ns=START_NS + number)
-        for name, events in calls.items()
-        for number, event in enumerate(events)
-    ]
+    request = GetPlan.Request(start=pose(1.0, 2.0), goal=pose(3.0, 4.0), tolerance=0.5)
+    calls = {
+        'new_route': (Trigger, Trigger.Request(), Trigger.Response(success=True, message='ok')),
+        'get_plan': (GetPlan, request, GetPlan.Response(plan=path_message())),
+    }
+    events = []
+    for name, (service, request, response) in calls.items():
+        for kind, content in ((1, {'request': [request]}), (2, {'response': [response]})):
+            info = ServiceEventInfo(event_type=kind, sequence_number=7)
+            events.append(recorded(f'/ambush_planner/{name}/_service_event',
+                                   service.Event(info=info, **content), stamp_ns=START_NS + kind))
+    return events
 
 
 def summary_of(path):

@@ -16,7 +16,6 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, wait_until
 
@@ -249,23 +248,6 @@ def test_another_planner_is_fed(which, files):
     assert [(each.pose.position.x, each.pose.position.y) for each in ends] == [*recorded]
 
 
-def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
-    whole, cut, changed = (tmp_path / f'run_{k}.mcap' for k in (2, 0, 1))
-    data = slow.read_bytes()
-    whole.write_bytes(data)
-    cut.write_bytes(data[:-100])
-    at = len(data) // 2
-    changed.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1:])
-    messages = read_recording(slow).messages
-    with listener(messages) as (found, domain):
-        code, said = replayed(domain, tmp_path, '--rate', '4')
-        assert_received(found, messages)
-    assert code == 3
-    for path in (cut, changed):
-        assert f'ambush_replay: {path} is not readable as a recording: ' in said
-    assert f'{whole} is not' not in said
-
-
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['none.mcap'], 3, 'No such file'),
     ([__file__], 3, 'damaged or not an MCAP file'),
@@ -282,14 +264,6 @@ def test_wrong_usage(arguments, code, words, slow):
         ended, said = replayed(domain, *(text.format(slow) for text in arguments))
     assert ended == code
     assert words in said
-
-
-def test_recorded_profiles_are_what_the_node_offers(files):
-    """What the tests above compare with is not all the same."""
-    qos = {m.topic: qos_from_yaml(m.qos) for m in read_recording(files[NEW_ROUTE]).messages}
-    assert qos['/path'].durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert qos['/goal_pose'].durability == DurabilityPolicy.VOLATILE
-    assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())
 
 
 @pytest.mark.slow

@@ -3,8 +3,7 @@
 import hashlib
 import json
 import re
-import zlib
-from base64 import b64decode, b64encode
+from base64 import b64encode
 from html.parser import HTMLParser
 
 import numpy as np
@@ -27,8 +26,6 @@ from ambush_planner.recordings.recorded_departures import read_departures
 from ambush_planner.recordings.report_data import (
     OBSTACLE,
     map_cells,
-    map_data,
-    packed,
     sections_of,
 )
 
@@ -225,18 +222,6 @@ def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
     assert not (tmp_path / 'none').exists()
 
 
-def test_output_is_required_private_and_replaced_only_if_requested(tmp_path, a_plan, capsys):
-    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0])])
-    out = tmp_path / 'out'
-    assert report.main([str(tmp_path / 'in'), '-o', str(out)]) == 0
-    assert out.stat().st_mode & 0o777 == 0o700
-    assert (out / 'report.html').stat().st_mode & 0o777 == 0o600
-    for arguments, said in (([], '-o DIR'), (['-o', str(out)], '--replace')):
-        with pytest.raises(SystemExit) as stop:
-            report.main([str(tmp_path / 'in'), *arguments])
-        assert stop.value.code == 2 and said in capsys.readouterr().err
-
-
 # The data of the map
 
 
@@ -261,14 +246,3 @@ def test_blocks_of_a_large_map_show_the_worst_loss():
         block = np.s_[:, 3 * k:3 * k + 3]
         free = alpha[block][~obstacles[block]]
         assert cells[0, k] == OBSTACLE if not len(free) else levels[cells[0, k]] == free.max()
-
-
-def test_routes_come_through_little_endian(made):
-    _, section = made
-    data = map_data(section)
-    routes = np.frombuffer(zlib.decompress(b64decode(data['routes'])), '<f4').reshape(-1, 2)
-    points = section.strategy.network.points
-    driven = np.concatenate([points[each.route] for each in section.departures])
-    np.testing.assert_allclose(routes, driven - section.risk_map.origin[:2], rtol=1e-6)
-    assert data['counts'] == [len(each.route) for each in section.departures]
-    assert packed(np.array([1.5]), '<f4') == b64encode(zlib.compress(b'\0\0\xc0?')).decode()

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -132,22 +131,6 @@ def test_a_full_queue_refuses_at_once_with_the_reason(queue):
     assert later.exception(TIMEOUT)
 
 
-def test_the_first_waiting_solve_does_not_count_before_one_runs(monkeypatch):
-    ready = threading.Event()
-    monkeypatch.setattr(
-        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and HandedOn.take())
-    queue = SolveQueue()
-    try:
-        solves = [submit(queue, k, request(), size=1) for k in range(2)]
-        with pytest.raises(QueueFull):
-            submit(queue, 'third', request(), size=1)
-        ready.set()
-        assert all(each.result(TIMEOUT) for each in solves)
-    finally:
-        ready.set()
-        queue.close()
-
-
 def test_background_solves_run_last(fresh_queue):
     queue = fresh_queue
     submit(queue, 'slow', slow_request())
@@ -179,25 +162,6 @@ def test_a_withdrawn_request_leaves_the_background_solve(queue):
     queue.withdraw_background()
     with pytest.raises(SolveCancelled, match='a newer map'):
         kept.result(0.0)
-
-
-def test_an_outcome_is_shared_while_it_is_being_set(queue, monkeypatch):
-    """A request between the end of a solve and its outcome does not begin another one."""
-    solves, again, heard, solve = [], [], threading.Event(), WorkerProcess.solve
-
-    def once_heard(worker, asked):
-        solves.append(asked)
-        assert heard.wait(TIMEOUT)
-        return solve(worker, asked)
-
-    monkeypatch.setattr(WorkerProcess, 'solve', once_heard)
-    first = submit(queue, 'key', request())
-    first.add_done_callback(lambda _: again.append(submit(queue, 'key', request())))
-    heard.set()
-    first.result(TIMEOUT)
-    wait_until(lambda: again, 'the callback')
-    assert again[0].result(TIMEOUT) is first.result()
-    assert len(solves) == 1
 
 
 def test_cancel_ends_a_long_solve_and_the_next_one_works(queue):

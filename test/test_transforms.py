@@ -145,17 +145,6 @@ def test_frames_are_followed_up_and_down_the_tree(tf):
     tf.wait_for(given, (9.5, -99.75), frame='depot')
 
 
-def test_the_latest_transform_counts_whatever_the_stamps(tf):
-    tf.send(*(transform('map', 'base_link', float(sec), sec=sec) for sec in (4, 5, 3)))
-    tf.wait_for(pose(0.0, 0.0, frame='base_link'), (5.0, 0.0))
-    for sec in (0, 3, 2_000_000_000):
-        given = pose(0.5, 0.0, frame='base_link')
-        given.header.stamp = Time(sec=sec)
-        result = tf.frames.to_frame(given, 'start', 'map', math.inf)
-        assert pose_from_ros(result.pose)[0] == pytest.approx(5.5)
-        assert result.header.stamp == Time(sec=5)
-
-
 def test_unknown_frames_and_invalid_orientations_are_errors(tf):
     tf.fix(transform('map', 'odom'))
     given = pose(1.0, 2.0, frame='odom')
