@@ -112,11 +112,6 @@ def cycled(strategy, count, different):
     return [drawn(strategy, different, 2)[k % different] for k in range(count)]
 
 
-def repeated_every_fifth(strategy, count):
-    routes = drawn(strategy, count, 1)
-    return [routes[0] if k % 5 == 0 else route for k, route in enumerate(routes)]
-
-
 def reweighted(strategy, count, power):
     """Choices made with probabilities to a power: 0 forgets the weights, 2 is too bold."""
     network, p = strategy.network, strategy.edge_probability
@@ -126,7 +121,7 @@ def reweighted(strategy, count, power):
 
 
 @pytest.mark.parametrize(('planner', 'options'), [
-    (likeliest, (5,)), (cycled, (18, 3)), (repeated_every_fifth, (25,)),
+    (likeliest, (5,)), (cycled, (18, 3)),
     (reweighted, (20, 0.0)), (reweighted, (100, 2.0)),
 ])
 def test_planners_that_do_not_follow_the_law_are_found(terrain, planner, options):

@@ -125,15 +125,3 @@ def test_unreadable_files_exit_3_unless_there_is_a_finding(good, tmp_path, a_pla
     stuck = recorded(tmp_path / 'stuck', a_plan, drawn(a_plan, 1) * 6)
     (stuck / 'broken.mcap').write_bytes(b'nothing')
     assert run(capsys, stuck)[0] == 1
-
-
-def test_bad_places_exit_3_and_wrong_usage_2(good, tmp_path, capsys):
-    (tmp_path / 'empty').mkdir()
-    (tmp_path / 'file').write_text('')
-    for folder, out in (('empty', 'out'), ('nowhere', 'out'), (good, 'file')):
-        assert run(capsys, tmp_path / folder, '-o', tmp_path / out)[0] == 3
-    for arguments in ([], [str(good), '--unheard']):
-        with pytest.raises(SystemExit) as stop:
-            audit.main(arguments)
-        assert stop.value.code == 2
-        assert 'usage' in capsys.readouterr().err

@@ -9,11 +9,7 @@ from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
-from ros_harness import (
-    pose,
-    stage,
-    wait_until,
-)
+from ros_harness import pose, stage, wait_until
 
 pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)

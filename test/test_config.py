@@ -6,7 +6,6 @@ from pathlib import Path
 import rclpy
 import yaml
 from rclpy.context import Context
-from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from ros_harness import free_domain
 
 from ambush_planner.planning.parameters import PARAMETERS
@@ -80,15 +79,6 @@ def test_the_file_holds_every_default_in_its_type():
     (node,) = yaml.safe_load(FILE.read_text()).items()
     assert node[0] == '/**'
     assert exact(flat(node[1]['ros__parameters'])) == exact(DEFAULTS)
-
-
-def test_the_parser_of_param_load_reads_the_same():
-    read = parameter_dict_from_yaml_file(str(FILE), use_wildcard=True)
-    values = {name: parameter_value_to_python(each.value) for name, each in read.items()}
-    # It takes .inf for a string; the parser of --params-file does not.
-    finite = {name: value for name, value in DEFAULTS.items() if value != math.inf}
-    assert exact({name: values[name] for name in finite}) == exact(finite)
-    assert values.keys() == DEFAULTS.keys()
 
 
 def test_every_parameter_is_explained_as_it_is_declared():

@@ -16,6 +16,7 @@ from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_harness import Client, free_domain, pose, risk_grid, ros_context, spinning, stage
+from test_config import flat
 from waiting import TIMEOUT, answer_of
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -138,7 +139,8 @@ def test_arguments_reach_the_node(tmp_path):
 
 
 def test_paths_for_nav2_are_dense_enough_for_mppi():
-    values = {name: value for name, value in flat(NAV2) if name != 'robot_base_frame'}
+    ((_, node),) = yaml.safe_load(NAV2.read_text()).items()
+    values = flat(node['ros__parameters']) | {'robot_base_frame': ''}
     grid = risk_grid()
     grid.data[0] = 99
     with stage(parameters={**values, 'network.spacing': 0.5}) as running:
@@ -149,16 +151,6 @@ def test_paths_for_nav2_are_dense_enough_for_mppi():
     steps = ((points[1:] - points[:-1]) ** 2).sum(axis=1) ** 0.5
     assert steps.max() <= 0.05 + 1e-6  # MPPI wants 20 of them in about 1.4 m
     assert len(points) >= 20
-
-
-def flat(file):
-    """(name, value) of a parameter file of one node."""
-    ((_, node),) = yaml.safe_load(file.read_text()).items()
-    for name, value in node['ros__parameters'].items():
-        if isinstance(value, dict):
-            yield from ((f'{name}.{key}', each) for key, each in value.items())
-        else:
-            yield name, value
 
 
 def commands():

@@ -8,6 +8,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from nav_msgs.msg import Path
 from rclpy.parameter import Parameter
 from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+from test_compute_path import LONG
 from test_node_life import threads
 from waiting import answer_of
 
@@ -16,8 +17,6 @@ from ambush_planner.ros import planner_node
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
 WAITING = {'autostart': False}
-# Minutes: nobody waits for its end here.
-LONG = {'network.spacing': 0.0, 'network.target_nodes': 40_000, 'game.ambush_radius': 0.4}
 
 
 class Manager:

@@ -158,11 +158,3 @@ def test_a_killed_worker_fails_the_request_and_is_replaced():
         client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
         use(running, {**QUICK, 'network.spacing': 4.0})
         assert client.call('new_route').success
-
-
-def test_a_closing_node_answers_waiting_requests():
-    with solving() as (running, future):
-        running.planner.stop_solving()
-        assert 'shutting down' in answer(future).message
-        late = running.client.call('new_route')
-        assert not late.success and 'shutting down' in late.message

@@ -98,12 +98,6 @@ def said(forger, tmp_path, capsys):
     return ' '.join(capsys.readouterr().out.split())
 
 
-def test_a_stop_that_was_moved_is_found(runs, tmp_path, capsys):
-    forger = Forger(by_stops(runs[0]))
-    forger.entries['trip']['stops'][0][0] += 1.0
-    assert 'network: ' in said(forger, tmp_path, capsys)
-
-
 def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
     """Taken for one leg, the layers' sites are not one: the value would come out too low."""
     forger = Forger(by_stops(runs[0]))

@@ -141,7 +141,8 @@ DUMPED = {
 
 def dump(node):
     """The parameters as ``ros2 param dump`` writes them."""
-    names = sorted(name for name in node.list_parameters([], 0).names if not _of_ros(name))
+    # Read-only in each node of rclpy: loading a dump reports it and goes on.
+    names = sorted({*node.list_parameters([], 0).names} - {'start_type_description_service'})
     tree = {}
     for name in names:
         *groups, last = name.split('.')
@@ -150,11 +151,6 @@ def dump(node):
             branch = branch.setdefault(group, {})
         branch[last] = node.get_parameter(name).value
     return yaml.dump({node.get_fully_qualified_name(): {'ros__parameters': tree}})
-
-
-def _of_ros(name):
-    # Read-only in each node of rclpy: loading a dump says so, and goes on.
-    return name == 'start_type_description_service'
 
 
 @pytest.mark.parametrize('order', ['alphabetical', 'random'])

@@ -17,12 +17,9 @@ from pathlib import Path
 import pytest
 import yaml
 from recording_samples import (
-    LATCHED,
     START_NS,
-    VOLATILE,
     assert_departure,
     departure,
-    pose,
     read_with_mcap_ros2,
     read_with_rosbags,
     record,
@@ -134,21 +131,6 @@ def test_a_session_is_one_bag_with_one_file_per_departure(tmp_path):
     assert [t['message_count'] for t in topics] == [2] * 6
     keys = 'name type serialization_format offered_qos_profiles type_description_hash'
     assert {frozenset(t['topic_metadata']) for t in topics} == {frozenset(keys.split())}
-
-
-def test_clocks_and_profiles_that_change_between_departures(tmp_path):
-    recorder = Recorder(tmp_path)
-    sent = [
-        recorded('/start_pose', pose(1.0, 2.0), qos, stamp)
-        for qos, stamp in ((VOLATILE, START_NS), (LATCHED, START_NS - 10**12), (VOLATILE, 0))
-    ]
-    for message in sent:
-        session = record(recorder, [message]).parent
-    found = sorted(read_with_rosbags(session), key=lambda row: row[1])
-    assert_departure(sent[::-1], found)
-    information = bag_information(session)
-    assert information['starting_time'] == {'nanoseconds_since_epoch': 0}
-    assert information['duration'] == {'nanoseconds': START_NS}
 
 
 def test_recorders_of_the_same_second_do_not_clash(tmp_path, monkeypatch):

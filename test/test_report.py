@@ -23,11 +23,7 @@ from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
-from ambush_planner.recordings.report_data import (
-    OBSTACLE,
-    map_cells,
-    sections_of,
-)
+from ambush_planner.recordings.report_data import OBSTACLE, map_cells, sections_of
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))

@@ -27,8 +27,6 @@ from ambush_planner.worker.process import WorkerProcess
 interfaces.install('tf2_msgs')
 from tf2_msgs.msg import TFMessage  # noqa: E402
 
-HALF_TURN = (0.0, 0.0, math.pi)
-
 
 @contextmanager
 def node_in(domain, name, **arguments):
@@ -135,14 +133,6 @@ def test_a_pose_in_space_is_turned_and_moved(tf):
     q = there.pose.orientation
     turned = Rotation.from_quat((q.x, q.y, q.z, q.w)).inv()
     assert turned.apply(position(beyond) - position(there)) == pytest.approx(ahead)
-
-
-def test_frames_are_followed_up_and_down_the_tree(tf):
-    tf.fix(transform('map', 'odom', 10.0, turn=HALF_TURN), transform('map', 'depot', y=100.0))
-    tf.send(transform('odom', 'base_link', 1.0, turn=HALF_TURN))
-    given = pose(0.5, 0.25, frame='base_link')
-    tf.wait_for(given, (9.5, 0.25))
-    tf.wait_for(given, (9.5, -99.75), frame='depot')
 
 
 def test_unknown_frames_and_invalid_orientations_are_errors(tf):
