@@ -81,13 +81,6 @@ def test_infeasible_budget_has_a_row_with_the_reason(network):
     assert not loose.error and loose.value > 0.0
 
 
-def test_rows_are_reported_longest_detour_first(network):
-    reported = []
-    rows = frontier(network, detours=(1.1, 1.3), slacks=(0.01,), on_row=reported.append)
-    assert [row.max_detour for row in reported] == [1.3, 1.2, 1.1]
-    assert set(reported) == set(rows)
-
-
 def test_bad_budgets_are_refused_before_the_first_solve(network):
     reported = []
     with pytest.raises(InvalidOption, match='max_detour'):
@@ -137,14 +130,6 @@ def test_risk_map_from_an_npz_file(map_file, tmp_path):
         done = run(tmp_path / name, *ENDS, '-o', tmp_path / 'f.csv')
         assert done.code == 3 and reason in done.err, done.err
         assert 'Traceback' not in done.err
-
-
-def test_row_without_a_strategy_is_a_finding(map_file, tmp_path):
-    done = run(
-        map_file, *ENDS, '-o', tmp_path / 'f.csv', '--detours', 1.0, '--slacks', 0.1,
-        '--set', 'network.spacing=15', 'game.alpha_threshold=7.5', 'strategy.max_detour=4',
-    )
-    assert done.code == 1 and 'raise max_detour' in done.out, done.err
 
 
 @pytest.mark.parametrize(('arguments', 'reason'), [

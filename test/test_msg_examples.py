@@ -131,9 +131,3 @@ def test_get_plan_moves_the_goal_out_of_the_block(sender):
     assert 0.0 < math.dist(wanted, found) <= request.tolerance
     assert not sender.client.get_plan(request.start, request.goal, 0.0).poses
     sender.client.diagnostics(code='GOAL_OCCUPIED')
-
-
-def test_replan_and_cancel_answer_in_words(sender):
-    replanned, cancelled = sender.call('replan'), sender.call('cancel')
-    assert replanned.success and 'value' in replanned.message
-    assert not cancelled.success and cancelled.message
