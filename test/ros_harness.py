@@ -202,13 +202,17 @@ class Stage:
 
 
 @contextmanager
-def stage(directory=None, parameters=None, **planner_arguments):
-    """A running planner (recording to ``directory``, if given) and its client."""
+def stage(directory=None, parameters=None, domain=None, **planner_arguments):
+    """A running planner (recording to ``directory``, if given) and its client.
+
+    They have a domain of their own unless one is given.
+    """
     values = {**SMALL, 'recording.enabled': directory is not None, **(parameters or {})}
     if directory is not None:
         values['recording.directory'] = str(directory)
     overrides = [Parameter(name, value=value) for name, value in values.items()]
-    with free_domain() as domain, ExitStack() as stack:
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain()) if domain is None else domain
         own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
         stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
