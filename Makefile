@@ -22,7 +22,7 @@ help:
 	@echo 'make test       linters, type checker and the whole test suite'
 	@echo 'make lint       linters and type checker only'
 	@echo 'make benchmark  speed of solver and node, in about 15 minutes; benchmarks/results.md'
-	@echo 'make endurance  nodes killed 100 times, random games, malformed messages, the node for an hour'
+	@echo 'make endurance  recordings killed 300 times, random games, malformed messages, the node for an hour'
 	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
@@ -57,7 +57,7 @@ benchmark: $(VENV)/.test
 
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \
-		-o session_limit=3600 test/test_node_kills.py test/test_recording_faults.py
+		-o session_limit=3600 test/test_recorder.py
 	HUNT=10 $(BIN)/python -m pytest $(PARALLEL) --timeout 3600 -o session_limit=7200 \
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py

@@ -2,23 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
-from games import random_map
-from hypothesis import assume
+from games import HUNT, METHODS, random_map
 from hypothesis import strategies as st
 
-from ambush_planner import (
-    GoalBlocked,
-    InvalidNetwork,
-    NetworkOptions,
-    NoRoute,
-    StartBlocked,
-    build_network,
-)
+from ambush_planner import GoalBlocked, NetworkOptions, NoRoute, StartBlocked, build_network
 from ambush_planner.network.shortest_paths import shortest_path
 from ambush_planner.routes.corridors import make_corridors
-
-METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay')
 
 
 def some_route(network, seed):
@@ -29,26 +21,30 @@ def some_route(network, seed):
     )
 
 
-@st.composite
-def drives(draw, tubes=(None, 0.05, 0.3, 1.0)):
+@cache
+def drive(seed):
     """Corridors, a route in them, and what they were made from."""
-    cells = draw(st.integers(6, 14))
-    risk_map = random_map(draw(st.integers(0, 10**6)), cells, 0.1, draw(st.floats(-4, 4)))
-    place = st.tuples(*[st.floats(0.4, cells - 0.4)] * 2)
-    clearance, clear_of_edge = draw(st.sampled_from((0.0, 0.25))), draw(st.booleans())
-    options = NetworkOptions(
-        draw(st.sampled_from(METHODS)), draw(st.sampled_from((0.7, 1.0, 1.6))), clearance,
-        clear_of_edge=clear_of_edge,
-    )
-    ends = risk_map.to_world(np.array(draw(st.tuples(place, place))))
-    try:
-        network = build_network(risk_map, *ends, options)
-    except (StartBlocked, GoalBlocked, NoRoute, InvalidNetwork):
-        assume(False)
-    tube = draw(st.sampled_from(tubes))
-    corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
-    route = some_route(network, draw(st.integers(0, 99)))
-    return corridors, route, risk_map, clearance, tube, clear_of_edge
+    rng = np.random.default_rng(seed)
+    while True:
+        cells = int(rng.integers(6, 15))
+        risk_map = random_map(int(rng.integers(10**6)), cells, 0.1, rng.uniform(-4, 4))
+        clearance, clear_of_edge = rng.choice((0.0, 0.25)), bool(rng.integers(2))
+        options = NetworkOptions(
+            str(rng.choice(METHODS[:4])), rng.choice((0.7, 1.0, 1.6)), clearance,
+            clear_of_edge=clear_of_edge,
+        )
+        ends = risk_map.to_world(rng.uniform(0.4, cells - 0.4, (2, 2)))
+        try:
+            network = build_network(risk_map, *ends, options)
+        except (StartBlocked, GoalBlocked, NoRoute):
+            continue
+        tube = (None, None, 0.05, 0.3, 1.0)[rng.integers(5)]
+        corridors = make_corridors(network, risk_map, clearance, tube, clear_of_edge)
+        return corridors, some_route(network, seed), risk_map, clearance, tube, clear_of_edge
+
+
+# A limited number of drives, which the tests of a file share.
+drives = st.integers(0, 50 * HUNT).map(drive)
 
 
 def distance_to(points, line):

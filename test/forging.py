@@ -53,16 +53,11 @@ class Forger:
         self.entries = dict(file.entries)
         self.attachments = dict(file.attachments)
 
-    def place(self, role):
-        """The index of the message in a role."""
-        topic = self.entries['topics'][role]
-        (found,) = [k for k, message in enumerate(self.messages) if message.topic == topic]
-        return found
-
     def edit(self, role, change):
         """Change the message in a role by a function that takes it."""
-        place = self.place(role)
-        recorded = self.messages[place]
+        topic = self.entries['topics'][role]
+        ((place, recorded),) = [
+            (k, message) for k, message in enumerate(self.messages) if message.topic == topic]
         message = deserialize_message(recorded.data, _message_class(recorded.type))
         change(message)
         self.messages[place] = replace(recorded, data=serialize_message(message))

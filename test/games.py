@@ -20,11 +20,7 @@ from scipy.sparse import coo_matrix, csr_matrix
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
 METHODS = (
-    'uniform_delaunay',
-    'lattice_delaunay',
-    'uniform_grid8',
-    'random_delaunay',
-    'gradient_delaunay',
+    'uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay'
 )
 PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
 WITH_ZERO = (0.0, *PLAIN)
@@ -37,11 +33,8 @@ HUNT = int(os.environ.get('HUNT', '1'))
 def examples(count: int) -> settings:
     """Hypothesis' settings for ``count`` examples in CI."""
     return settings(
-        max_examples=count * HUNT,
-        derandomize='HUNT' not in os.environ,
-        database=None,
-        deadline=None,
-        suppress_health_check=[HealthCheck.too_slow],
+        max_examples=count * HUNT, derandomize='HUNT' not in os.environ, database=None,
+        deadline=None, suppress_health_check=[HealthCheck.too_slow],
     )
 
 
@@ -197,8 +190,7 @@ def program_value(
     # One row per site: its loss minus t minus its own s; then the length over the budget.
     parts = (
         (hits.data * network.alpha[hits.row], hits.row, hits.col),
-        (-np.ones(n), every, np.full(n, m)),
-        (-np.ones(len(slack)), slack, m + 1 + slack),
+        (-np.ones(n), every, np.full(n, m)), (-np.ones(len(slack)), slack, m + 1 + slack),
         *[(network.lengths / budget, np.full(m, n), each)] * budgets,
     )
     data, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))

@@ -133,8 +133,7 @@ def _generate(folder, package, source):
     hasher = 'rosidl_generator_type_description'
     hashes = import_module(hasher).generate_type_hash(arguments(
         hasher, include_paths=[f'{each.name}:{each}' for each in sorted(installed)]))
-    import_module(C).generate_c(arguments(
-        C, type_description_tuples=[f'{idl}:{hashes[0]}']))
+    import_module(C).generate_c(arguments(C, type_description_tuples=[f'{idl}:{hashes[0]}']))
     import_module(FAST_DDS).generate_typesupport_fastrtps_c(arguments(FAST_DDS))
     import_module(INTROSPECTION).generate_c(arguments(INTROSPECTION))
     import_module(DISPATCH).generate_c(arguments(DISPATCH), [FAST_DDS, INTROSPECTION])
@@ -151,26 +150,23 @@ def _compile(folder, package):
     installed, lib = folder / PYTHON / package, PREFIX / 'lib'
     include = [PREFIX / 'include', *(PREFIX / 'include').iterdir(), *folder.glob('rosidl_*/'),
                sysconfig.get_path('include'), np.get_include()]
-    objects = {False: [], True: []}
-    for source in sorted(folder.glob('rosidl_*/**/*.c*')):
-        target = source.with_name(f'{source.name}.o')
-        _run(['g++' if source.suffix == '.cpp' else 'gcc', '-O0', '-w', '-fPIC', '-c', source,
-              '-o', target, *(f'-I{each}' for each in include)])
-        objects[PYTHON in source.parts].append(target)
-    link = ['g++', '-shared', f'-L{lib}', f'-Wl,-rpath,{lib}', '-Wl,-rpath,$ORIGIN']
+    link = ['gcc', '-shared', '-O0', '-w', '-fPIC', *(f'-I{each}' for each in include),
+            f'-L{lib}', f'-Wl,-rpath,{lib}', '-Wl,-rpath,$ORIGIN']
     needs = [f'-l:{each.name}' for pattern in (
         *(f'lib*__{part}.so' for part in (C, PYTHON, DISPATCH, FAST_DDS, INTROSPECTION)),
         'librosidl_*.so', 'libfastcdr.so', 'librcutils.so') for each in lib.glob(pattern)]
+    sources = sorted(folder.glob('rosidl_*/**/*.c*'))
+    bindings = [source for source in sources if PYTHON in source.parts]
     names = [f'lib{package}__{part}.so' for part in (FAST_DDS, INTROSPECTION)]
     whole, other = (installed / name for name in names)
-    _run([*link, f'-Wl,-soname,{whole.name}', '-o', whole, *objects[False], *needs])
+    _run([*link, f'-Wl,-soname,{whole.name}', '-o', whole, *sorted({*sources} - {*bindings}),
+          *needs, '-lstdc++'])
     _run([*link, f'-Wl,-soname,{other.name}', '-o', other, '-Wl,--no-as-needed', whole])
-    _run([*link, '-o', installed / f'{package}_s__{DISPATCH}.so', *objects[True], whole, *needs])
+    _run([*link, '-o', installed / f'{package}_s__{DISPATCH}.so', *bindings, whole, *needs])
     (installed / '__init__.py').write_text(LOADER.format(names=names))
     return installed.parent
 
 
 def _run(command):
-    done = subprocess.run(
-        [str(each) for each in command], capture_output=True, text=True, check=False)
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

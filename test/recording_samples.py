@@ -7,7 +7,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped
 from mcap.reader import make_reader
-from mcap.records import Schema
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
@@ -15,14 +14,12 @@ from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader, anyreader
-from service_msgs.msg import ServiceEventInfo
 from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.recording_file import encode
-from ambush_planner.recordings.schemas import load_definition
 
 # Its parsers are slow, and the tests' files all hold the same definitions.
 for _parser in ('get_types_from_idl', 'get_types_from_msg'):
@@ -66,25 +63,6 @@ def diagnostics():
 def path_message():
     poses = [pose(i / 3, -float(i)) for i in range(5)]
     return PathMessage(header=Header(frame_id='map'), poses=poses)
-
-
-def service_events(service, request, response):
-    """What a service publishes about one call: the request received, the response sent."""
-    return [
-        service.Event(info=ServiceEventInfo(event_type=1, sequence_number=7), request=[request]),
-        service.Event(info=ServiceEventInfo(event_type=2, sequence_number=7), response=[response]),
-    ]
-
-
-def trigger_events():
-    return service_events(
-        Trigger, Trigger.Request(), Trigger.Response(success=True, message='route 1')
-    )
-
-
-def get_plan_events():
-    request = GetPlan.Request(start=pose(1.0, 2.0), goal=pose(3.0, 4.0), tolerance=0.5)
-    return service_events(GetPlan, request, GetPlan.Response(plan=path_message()))
 
 
 def recorded(topic, message, qos=VOLATILE, stamp_ns=START_NS):
@@ -163,7 +141,7 @@ def message_of(recorded):
 
 def fields(message):
     """What of a recorded message comes back from a file."""
-    return (message.topic, message.type, message.data, message.qos_text, message.stamp_ns)
+    return (message.topic, message.type, message.data, message.channel.qos, message.stamp_ns)
 
 
 def assert_same(sent, read):
@@ -196,53 +174,12 @@ def read_with_rosbags(path):
         ]
 
 
-class EventDecoderFactory(DecoderFactory):
-    """mcap_ros2's decoder, also for service events.
-
-    It knows neither IDL nor names like ``Trigger_Event``; the definitions are written out here,
-    independently of those in the file.
-    """
-
-    FIELDS = {
-        'std_srvs/srv/Trigger_Event': [
-            ('std_srvs/Trigger_Request', ''),
-            ('std_srvs/Trigger_Response', 'bool success\nstring message\n'),
-        ],
-        'nav_msgs/srv/GetPlan_Event': [
-            (
-                'nav_msgs/GetPlan_Request',
-                'geometry_msgs/PoseStamped start\ngeometry_msgs/PoseStamped goal\n'
-                'float32 tolerance\n',
-            ),
-            ('nav_msgs/GetPlan_Response', 'nav_msgs/Path plan\n'),
-        ],
-    }
-
-    def decoder_for(self, message_encoding, schema):
-        if schema is None or schema.name not in self.FIELDS:
-            return super().decoder_for(message_encoding, schema)
-        text = self._text(schema.name).encode()
-        return super().decoder_for(
-            message_encoding, Schema(schema.id, text, 'ros2msg', 'ambush_planner/msg/Event')
-        )
-
-    def _text(self, name):
-        (request, _), (response, _) = self.FIELDS[name]
-        line = '=' * 80
-        known = ('service_msgs/msg/ServiceEventInfo', 'nav_msgs/msg/Path')
-        parts = [(type_.replace('/msg', ''), load_definition(type_).text) for type_ in known]
-        return '\n'.join([
-            'service_msgs/ServiceEventInfo info',
-            f'{request}[<=1] request',
-            f'{response}[<=1] response',
-            *(f'{line}\nMSG: {type_}\n{text}' for type_, text in parts + self.FIELDS[name]),
-        ])
-
-
 def read_with_mcap_ros2(path):
+    """All messages but service events, which mcap_ros2 cannot decode."""
     with path.open('rb') as file:
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[EventDecoderFactory()])
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        topics = {each.topic for each in reader.get_summary().channels.values()}
         return [
-            (channel.topic, message.log_time, decoded)
-            for _, channel, message, decoded in reader.iter_decoded_messages()
+            (channel.topic, message.log_time, decoded) for _, channel, message, decoded in
+            reader.iter_decoded_messages([each for each in topics if 'service_event' not in each])
         ]

@@ -6,7 +6,6 @@
 import os
 import signal
 import sys
-from importlib import import_module
 from pathlib import Path
 
 ACTIVE = 'map_server/active'
@@ -44,15 +43,10 @@ def wait_for_map(node):
     wait_until(node.create_client(Trigger, ACTIVE).service_is_ready, ACTIVE)
 
 
-def type_of(name):
-    package, folder, kind = name.split('/')
-    return getattr(import_module(f'{package}.{folder}'), kind)
-
-
 def publish(node, topic, kind, text):
     import yaml
     from rclpy.qos import QoSProfile
-    from ros_yaml import filled
+    from ros_yaml import filled, type_of
     from waiting import wait_until
 
     publisher = node.create_publisher(type_of(kind), topic, QoSProfile(depth=1))
@@ -63,6 +57,7 @@ def publish(node, topic, kind, text):
 
 def call(node, name, kind):
     from rcl_interfaces.srv import GetParameters
+    from ros_yaml import type_of
     from waiting import TIMEOUT, wait_until
 
     client = node.create_client(type_of(kind), name)

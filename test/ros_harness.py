@@ -202,26 +202,21 @@ class Stage:
 
 
 @contextmanager
-def stage(directory=None, parameters=None, **planner_arguments):
-    """A running planner (recording to ``directory``, if given) and its client."""
-    with free_domain() as domain, stage_in(
-            domain, directory, parameters, **planner_arguments) as running:
-        yield running
+def stage(directory=None, parameters=None, domain=None, **planner_arguments):
+    """A running planner (recording to ``directory``, if given) and its client.
 
-
-@contextmanager
-def stage_in(domain, directory=None, parameters=None, **planner_arguments):
-    """The same in a domain where others may be."""
+    They have a domain of their own unless one is given.
+    """
     values = {**SMALL, 'recording.enabled': directory is not None, **(parameters or {})}
     if directory is not None:
         values['recording.directory'] = str(directory)
     overrides = [Parameter(name, value=value) for name, value in values.items()]
-    with ros_context(domain) as own, ros_context(domain) as other, ExitStack() as stack:
+    with ExitStack() as stack:
+        domain = stack.enter_context(free_domain()) if domain is None else domain
+        own, other = (stack.enter_context(ros_context(domain)) for _ in range(2))
         stack.enter_context(mock.patch.object(solve_queue, 'WorkerProcess', HandedOn.take))
         stack.enter_context(mock.patch.object(dispatcher, '_SHUTDOWN_TIME', TIMEOUT))
-        planner = PlannerNode(
-            context=own, parameter_overrides=overrides, **planner_arguments
-        )
+        planner = PlannerNode(context=own, parameter_overrides=overrides, **planner_arguments)
         stack.enter_context(spinning(planner, SingleThreadedExecutor(context=own)))
         node = Node('client', context=other, namespace=planner.get_namespace())
         client = Client(node, planner.get_fully_qualified_name())

@@ -5,14 +5,7 @@ from __future__ import annotations
 import networkx
 import numpy as np
 import pytest
-from games import (
-    connected_flow,
-    examples,
-    is_acyclic,
-    networks,
-    terrain_network,
-    unbalanced,
-)
+from games import connected_flow, examples, is_acyclic, networks, terrain_network, unbalanced
 from hypothesis import given
 from hypothesis import strategies as st
 

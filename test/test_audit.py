@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,6 @@ from audit_oracles import routes_with_probabilities
 from games import examples, networks, paper_example, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import chdtri
 from scipy.stats import binom
 
 from ambush_planner import GameOptions, Network, Strategy, StrategyOptions, solve
@@ -114,11 +112,6 @@ def cycled(strategy, count, different):
     return [drawn(strategy, different, 2)[k % different] for k in range(count)]
 
 
-def repeated_every_fifth(strategy, count):
-    routes = drawn(strategy, count, 1)
-    return [routes[0] if k % 5 == 0 else route for k, route in enumerate(routes)]
-
-
 def reweighted(strategy, count, power):
     """Choices made with probabilities to a power: 0 forgets the weights, 2 is too bold."""
     network, p = strategy.network, strategy.edge_probability
@@ -127,24 +120,9 @@ def reweighted(strategy, count, power):
     return RouteSampler(network, weight).draw_many(count, np.random.default_rng(3))
 
 
-def left_turner(strategy, count):
-    """A driver who takes each edge that goes up 1.5 times as likely."""
-    network, p = strategy.network, strategy.edge_probability
-    up = (network.points[network.heads] - network.points[network.tails])[:, 1] > 0.1
-    out = np.bincount(network.tails, p, len(network.points))[network.tails]
-    weight = np.where(p > 0.0, p / np.where(p > 0.0, out, 1.0) * np.where(up, 1.5, 1.0), 0.0)
-    return RouteSampler(network, weight).draw_many(count, np.random.default_rng(4))
-
-
-def from_another_strategy(strategy, count):
-    other = solve(strategy.network, options=StrategyOptions(max_detour=1.05))
-    return drawn(other, count, 5)
-
-
 @pytest.mark.parametrize(('planner', 'options'), [
-    (likeliest, (5,)), (cycled, (6, 2)), (cycled, (18, 3)), (repeated_every_fifth, (25,)),
-    (reweighted, (20, 0.0)), (reweighted, (100, 2.0)), (left_turner, (150,)),
-    (from_another_strategy, (50,)),
+    (likeliest, (5,)), (cycled, (18, 3)),
+    (reweighted, (20, 0.0)), (reweighted, (100, 2.0)),
 ])
 def test_planners_that_do_not_follow_the_law_are_found(terrain, planner, options):
     routes = planner(terrain, *options)
@@ -191,31 +169,12 @@ def test_two_strategies_are_tested_each_under_its_own_law(terrain, paper):
     assert audit([*honest, *wrong]).finding
 
 
-def test_positions_make_edges_and_places_the_same(terrain):
-    """With half of the departures on a copy of the strategy, everything stays the same."""
-    routes, copy = drawn(terrain, 30, 2), solve(terrain_network(5, cells=20))
-    both = audit([Departure(copy if k % 2 else terrain, r) for k, r in enumerate(routes)])
-    one = run(terrain, routes)
-    assert (one.strategies, both.strategies) == (1, 2)
-    np.testing.assert_array_equal(both.passages, one.passages)
-    np.testing.assert_allclose(both.expected, one.expected, rtol=1e-9)
-    np.testing.assert_allclose(both.observer_losses, one.observer_losses)
-    assert both.p_value == pytest.approx(one.p_value, abs=0.15)
-
-
 @pytest.mark.parametrize(('wrong', 'count'), [
     ([0, 1, 6, 7], 1), ([0, 1, 4], 1), ([1, 4, 7], 1), ([0, 1, 6], 2),
 ])
 def test_impossible_steps_and_ends_are_counted_and_are_a_finding(paper, wrong, count):
     result = run(paper, [*drawn(paper, 8, 1), wrong])
     assert (result.impossible, result.p_value, result.finding) == (count, 0.0, True)
-
-
-def test_a_step_of_probability_0_is_impossible(terrain):
-    network = terrain.network
-    tail, head = network.edges[np.flatnonzero(terrain.edge_probability == 0.0)[0]]
-    impossible = 1 + int(tail != network.source) + int(head != network.target)
-    assert run(terrain, [*drawn(terrain, 8, 1), [tail, head]]).impossible == impossible
 
 
 def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
@@ -231,11 +190,6 @@ def test_too_few_departures_and_strategies_with_cycles_are_not_audited(paper):
     assert (result.departures, result.left_out, result.strategies) == (6, 1, 1)
 
 
-def test_the_same_departures_give_the_same_audit(terrain):
-    one, two = (run(terrain, drawn(terrain, 10, 7)) for _ in range(2))
-    assert (one.p_value, one.observer_range) == (two.p_value, two.observer_range)
-
-
 @examples(25)
 @given(networks(), st.integers(FEWEST_DEPARTURES, 9), st.integers(0, 9))
 def test_any_departures_of_any_network_can_be_audited(network, count, seed):
@@ -247,19 +201,6 @@ def test_any_departures_of_any_network_can_be_audited(network, count, seed):
     assert np.isfinite([result.observer_loss, *result.observer_range]).all()
     if len(routes_with_probabilities(strategy)) == 1:
         assert result.p_value == 1.0
-
-
-def test_steps_are_drawn_with_the_law_of_the_walk(paper):
-    count, network = 40_000, paper.network
-    route, edge = RouteSampler(network, paper.edge_probability).draw_steps(
-        count, np.random.default_rng(1)
-    )
-    order = np.argsort(route, kind='stable')
-    walks = np.split(network.heads[edge[order]], np.cumsum(np.bincount(route))[:-1])
-    seen = Counter((network.source, *walk.tolist()) for walk in walks)
-    expected = {each: count * q for each, q in routes_with_probabilities(paper).items()}
-    assert set(seen) == set(expected) and len(expected) == 7
-    assert sum((seen[r] - e) ** 2 / e for r, e in expected.items()) < chdtri(6, FALSE_ALARM)
 
 
 # Foresight
@@ -293,9 +234,3 @@ def test_watching_honest_draws_brings_about_the_value(reach):
     assert result.observer_loss >= 0.7 * strategy.value
     low, high = result.observer_range
     assert low < strategy.value < 1.2 * high
-
-
-def test_a_planner_that_repeats_itself_is_foreseen(terrain):
-    result = run(terrain, likeliest(terrain, 20))
-    assert result.observer_loss > 1.1 * result.value
-    assert result.observer_loss > result.observer_range[1]

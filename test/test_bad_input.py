@@ -1,13 +1,9 @@
 """Bad requests: the answer names the input and its numbers, and the node goes on."""
 
-import gc
 import math
 
-import numpy as np
 import pytest
 from ros_harness import pose, risk_grid, stage
-
-from ambush_planner.ros.inputs import Trip
 
 NAN = math.nan
 START, GOAL = (1.5, 5.5), (8.5, 5.5)
@@ -42,14 +38,6 @@ def test_nothing_has_arrived():
         client.call_until('new_route', lambda answer: answer.success)
 
 
-def test_without_a_map_the_answer_names_the_fault_of_the_refused_one():
-    with stage() as running:
-        running.client.publish('alpha_map', risk_grid(np.array([[0, 101]])))
-        answer = running.client.call_until('new_route', lambda answer: 'refused' in answer.message)
-        assert not answer.success
-        assert '101 at (row, column) (0, 1)' in answer.message
-
-
 def test_a_bad_pose_on_a_topic_replaces_the_last_one(client):
     for topic, good in (('start_pose', START), ('goal_pose', GOAL)):
         client.publish(topic, pose(NAN, 1))
@@ -64,40 +52,6 @@ def test_bad_tolerance(client, tolerance):
     assert not client.get_plan(pose(*START), pose(*GOAL), tolerance).poses
     client.diagnostics(
         code='INVALID_OPTION', message=f'tolerance must be finite and >= 0 [m], got {tolerance}')
-
-
-def test_no_route():
-    values = np.zeros((20, 20), dtype=np.int8)
-    values[:, 10] = 100
-    with stage() as running:
-        answer = running.give(risk_grid(values)).call('new_route')
-        assert not answer.success
-        assert 'no route from (1.500, 5.500) to (8.500, 5.500)' in answer.message
-        running.client.diagnostics(code='NO_VALID_PATH')
-
-
-def test_requests_that_fail_leave_nothing_for_the_garbage_collector(client):
-    outside = pose(*START), pose(100.0, 5.5)
-    gc.collect()
-    gc.disable()
-    try:
-        for _ in range(5):
-            assert not client.get_plan(*outside).poses
-        client.diagnostics(code='GOAL_OUTSIDE_MAP', state='ready')
-        assert sum(isinstance(each, Trip) for each in gc.get_objects()) <= 1
-    finally:
-        gc.enable()
-
-
-def test_too_little_time():
-    # The plain game's value needs no program and is the best at once: a reach takes its time.
-    parameters = {
-        'max_planning_time': 0.001, 'network.spacing': 0.2, 'game.ambush_radius': 1.0}
-    with stage(parameters=parameters) as running:
-        answer = running.give().call('new_route')
-        assert not answer.success
-        assert 'allow more time' in answer.message
-        running.client.diagnostics(code='TIMEOUT')
 
 
 def test_a_cached_plan_does_not_answer_for_a_goal_at_the_start(client):

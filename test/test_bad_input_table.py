@@ -2,7 +2,6 @@
 
 import math
 import re
-from contextlib import ExitStack
 from pathlib import Path
 
 import interfaces
@@ -13,27 +12,10 @@ from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
 from rclpy.exceptions import ParameterNotDeclaredException
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
-from ros_harness import (
-    TIMEOUT,
-    Stage,
-    free_domain,
-    header,
-    pose,
-    risk_grid,
-    ros_context,
-    spinning,
-    stage,
-    stage_in,
-    wait_until,
-)
-from std_srvs.srv import Trigger
+from ros_harness import Stage, header, pose, risk_grid, stage, wait_until
 from test_conversions import turned
 from test_long_solves import NORTH, QUICK, solving, use
-
-from ambush_planner.ros.qos import REQUESTS
 
 interfaces.install('map_msgs')
 from map_msgs.msg import OccupancyGridUpdate  # noqa: E402
@@ -123,8 +105,8 @@ def no_map(_):
 
 def unreadable(running):
     kinds = {'alpha_map': OccupancyGrid, 'start_pose': PoseStamped, 'goal_pose': PoseStamped,
-             'via_poses': PoseArray,
-             'initialpose': PoseWithCovarianceStamped}
+             'via_poses': PoseArray, 'initialpose': PoseWithCovarianceStamped,
+             'alpha_map_updates': OccupancyGridUpdate}
     codes = set()
     for topic, kind in kinds.items():
         running.client.publish('alpha_map', risk_grid())
@@ -183,24 +165,12 @@ def new_goal_during_a_solve(_):
 
 def many_calls(_):
     """Some of the thousand calls of benchmarks/node_load.py."""
-    count = 200
-    with free_domain() as domain, stage_in(domain) as busy, ExitStack() as stack:
-        busy.give()
-        clients = []
-        for k in range(4):
-            node = Node(f'other_{k}', context=stack.enter_context(ros_context(domain)))
-            clients.append(
-                node.create_client(Trigger, 'ambush_planner/new_route', qos_profile=REQUESTS))
-            executor = SingleThreadedExecutor(context=node.context)
-            stack.enter_context(spinning(node, executor))
-        assert all(client.wait_for_service(TIMEOUT) for client in clients)
-        name = clients[0].srv_name
-        wait_until(lambda: busy.planner.count_clients(name) == 1 + len(clients), 'all clients')
-        futures = [client.call_async(Trigger.Request()) for _ in range(count // 4)
-                   for client in clients]
-        wait_until(lambda: all(future.done() for future in futures), f'{count} answers')
-        assert all(future.result().success for future in futures)
-        busy.client.diagnostics(departures=str(count))
+    with stage() as busy:
+        client = busy.give()
+        futures = [client.send('new_route') for _ in range(100)]
+        wait_until(lambda: all(each.done() for each in futures), 'the answers')
+        assert all(each.result().success for each in futures)
+        client.diagnostics(departures='100')
     return ''
 
 

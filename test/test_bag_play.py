@@ -13,11 +13,11 @@ from geometry_msgs.msg import PoseStamped
 from mcap_ros2.reader import read_ros2_messages
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.srv import GetPlan
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from ros_harness import pose, risk_grid, stage, wait_until
 from std_srvs.srv import Trigger
 
+from ambush_planner.commands.replay import qos_from_yaml
 from ambush_planner.recordings import read_recording, recordings_in
 
 convert = pytest.importorskip('rosbags.convert.cli').main
@@ -51,7 +51,8 @@ def play(files, client, rate):
     messages = [each for file in files for each in read_recording(file).messages
                 if each.type in INPUTS or each.type in EVENTS]
     publishers = {
-        each.topic: client.node.create_publisher(INPUTS[each.type], each.topic, _qos(each))
+        each.topic: client.node.create_publisher(
+            INPUTS[each.type], each.topic, qos_from_yaml(each.qos))
         for each in messages if each.type in INPUTS
     }
     wait_until(lambda: all(each.get_subscription_count() for each in publishers.values()), 'node')
@@ -67,12 +68,6 @@ def play(files, client, rate):
             answers.append(client.send(each.topic.split('/')[-2], event.request[0]))
     wait_until(lambda: all(each.done() for each in answers), 'answers')
     return [each.result() for each in answers]
-
-
-def _qos(recorded):
-    latched = 'durability: transient_local' in recorded.qos_text
-    return QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL if latched
-                      else DurabilityPolicy.VOLATILE)
 
 
 @pytest.fixture(scope='module')
@@ -109,7 +104,7 @@ def test_a_player_drives_a_node_to_all_departures(tmp_path):
         # As a player does before it starts: its publishers and clients find the node.
         assert all(each.wait_for_service(10.0) for each in client._services.values())
         # Slower than recorded, so that a busy machine gets the inputs before the request.
-        answers = play(files, client, rate=0.25)
+        answers = play(files, client, rate=0.5)
         assert [answer.success if hasattr(answer, 'success') else bool(answer.plan.poses)
                 for answer in answers] == [True] * len(files)
         wait_until(lambda: len(client.received['path']) == len(files), 'paths')

@@ -77,15 +77,6 @@ def test_the_secured_value_is_that_of_a_secured_radius():
         assert again.secured_value == secured.value
 
 
-def test_a_site_near_both_ends_counts_once():
-    alpha = np.ones((20, 20))
-    network = build_network(
-        RiskMap(alpha, alpha > 1, 1.0), (8.5, 10.5), (11.5, 10.5), NetworkOptions(spacing=1.0)
-    )
-    report = find_bottleneck(solve(network))
-    assert 0 < report.near_ends <= len(report.sites)
-
-
 def test_a_game_of_value_zero_has_no_decisive_sites():
     points = np.array([[0, 0], [1, 0], [2, 0.0]])
     network = Network(points, np.zeros(3), np.array([[0, 1], [1, 2]]), 0, 2)

@@ -7,7 +7,6 @@ import pytest
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Vector3
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.typesys import Stores, get_typestore
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -54,17 +53,6 @@ def test_the_same_message_as_from_objects(frame, namespace):
             assert deserialize_message(serialised, MarkerArray) == plain
             # The padding's content may differ, its length may not.
             assert len(serialised) == len(serialize_message(plain))
-
-
-@pytest.mark.parametrize('count', [0, 1, 100])
-def test_an_independent_reader_finds_the_same(count):
-    points, colours = random_points(count)
-    serialised = marker_array(some_marker(), points, colours)
-    store = get_typestore(Stores.ROS2_JAZZY)
-    (marker,) = store.deserialize_cdr(serialised, 'visualization_msgs/msg/MarkerArray').markers
-    assert (marker.ns, marker.id, marker.text, marker.frame_locked) == ('edges', 7, 'words', True)
-    assert [(p.x, p.y, p.z) for p in marker.points] == [(*p, 0.0) for p in points.tolist()]
-    assert [(c.r, c.g, c.b, c.a) for c in marker.colors] == [tuple(c) for c in colours.tolist()]
 
 
 def test_numbers_are_kept_bit_for_bit_in_any_memory_layout():

@@ -12,7 +12,6 @@ from audit_samples import departure, drawn, record, sample_plan
 from commands import documented_keys
 
 from ambush_planner.commands import cli
-from ambush_planner.commands.console import Console
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 
@@ -50,12 +49,6 @@ def test_missing_input_exits_3_even_if_quiet(name, tmp_path, capsys):
     assert out == '' and err.startswith(f'ambush_{name}: ') and err.count('\n') == 1
 
 
-def test_program_name_selects_the_command(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(sys, 'argv', ['/usr/bin/ambush_verify', str(tmp_path / 'none')])
-    assert cli.main() == 3
-    assert capsys.readouterr().err.startswith('ambush_verify: ')
-
-
 @pytest.mark.parametrize('missing', ['rclpy', 'matplotlib'])
 def test_missing_package_is_named(missing, tmp_path):
     code = (
@@ -83,24 +76,6 @@ def test_paths_are_relative_below_the_current_folder(tmp_path, monkeypatch):
     assert cli.place(tmp_path / 'a' / 'b.mcap') == os.path.join('a', 'b.mcap')
     assert cli.place(tmp_path.parent) == str(tmp_path.parent)
     assert cli.place(tmp_path / 'a\x1b[2J\udcff') == 'a\\x1b[2J\\udcff'
-
-
-def test_colours_only_on_a_terminal(monkeypatch):
-    for terminal, colour in ((False, False), (True, True)):
-        monkeypatch.setattr(sys.stdout, 'isatty', lambda terminal=terminal: terminal)
-        marked = Console('x', as_json=False, quiet=False).marked('FAILS', False)
-        assert ('\x1b[31m' in marked) == colour
-
-
-@pytest.mark.parametrize('tqdm', [True, False])
-def test_progress_yields_all_items_with_and_without_tqdm(tqdm, monkeypatch, capsys):
-    if tqdm:
-        pytest.importorskip('tqdm', reason='optional')
-    else:
-        monkeypatch.setitem(sys.modules, 'tqdm', None)
-    console = Console('x', as_json=False, quiet=False)
-    assert list(console.progress('abc', 'letters')) == ['a', 'b', 'c']
-    assert capsys.readouterr().err == ''  # not a terminal
 
 
 @pytest.mark.parametrize(('line', 'word'), [

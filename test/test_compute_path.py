@@ -1,33 +1,15 @@
 """Nav2's action, called as Nav2 calls it."""
 
-import os
-import signal
-import subprocess
-import sys
 from contextlib import contextmanager
 from importlib import import_module
-from pathlib import Path
 
 import interfaces
 import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
 from rclpy.action import ActionClient
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from recording_samples import read_with_rosbags
-from ros_harness import (
-    Client,
-    Stage,
-    free_domain,
-    pose,
-    risk_grid,
-    ros_context,
-    spinning,
-    stage,
-    wait_until,
-)
-from waiting import TIMEOUT
+from ros_harness import pose, stage, wait_until
 
 pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -171,29 +153,3 @@ def test_a_solve_ends_when_its_only_goal_is_cancelled(action):
         goals.client.diagnostics(state='ready')
         assert goals.result(handle)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.call('cancel').message == 'no solve is running'
-
-
-def test_waiting_goals_are_answered_when_the_node_ends(action, tmp_path):
-    parameters = [f'{name}:={value}' for name, value in LONG.items()]
-    command = [sys.executable, '-m', 'ambush_planner.ros.planner_node', '--ros-args', '-p',
-               'recording.enabled:=false', *(w for each in parameters for w in ('-p', each))]
-    with free_domain() as domain, ros_context(domain) as context:
-        node = Node('client', context=context)
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                       'PYTHONPATH': str(Path(sys.modules['nav2_msgs'].__file__).parents[1])}
-        with (tmp_path / 'output').open('w') as output:
-            process = subprocess.Popen(command, env=environment, stdout=output, stderr=output)
-        with spinning(node, SingleThreadedExecutor(context=context)):
-            client = Client(node)
-            client.publish('alpha_map', risk_grid())
-            client.diagnostics(message='waiting for start_pose, goal_pose')
-            goals = Goals(action, Stage(None, client))
-            waiting = [goals.send().get_result_async() for _ in range(3)]
-            client.diagnostics(state='solving')
-            process.send_signal(signal.SIGINT)
-            assert process.wait(TIMEOUT) == 0
-            # A client that is suspended for longer than the node stays may miss its result.
-            errors = {each.result().result.error_msg for each in waiting if each.done()}
-    assert errors <= {'the planner is shutting down'}
-    said = (tmp_path / 'output').read_text()
-    assert said.count('compute_path_to_pose: the planner is shutting down') == len(waiting)

@@ -3,12 +3,9 @@
 import math
 from pathlib import Path
 
-import pytest
 import rclpy
 import yaml
 from rclpy.context import Context
-from rclpy.exceptions import InvalidParameterTypeException
-from rclpy.parameter import parameter_dict_from_yaml_file, parameter_value_to_python
 from ros_harness import free_domain
 
 from ambush_planner.planning.parameters import PARAMETERS
@@ -78,38 +75,10 @@ def documented_table():
     return found
 
 
-@pytest.fixture
-def started():
-    """Starts a node of a class with command line arguments, as ``ros2 run`` does."""
-    contexts, nodes = [], []
-
-    def start(kind, *arguments, **options):
-        contexts.append(Context())
-        rclpy.init(args=['--ros-args', *arguments], context=contexts[-1], domain_id=domain)
-        nodes.append(kind(context=contexts[-1], **options))
-        return nodes[-1]
-
-    with free_domain() as domain:
-        yield start
-        for node in nodes:
-            node.destroy_node()
-        for context in contexts:
-            context.try_shutdown()
-
-
 def test_the_file_holds_every_default_in_its_type():
     (node,) = yaml.safe_load(FILE.read_text()).items()
     assert node[0] == '/**'
     assert exact(flat(node[1]['ros__parameters'])) == exact(DEFAULTS)
-
-
-def test_the_parser_of_param_load_reads_the_same():
-    read = parameter_dict_from_yaml_file(str(FILE), use_wildcard=True)
-    values = {name: parameter_value_to_python(each.value) for name, each in read.items()}
-    # It takes .inf for a string; the parser of --params-file does not.
-    finite = {name: value for name, value in DEFAULTS.items() if value != math.inf}
-    assert exact({name: values[name] for name in finite}) == exact(finite)
-    assert values.keys() == DEFAULTS.keys()
 
 
 def test_every_parameter_is_explained_as_it_is_declared():
@@ -122,20 +91,14 @@ def test_the_documented_table_has_every_default():
     assert exact({name: yaml.safe_load(text) for name, text in table.items()}) == exact(DEFAULTS)
 
 
-def test_the_planner_takes_the_file(started):
-    node = started(PlannerNode, '--params-file', str(FILE))
-    assert {name: node.get_parameter(name).value for name in DEFAULTS} == DEFAULTS
-
-
-def test_the_planner_takes_what_is_changed_in_the_file(started, tmp_path):
-    changed = tmp_path / 'changed.yaml'
-    changed.write_text(FILE.read_text().replace('max_detour: 1.2', 'max_detour: .inf'))
-    node = started(PlannerNode, '--params-file', str(changed))
-    assert node.get_parameter('strategy.max_detour').value == math.inf
-
-
-def test_a_number_without_its_point_is_refused_by_name(started, tmp_path):
-    changed = tmp_path / 'changed.yaml'
-    changed.write_text(FILE.read_text().replace('max_detour: 1.2', 'max_detour: 2'))
-    with pytest.raises(InvalidParameterTypeException, match=r'strategy\.max_detour'):
-        started(PlannerNode, '--params-file', str(changed))
+def test_the_planner_takes_the_file():
+    context = Context()
+    with free_domain() as domain:
+        arguments = ['--ros-args', '--params-file', str(FILE)]
+        rclpy.init(args=arguments, context=context, domain_id=domain)
+        node = PlannerNode(context=context)
+        try:
+            assert {name: node.get_parameter(name).value for name in DEFAULTS} == DEFAULTS
+        finally:
+            node.destroy_node()
+            context.try_shutdown()

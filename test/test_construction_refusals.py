@@ -61,14 +61,8 @@ def test_ends_must_keep_the_clearance():
 @pytest.mark.parametrize(
     'options',
     [
-        {'method': 'hexagons'},
-        {'spacing': -1.0},
-        {'spacing': np.nan},
-        {'spacing': np.inf},
-        {'clearance': -0.1},
-        {'clearance': np.nan},
-        {'seed': -1},
-        {'target_nodes': 1},
+        {'method': 'hexagons'}, {'spacing': -1.0}, {'spacing': np.nan}, {'spacing': np.inf},
+        {'clearance': -0.1}, {'clearance': np.nan}, {'seed': -1}, {'target_nodes': 1},
     ],
 )
 def test_rejects_options_out_of_range(options):
@@ -81,8 +75,6 @@ def test_rejects_options_out_of_range(options):
 def test_rejects_a_spacing_that_would_exhaust_memory():
     with pytest.raises(InvalidOption, match=r'spacing 1e-05 m on a map of 8 m x 6 m'):
         build_network(
-            RiskMap(np.ones((6, 8)), np.zeros((6, 8), bool), 1.0),
-            (0.5, 0.5),
-            (7.5, 5.5),
+            RiskMap(np.ones((6, 8)), np.zeros((6, 8), bool), 1.0), (0.5, 0.5), (7.5, 5.5),
             NetworkOptions(spacing=1e-5),
         )

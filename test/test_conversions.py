@@ -38,13 +38,6 @@ def test_pose_round_trip(x, y, yaw):
     assert math.cos(got[2] - yaw) == pytest.approx(1.0, abs=1e-12)
 
 
-def test_yaw_does_not_depend_on_the_quaternions_sign():
-    message = pose_to_ros(0, 0, 2.5)
-    q = message.orientation
-    message.orientation = Quaternion(x=-q.x, y=-q.y, z=-q.z, w=-q.w)
-    assert pose_from_ros(message)[2] == pytest.approx(2.5)
-
-
 def test_occupancy_round_trip():
     values = np.random.default_rng(3).integers(-1, 101, (7, 5), dtype=np.int8)
     message = occupancy_to_ros(values, 0.25, (1.0, -2.0, 0.75), header())
@@ -113,7 +106,3 @@ def test_bad_pose_is_refused_by_name_and_number(name):
     message, words = BAD_POSES[name]
     with pytest.raises(InvalidPose, match=words):
         position_from_ros(message, 'goal')
-
-
-def test_position_of_a_good_pose():
-    assert position_from_ros(pose(1.0, 2.0, 0.5), 'goal') == (1.0, 2.0)

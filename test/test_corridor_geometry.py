@@ -34,7 +34,7 @@ def pieces(corridors, edge, rng):
     radius = np.where(rng.random((60, 1)) < 0.7, 1.0, rng.random((60, 1)))
     angle = np.pi / 2 * np.where(rng.random(60) < 0.1, rng.integers(0, 2, 60), rng.random(60))
     found = []
-    for k, (side, width) in enumerate(((leftward, corridors.left), (-leftward, corridors.right))):
+    for k, (side, width) in enumerate(zip((leftward, -leftward), corridors.widths.T, strict=True)):
         found.append(tail + share * (head - tail) + radius * width[edge] * side)
         for end, node, ahead in ((0, tail, -along), (1, head, along)):
             fan = np.cos(angle)[:, None] * ahead + np.sin(angle)[:, None] * side
@@ -43,7 +43,7 @@ def pieces(corridors, edge, rng):
 
 
 @examples(50)
-@given(drives(), st.integers(0, 10**6))
+@given(drives, st.integers(0, 10**6))
 def test_strips_and_quarters_are_clear(drive, seed):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
     rng = np.random.default_rng(seed)
@@ -56,7 +56,7 @@ def test_strips_and_quarters_are_clear(drive, seed):
         if tube is None and len(others):
             assert np.linalg.norm(points[:, None] - others, axis=2).min() > 1e-4
     if tube is not None:
-        assert max(corridors.left.max(), corridors.right.max(), corridors.beyond.max()) <= tube
+        assert max(corridors.widths.max(), corridors.beyond.max()) <= tube
 
 
 @pytest.mark.parametrize('clearance', [0.0, 0.3])

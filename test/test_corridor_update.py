@@ -32,7 +32,7 @@ def a_route_left(network, lost, seed):
 
 
 @examples(60)
-@given(drives(), st.data())
+@given(drives, st.data())
 def test_paths_keep_clear_of_new_obstacles(drive, data):
     corridors, _, risk_map, clearance, tube, clear_of_edge = drive
     rows, columns = risk_map.obstacles.shape
@@ -52,7 +52,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge)
     before, now, anew = (
         {tuple(link): widths for link, *widths in zip(
-            each.links.tolist(), each.left, each.right, each.beyond, strict=True)}
+            each.links.tolist(), *each.widths.T, each.beyond, strict=True)}
         for each in (corridors, refitted, whole)
     )
     links = corridors.uv[corridors.links]
@@ -64,7 +64,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
 
 
 @examples(60)
-@given(drives(), st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
+@given(drives, st.floats(0.0, 0.5), st.floats(0.0, 6.3), st.booleans())
 def test_paths_from_and_to_a_moved_end(drive, far, angle, at_start):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network

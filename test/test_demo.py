@@ -14,17 +14,15 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
-import rclpy
-from commands import documented_keys, run_here
+from commands import documented_keys
 from matplotlib.image import imread
-from rclpy.context import Context
 from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
-from ambush_planner.commands import cli, demo, node_process
+from ambush_planner.commands import cli, demo
 from ambush_planner.commands.demo_client import DemoClient
 from ambush_planner.commands.demo_ground import GOAL, START
-from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain, is_free
+from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_domain
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
@@ -116,19 +114,6 @@ def test_table_frontier_and_progress_agree_with_the_result(done, folder):
     assert (folder / 'frontier.png').read_bytes().startswith(b'\x89PNG')
 
 
-def test_output_that_is_a_file_is_refused(tmp_path):
-    (tmp_path / 'file').write_text('')
-    done = run_here(demo, '-o', tmp_path / 'file')
-    assert done.code == 3
-    assert done.err.startswith('ambush_demo: ') and 'Traceback' not in done.err
-
-
-@pytest.mark.parametrize('count', ['0', '-1', '1.5', 'many'])
-def test_bad_number_of_departures_is_refused(count):
-    done = run_here(demo, f'--departures={count}')
-    assert done.code == 2 and repr(count) in done.err
-
-
 def test_error_of_a_node_that_cannot_start_has_its_last_lines(tmp_path):
     with free_domain() as domain:
         node = NodeProcess({'network.spacing': -1.0}, domain, tmp_path / 'log')
@@ -162,24 +147,3 @@ def nodes_of(folder):
         if b'planner_node' in words and str(folder).encode() in words:
             found.append(entry.parent.name)
     return found
-
-
-def test_domain_with_a_node_is_not_free():
-    context = Context()
-    with free_domain() as domain:
-        rclpy.init(context=context, domain_id=domain)
-        node = rclpy.create_node('somebody', context=context)
-        try:
-            assert not is_free(domain)
-        finally:
-            node.destroy_node()
-            rclpy.try_shutdown(context=context)
-
-
-def test_domain_is_reserved_until_it_is_released(monkeypatch):
-    with free_domain() as ours:
-        monkeypatch.setattr(node_process, 'DOMAINS', [ours])
-        with pytest.raises(NodeFailed, match='no ROS domain id is free'), free_domain():
-            pass
-    with free_domain() as again:
-        assert again == ours

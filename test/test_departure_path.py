@@ -1,4 +1,4 @@
-"""The serialised path of a departure equals the message that rclpy would serialise."""
+"""The path of a departure as a message: its poses, and its exact ends."""
 
 import numpy as np
 import pytest
@@ -8,33 +8,23 @@ from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import Header
 
-from ambush_planner.ros.conversions import pose_to_ros, stamped_poses
-from ambush_planner.ros.departure_path import path_between
+from ambush_planner.ros.cdr import path_bytes
+from ambush_planner.ros.conversions import path_to_ros, pose_to_ros, stamped_poses
 
 START = Pose(position=Point(x=0.1, y=0.2, z=0.3), orientation=Quaternion(z=0.6, w=0.8))
 GOAL = Pose(position=Point(x=7.0, y=8.0, z=-1.5), orientation=Quaternion(x=0.6, w=-0.8))
 
 
-def path_along(count, frame='map'):
-    """A random path of some poses between start and goal."""
-    rows = np.cumsum(np.random.default_rng(count).normal(size=(count, 3)), axis=0)
-    rows[0, :2], rows[-1, :2] = (0.1, 0.2), (7.0, 8.0)
-    header = Header(frame_id=frame, stamp=Time(sec=7, nanosec=11))
-    return path_between(rows, START, GOAL, header)
-
-
 @pytest.mark.parametrize('frame', ['', 'm', 'map', 'odom', 'base_link', 'größer als'])
 @pytest.mark.parametrize('count', [2, 3, 50])
 def test_bytes_are_the_message(count, frame):
-    path = path_along(count, frame)
-    message = path.to_message()
-    assert len(message.poses) == count
-    assert message.poses[0].pose == START and message.poses[-1].pose == GOAL
-    assert deserialize_message(path.to_bytes(), Path) == message
+    rows = np.random.default_rng(count).normal(size=(count, 3))
+    message = path_to_ros(rows, START, GOAL, Header(frame_id=frame, stamp=Time(sec=7, nanosec=11)))
+    assert deserialize_message(path_bytes(message), Path) == message
 
 
 def test_poses_are_those_of_the_constructors():
-    rows, header = path_along(50).rows, Header(frame_id='map')
+    rows, header = np.random.default_rng(50).normal(size=(50, 3)), Header(frame_id='map')
     made = [PoseStamped(header=header, pose=pose_to_ros(*row)) for row in rows.tolist()]
     fast = stamped_poses(rows, header)
     assert fast == made and repr(fast) == repr(made)
@@ -46,7 +36,8 @@ def test_poses_are_those_of_the_constructors():
 
 def test_a_moved_goal_keeps_its_orientation():
     rows = np.array([[0.1, 0.2, 0.5], [5.0, 6.0, 0.5]])
-    last = path_between(rows, START, GOAL, Header(frame_id='map')).to_message().poses[-1]
+    first, last = path_to_ros(rows, START, GOAL, Header(frame_id='map')).poses
+    assert first.pose == START
     assert (last.pose.position.x, last.pose.position.y) == (5.0, 6.0)
     assert last.pose.position.z == GOAL.position.z
     assert last.pose.orientation == GOAL.orientation

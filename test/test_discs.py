@@ -119,9 +119,7 @@ def test_edges_that_enter_a_disc_count_once():
     game = make_game(network, GameOptions(ambush_radius=1.2))
     assert game.sites.tolist() == [2, 3, 4]
     assert game.hits.toarray().tolist() == [
-        [1, 0, 0, 0, 0, 0],
-        [0, 1, 0, 0, 0, 0],
-        [0, 0, 1, 0, 0, 0],
+        [1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
     ]
 
 

@@ -34,7 +34,7 @@ def dense(poses, parts=20):
 
 
 @examples(60)
-@given(drives())
+@given(drives)
 def test_the_path_stays_clear_and_in_its_tube(drive):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     network = corridors.network
@@ -52,7 +52,7 @@ def test_the_path_stays_clear_and_in_its_tube(drive):
 
 
 @examples(60)
-@given(drives(), st.sampled_from((0.03, 0.2, 1.0, 7.0)))
+@given(drives, st.sampled_from((0.03, 0.2, 1.0, 7.0)))
 def test_poses_follow_one_another_smoothly_from_end_to_end(drive, spacing):
     corridors, route = drive[:2]
     poses = driven_path(corridors, route, spacing)
@@ -135,7 +135,7 @@ def test_turn_radii_of_a_circle_a_line_and_a_turn_on_the_spot():
 
 
 @examples(50)
-@given(drives())
+@given(drives)
 def test_no_path_is_much_longer_than_its_route(drive):
     corridors, route = drive[:2]
     poses = driven_path(corridors, route, 0.2)
@@ -187,7 +187,7 @@ def test_routes_with_the_same_shortened_nodes_share_a_path():
 
 
 @examples(30)
-@given(drives(), st.sampled_from((0.0, 0.6)))
+@given(drives, st.sampled_from((0.0, 0.6)))
 def test_paths_made_together_match_single_ones(drive, radius):
     corridors, route = drive[:2]
     routes = [route, *(some_route(corridors.network, seed) for seed in range(100, 104))]

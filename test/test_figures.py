@@ -8,13 +8,11 @@ import pytest
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
-from matplotlib.image import imread
 
 from ambush_planner.commands import figures
-from ambush_planner.commands.demo_figures import FixedRoute, routes_figure
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions, depart
+from ambush_planner.planning.plan import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from paper.figures import binned_directions
 
@@ -49,12 +47,6 @@ def test_frame_contains_a_rotated_map(axes):
     assert axes.get_xlabel() == 'x [m]'
 
 
-def test_large_maps_have_ticks_in_kilometres(axes):
-    figures.frame(axes, RiskMap(np.ones((3, 5)), np.zeros((3, 5), bool), 1000.0), 'large')
-    assert axes.get_xlabel() == 'x [km]'
-    assert axes.xaxis.get_major_formatter()(2500.0) == '2.5'
-
-
 def test_map_is_drawn_at_its_origin(axes):
     risk_map = turned_map(0.3)
     image = figures.draw_risk_map(axes, risk_map)
@@ -78,34 +70,15 @@ def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
     np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
 
 
-@pytest.mark.parametrize('largest', [0.0, 1e-9, 0.3, 1.0])
-def test_probability_scale_is_never_empty(largest):
-    scale = figures.probability_scale(np.array([0.0, largest]))
-    assert scale.vmin == figures.LEAST_PROBABILITY < scale.vmax
-    assert np.isfinite(scale(largest))
-
-
 def test_binned_directions_are_weighted_means():
     points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
-    places, mean, share = binned_directions(
-        points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0
-    )
+    places, mean, share = binned_directions(points, direction, np.array([3.0, 1.0, 2.0, 0.0]), 1.0)
     np.testing.assert_allclose(places, [[0.3, 0.1], [2.5, 0.5]])
     np.testing.assert_allclose(mean, [[0.75, 0.25], [0.6, 0.8]])
     np.testing.assert_allclose(share, [1.0, 0.5])
     places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
-
-
-def test_one_bin_has_the_mean_of_all(small_plan):
-    strategy = small_plan.strategy
-    _, mean, share = binned_directions(
-        small_plan.network.points, strategy.mean_direction(), strategy.visit_probability, 1e9
-    )
-    assert share.tolist() == [1.0]
-    x = strategy.visit_probability
-    np.testing.assert_allclose(mean[0], x @ strategy.mean_direction() / x.sum())
 
 
 def test_markers_show_ambush_sites_by_probability(axes, small_plan):
@@ -116,21 +89,3 @@ def test_markers_show_ambush_sites_by_probability(axes, small_plan):
     sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
     np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
                                   np.argsort(shown, kind='stable'))
-
-
-def test_no_ambush_sites_no_markers(axes, small_plan):
-    figures.draw_ambush_sites(axes, small_plan.network, np.zeros(len(small_plan.network.points)))
-    assert len(axes.collections[0].get_offsets()) == 0
-
-
-def test_figure_of_the_demo(tmp_path, small_map, small_plan):
-    rng = np.random.default_rng(3)
-    routes = [depart(small_plan, rng).points for _ in range(8)]
-    fixed = [FixedRoute(name, routes[k], routes[k][3]) for k, name in enumerate(('a', 'b'))]
-    figure = routes_figure(small_map, small_plan.strategy, routes, fixed, 15.0)
-    (tmp_path / 'routes.png').write_bytes(figures.as_png(figure))
-    picture = imread(tmp_path / 'routes.png')
-    assert picture.shape[0] > 900 and picture.shape[1] > 1500
-    assert np.std(picture) > 0.05
-    labels = ' '.join(text.get_text() for text in figure.legends[0].get_texts())
-    assert 'secured' in labels and 'obstacle' in labels

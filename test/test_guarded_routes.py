@@ -14,6 +14,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
+from ros_yaml import type_of
 from waiting import TIMEOUT, unstamped
 
 from ambush_planner.recordings import read_recording, recordings_in
@@ -139,15 +140,10 @@ def spy_on_everything(running):
         )
         durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
         node.create_subscription(
-            _class_of(kinds[0]), topic, found[topic].append,
+            type_of(kinds[0]), topic, found[topic].append,
             QoSProfile(depth=1000, durability=durability), raw=True,
         )
     return found
-
-
-def _class_of(name):
-    package, kind, short = name.split('/')
-    return getattr(__import__(f'{package}.{kind}', fromlist=[short]), short)
 
 
 def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):

@@ -80,8 +80,7 @@ def test_a_plan_uses_hiding_places_if_enabled(hides):
     options = PlanningOptions(
         NetworkOptions(spacing=2.0),
         GameOptions(ambush_radius=3.0, secured_radius=6.0, ambush_in_obstacles=hides),
-        StrategyOptions(),
-        DriveOptions(tube=0.0),
+        StrategyOptions(), DriveOptions(tube=0.0),
     )
     made = plan_trip(walled_map(), START, GOAL, options)
     sites = made.strategy.game.sites

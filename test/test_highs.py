@@ -23,11 +23,8 @@ SOLVERS = ('interior_point', 'simplex')
 def program(limit=1.0, total=1.0) -> Program:
     """minimise -v0 - v1 under v0 <= limit, v0 + v1 + v2 = total: a face of optima."""
     return Program(
-        np.array([-1.0, -1.0, 0.0]),
-        csr_matrix([[1.0, 0.0, 0.0]]),
-        np.array([limit]),
-        csr_matrix([[1.0, 1.0, 1.0]]),
-        np.array([total]),
+        np.array([-1.0, -1.0, 0.0]), csr_matrix([[1.0, 0.0, 0.0]]), np.array([limit]),
+        csr_matrix([[1.0, 1.0, 1.0]]), np.array([total]),
     )
 
 

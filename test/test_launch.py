@@ -11,20 +11,12 @@ import xml.etree.ElementTree as ElementTree
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from ros_harness import (
-    Client,
-    free_domain,
-    pose,
-    risk_grid,
-    ros_context,
-    spinning,
-    stage,
-)
+from ros_harness import Client, free_domain, pose, risk_grid, ros_context, spinning, stage
+from test_config import flat
 from waiting import TIMEOUT, answer_of
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -122,8 +114,7 @@ def test_every_name_in_the_file_exists():
 
 def test_nav2_does_not_listen_to_start_and_goal():
     for executable, slash in (('ambush_planner', ''), ('rviz2', '/')):
-        remaps = {each.get('from'): each.get('to')
-                  for each in node_of(executable).findall('remap')}
+        remaps = {each.get('from'): each.get('to') for each in node_of(executable).findall('remap')}
         assert OWN_NAMES.items() <= {
             name.removeprefix(slash): to for name, to in remaps.items()}.items()
 
@@ -132,19 +123,6 @@ def test_every_topic_of_the_rviz_configuration_is_remapped():
     shown = set(re.findall(r'Value: (/\w+)', RVIZ.read_text()))
     remapped = {each.get('from') for each in node_of('rviz2').findall('remap')}
     assert shown <= remapped
-
-
-def test_the_nodes_of_the_file_run(tmp_path):
-    with launched(tmp_path) as (node, running):
-        client = Client(node)
-        client.publish('alpha_map', risk_grid())
-        client.publish('ambush/start_pose', pose(1.5, 5.5))
-        client.publish('ambush/goal_pose', pose(8.5, 5.5))
-        client.diagnostics(state='ready')
-        assert client.call('new_route').success
-        for name in OWN_NAMES:
-            assert not node.count_subscribers(name)
-            assert node.count_subscribers(f'ambush/{name}')
 
 
 def test_arguments_reach_the_node(tmp_path):
@@ -161,7 +139,8 @@ def test_arguments_reach_the_node(tmp_path):
 
 
 def test_paths_for_nav2_are_dense_enough_for_mppi():
-    values = {name: value for name, value in flat(NAV2) if name != 'robot_base_frame'}
+    ((_, node),) = yaml.safe_load(NAV2.read_text()).items()
+    values = flat(node['ros__parameters']) | {'robot_base_frame': ''}
     grid = risk_grid()
     grid.data[0] = 99
     with stage(parameters={**values, 'network.spacing': 0.5}) as running:
@@ -172,16 +151,6 @@ def test_paths_for_nav2_are_dense_enough_for_mppi():
     steps = ((points[1:] - points[:-1]) ** 2).sum(axis=1) ** 0.5
     assert steps.max() <= 0.05 + 1e-6  # MPPI wants 20 of them in about 1.4 m
     assert len(points) >= 20
-
-
-def flat(file):
-    """(name, value) of a parameter file of one node."""
-    ((_, node),) = yaml.safe_load(file.read_text()).items()
-    for name, value in node['ros__parameters'].items():
-        if isinstance(value, dict):
-            yield from ((f'{name}.{key}', each) for key, each in value.items())
-        else:
-            yield name, value
 
 
 def commands():
@@ -205,11 +174,6 @@ def test_each_command_of_the_document_is_run_or_listed_as_not_run():
         assert f'`{each.removeprefix("ros2 run ")}`' in listed
 
 
-@pytest.mark.parametrize('text', [DOCUMENT, RVIZ.read_text()], ids=['document', 'rviz'])
-def test_rviz_by_hand_has_the_same_remappings(text):
-    assert dict(re.findall(r'-r /(\w+):=/(\S+)', text)) == OWN_NAMES
-
-
 def test_the_documents_table_has_the_arguments():
     table = DOCUMENT.split('| argument | default | |')[1].split('\n\n')[0]
     cells = [row.split('|')[1] for row in table.splitlines()[2:]]
@@ -223,7 +187,7 @@ from types import SimpleNamespace
 from rclpy.node import Node
 
 class TaskResult(Enum):
-    UNKNOWN, SUCCEEDED, CANCELED, FAILED = range(4)
+    SUCCEEDED, FAILED = range(2)
 
 class BasicNavigator(Node):
     def __init__(self):
@@ -238,36 +202,31 @@ class BasicNavigator(Node):
     def getFeedback(self):
         return SimpleNamespace(distance_to_goal=3.25)
     def getResult(self):
-        return TaskResult.RESULT
+        return TaskResult.SUCCEEDED
 """
 
 
-@pytest.mark.parametrize('result, last', [
-    ('SUCCEEDED', 'arrived'), ('FAILED', 'the drive has ended early: FAILED'),
-])
-def test_the_documents_program_reports_the_drive(result, last, tmp_path):
+def test_the_documents_program_reports_the_drive(tmp_path):
     with stage() as running:
         running.give()
-        done = follow_path(running, tmp_path, result, "'map'")
-    assert (done.stdout + done.stderr).splitlines()[-1] == last
-    assert done.returncode == (last != 'arrived')
+        done = follow_path(running, tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == 'arrived'
     assert re.search(r'^\d+ poses in map', done.stdout)
     assert '3.2 m to go' in done.stdout
 
 
-def follow_path(running, tmp_path, result, frame):
+def follow_path(running, tmp_path):
     """Run the document's program, from (1.5, 5.5) of a frame."""
     (program,) = re.findall(r'(?ms)^```python\n(.*?)^```', DOCUMENT)
     assert program.count("'base_link'") == 1
-    program = program.replace("'base_link'", frame).replace(
+    program = program.replace("'base_link'", "'map'").replace(
         'request.start.pose.orientation',
         'request.start.pose.position.x, request.start.pose.position.y = 1.5, 5.5\n'
         'request.start.pose.orientation')
     (tmp_path / 'nav2_simple_commander').mkdir()
-    (tmp_path / 'nav2_simple_commander' / 'robot_navigator.py').write_text(
-        COMMANDER.replace('RESULT', result))
+    (tmp_path / 'nav2_simple_commander' / 'robot_navigator.py').write_text(COMMANDER)
     domain = running.planner.context.get_domain_id()
     return subprocess.run(
         [sys.executable, '-c', program], capture_output=True, text=True, timeout=TIMEOUT,
-        check=False, env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                          'PYTHONPATH': str(tmp_path)})
+        check=False, env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONPATH': str(tmp_path)})

@@ -151,9 +151,7 @@ def test_budgets_that_contradict_each_other_are_named():
 
 @examples(20)
 @given(networks(), st.integers(1, 3), st.sampled_from((1.0, 1.2, np.inf)))
-def test_cut_and_least_value_agree_with_the_linear_program(
-    network, count, detour
-):
+def test_cut_and_least_value_agree_with_the_linear_program(network, count, detour):
     game = make_game(network, GameOptions(ambushers=min(count, len(network.points))))
     free = program_value(network, ambushers=game.ambushers)
     loose = least_risk_by_cut(game)

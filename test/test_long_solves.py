@@ -122,16 +122,6 @@ def solves(monkeypatch):
     return given
 
 
-def test_equal_requests_share_one_solve(submitted, solves):
-    with solving() as (running, future):
-        futures = [future, *(running.client.send('new_route') for _ in range(5))]
-        # Including the quick one before.
-        wait_until(lambda: len(submitted) == 1 + 6, 'the requests')
-        assert running.client.call('cancel').message == 'the solve was cancelled'
-        assert {answer(each).message for each in futures} == {'the solve was cancelled'}
-        assert len(solves) == 1 + 1
-
-
 def test_starts_that_differ_little_share_a_solve(submitted, solves):
     with stage(parameters=QUICK) as running:
         client = running.give(field(), (5.0, 50.0), (95.0, 50.0))
@@ -143,44 +133,6 @@ def test_starts_that_differ_little_share_a_solve(submitted, solves):
         assert len(solves) == 1
         assert client.get_plan(pose(5.0, 52.6), GOAL).poses, 'more than half the spacing'
         assert len(solves) == 2
-
-
-def test_another_time_limit_needs_another_solve(submitted):
-    with solving() as (running, future):
-        client, before = running.client, len(submitted)
-        use(running, {'max_planning_time': 1.0})
-        impatient = client.send('new_route')
-        wait_until(lambda: len(submitted) == before + 1, 'the request')
-        kill_workers()
-        assert 'ended by signal 9' in answer(future).message
-        assert answer(impatient).message.startswith('no plan after max_planning_time, 1 s')
-
-
-def test_one_cancel_ends_all_waiting_solves(submitted):
-    with solving() as (running, future):
-        client, before = running.client, len(submitted)
-        futures = [future]
-        for k in range(3):
-            goal = pose(95.0, 50.0 + 10.0 * k)
-            futures.append(client.send('get_plan', GetPlan.Request(start=NORTH, goal=goal)))
-        wait_until(lambda: len(submitted) == before + 3, 'the requests')
-        assert client.call('cancel').message == '4 solves were cancelled'
-        wait_until(lambda: all(each.done() for each in futures), 'the answers')
-        report = client.diagnostics(code='CANCELLED', state='ready')
-        assert report['level'] == b'\1', 'nothing has failed'
-
-
-def test_a_full_queue_answers_at_once_with_the_reason(submitted):
-    with solving() as (running, future):
-        client, before = running.client, len(submitted)
-        use(running, {'queue.size': 2})
-        for k in range(2):
-            client.send('get_plan', GetPlan.Request(start=NORTH, goal=pose(95.0, 40.0 + 10 * k)))
-        wait_until(lambda: len(submitted) == before + 2, 'the requests')
-        assert not client.get_plan(NORTH, START).poses
-        report = client.diagnostics(code='BUSY', level=b'\2', state='solving')
-        assert '2 others are waiting, the limit set by queue.size' in report['message']
-        assert client.call('cancel').success
 
 
 def test_a_queued_request_keeps_the_goal_at_the_time_of_the_request(submitted):
@@ -195,8 +147,7 @@ def test_a_queued_request_keeps_the_goal_at_the_time_of_the_request(submitted):
         assert not answer(future).success
         assert answer(queued).success
         assert client.last('path', 2).poses[-1].pose.position.y == GOAL.pose.position.y
-        client.call_until(
-            'new_route', lambda _: client.last('path').poses[-1].pose == NORTH.pose)
+        client.call_until('new_route', lambda _: client.last('path').poses[-1].pose == NORTH.pose)
 
 
 def test_a_killed_worker_fails_the_request_and_is_replaced():
@@ -207,11 +158,3 @@ def test_a_killed_worker_fails_the_request_and_is_replaced():
         client.diagnostics(code='WORKER_FAILED', level=b'\2', state='ready')
         use(running, {**QUICK, 'network.spacing': 4.0})
         assert client.call('new_route').success
-
-
-def test_a_closing_node_answers_waiting_requests():
-    with solving() as (running, future):
-        running.planner.stop_solving()
-        assert 'shutting down' in answer(future).message
-        late = running.client.call('new_route')
-        assert not late.success and 'shutting down' in late.message

@@ -1,9 +1,8 @@
-"""Many games on executors: order, errors, progress, cancellation, and copies of maps sent."""
+"""Many games on executors: order, errors, progress, broken pools."""
 
 import multiprocessing
 import os
-import threading
-from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
@@ -103,26 +102,6 @@ def test_on_result_gets_each_result_once(executor):
     assert sorted(finished, key=lambda each: each.index) == results and len(finished) == 7
 
 
-def test_cancelled_problems_do_not_begin():
-    cancelled = threading.Event()
-    begun = []
-
-    def count(strategy):
-        begun.append(strategy)
-        cancelled.set()
-        return 1
-
-    with ThreadPoolExecutor(1) as pool:
-        results = solve_many(
-            (problem(field(), k) for k in range(50)), pool, answer=count, in_flight=2,
-            cancelled=cancelled,
-        )
-    assert len(results) == 50 and len(begun) <= 3
-    unsolved = [result for result in results if result.answer is None]
-    assert len(unsolved) >= 47
-    assert all(isinstance(result.error, CancelledError) for result in unsolved)
-
-
 def test_an_error_in_on_result_cancels_the_rest():
     taken = []
 
@@ -141,60 +120,26 @@ def test_an_error_in_on_result_cancels_the_rest():
 
 
 class CountingExecutor:
-    """An executor that counts submissions and the maps sent with them."""
+    """An executor that counts the maps sent."""
 
     def __init__(self, executor):
-        self.executor, self.maps, self.submitted = executor, 0, 0
+        self.executor, self.maps = executor, 0
 
     def submit(self, function, key, content, *rest):
-        self.submitted += 1
         self.maps += content is not None
         return self.executor.submit(function, key, content, *rest)
 
 
-def test_a_map_is_sent_about_once_per_worker():
-    risk_map = field(7)
-    with ProcessPoolExecutor(2, FRESH) as pool:
-        post = CountingExecutor(pool)
-        results = solve_many(
-            [problem(risk_map, k) for k in range(40)], post, answer=numbers, in_flight=4
-        )
-        assert all(result.error is None for result in results)
-        assert 1 <= post.maps <= 20, 'far fewer than one per problem'
-        # The next batch finds the map in the workers and sends only the first copies.
-        again = CountingExecutor(pool)
-        solve_many([problem(risk_map, k) for k in range(40)], again, answer=numbers, in_flight=4)
-        assert again.maps == 2 and again.submitted == 40
-
-
-def forget(_):
-    many._maps.clear()
-    return os.getpid()
-
-
-def test_a_worker_without_the_map_gets_it():
-    risk_map = field(8)
+def test_maps_are_sent_only_to_processes_without_them():
+    risk_map, others = field(7), [field(seed) for seed in range(4)]
     with ProcessPoolExecutor(1, FRESH) as pool:
         post = CountingExecutor(pool)
-
-        def lose(result):
-            if result.index == 5:
-                pool.submit(forget, None).result(60.0)
-
-        results = solve_many(
-            [problem(risk_map, k) for k in range(12)], post, answer=numbers, on_result=lose,
-            in_flight=2,
-        )
-    assert all(result.error is None for result in results)
-    assert post.submitted > 12 and post.maps == 1 + post.submitted - 12
-
-
-def test_a_process_keeps_few_maps():
-    with ProcessPoolExecutor(1, FRESH) as pool:
-        results = solve_many(
-            [problem(field(seed), 1) for seed in range(8)], pool, answer=numbers, in_flight=1
-        )
-        assert all(result.error is None for result in results)
+        for maps, sent in (([risk_map] * 12, 1), ([risk_map] * 3, 1), (others, 5), ([risk_map], 6)):
+            results = solve_many(
+                [problem(each, k) for k, each in enumerate(maps)], post, answer=numbers,
+                in_flight=1,
+            )
+            assert all(result.error is None for result in results) and post.maps == sent
         assert pool.submit(kept_maps).result(60.0) == 4
 
 

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
 from ros_harness import header, risk_grid
-from steps import steps
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.game.game import GameOptions
@@ -64,23 +63,13 @@ def test_edges_in_use_are_drawn_from_tail_to_head(strategy):
     assert marker.type == Marker.LINE_LIST
     network, p = strategy.network, strategy.edge_probability
     used = network.edges[p >= 1e-4]
-    np.testing.assert_array_equal(positions(marker),
-                                  network.points[used.ravel()])
-
-
-def test_likelier_edges_are_more_opaque(strategy):
-    p = strategy.edge_probability
-    shown = alphas(only(edge_probabilities(strategy, header())))[::2]
-    order = np.argsort(p[p >= 1e-4])
-    assert (np.diff(shown[order]) >= 0.0).all()
-    assert shown.max() - shown.min() > 0.2
+    np.testing.assert_array_equal(positions(marker), network.points[used.ravel()])
 
 
 def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
     marker = only(mean_direction(strategy, header()))
     strokes = positions(marker).reshape(-1, 6, 2)
-    visited = (strategy.visit_probability >= 1e-4) & (
-        np.hypot(*strategy.mean_direction().T) > 1e-6)
+    visited = (strategy.visit_probability >= 1e-4) & (np.hypot(*strategy.mean_direction().T) > 1e-6)
     np.testing.assert_array_equal(strokes[:, 0], strategy.network.points[visited])
     shafts, wanted = strokes[:, 1] - strokes[:, 0], strategy.mean_direction()[visited]
     across = shafts[:, 0] * wanted[:, 1] - shafts[:, 1] * wanted[:, 0]
@@ -92,15 +81,8 @@ def test_arrows_start_at_nodes_and_point_along_the_mean_direction(strategy):
 def test_sites_are_where_the_ambusher_waits(strategy):
     marker = only(ambush_sites(strategy, header()))
     q = strategy.ambush_probability
-    np.testing.assert_array_equal(positions(marker),
-                                  strategy.network.points[q >= 1e-4 * q.max()])
+    np.testing.assert_array_equal(positions(marker), strategy.network.points[q >= 1e-4 * q.max()])
     assert alphas(marker).max() == pytest.approx(0.9)  # the path is seen through it
-
-
-def test_nobody_waits_where_no_ambush_costs_anything(strategy):
-    free = solve(strategy.network, GameOptions(secured_radius=100.0))
-    marker = only(ambush_sites(free, header()))
-    assert (len(marker.points), marker.action) == (0, Marker.DELETE)
 
 
 def test_sites_are_as_wide_as_the_ambush_reaches(strategy):
@@ -124,16 +106,3 @@ def test_edges_of_one_direction_are_drawn_too():
     marker = only(network_lines(Network(points, np.zeros(4), edges, 3, 0), header()))
     ends = positions(marker).reshape(-1, 2, 2)
     np.testing.assert_array_equal(ends, points[[[0, 1], [1, 2], [2, 3]]])
-
-
-def test_sixty_thousand_edges_take_no_loop_over_fields():
-    n = 123
-    xy = np.stack(np.meshgrid(np.arange(n), np.arange(n)), axis=-1).reshape(-1, 2).astype(float)
-    right = np.array([[k, k + 1] for k in range(n * n - 1) if (k + 1) % n])
-    up = np.array([[k, k + n] for k in range(n * n - n)])
-    edges = np.concatenate((right, right[:, ::-1], up, up[:, ::-1]))
-    network = Network(xy, np.zeros(n * n), edges[(edges[:, 1] != 0) & (edges[:, 0] != n * n - 1)],
-                      0, n * n - 1)
-    assert len(network.edges) > 59_000
-    # rclpy looks at each point once. To set the fields of each would be some millions.
-    assert steps(network_lines, network, header()) < 400_000

@@ -1,14 +1,10 @@
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
-import subprocess
-import sys
 import threading
 import time
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.srv import GetPlan
 from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -23,7 +19,6 @@ from ros_harness import (
     stage,
     wait_until,
 )
-from waiting import TIMEOUT
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.recordings import Recorder
@@ -70,39 +65,6 @@ def test_a_start_that_fails_leaves_nothing(values):
         assert threads() == before
 
 
-def test_a_start_that_fails_half_way_leaves_nothing(monkeypatch):
-    before = threads()
-
-    def broken(*_):
-        raise RuntimeError('half-way')
-
-    monkeypatch.setattr(PlannerNode, '_autostart', broken)
-    with free_domain() as domain, ros_context(domain) as context:
-        with pytest.raises(RuntimeError, match='half-way'):
-            PlannerNode(context=context, parameter_overrides=SMALL)
-        wait_until(lambda: threads() == before, 'the end of the threads')
-
-
-NO_END = """
-import rclpy
-from rclpy.parameter import Parameter
-from ambush_planner.ros.planner_node import PlannerNode
-rclpy.init()
-node = PlannerNode(parameter_overrides=[Parameter('recording.enabled', value=False)])
-print('started', flush=True)
-"""
-
-
-def test_a_program_that_does_not_destroy_the_node_ends():
-    with free_domain() as domain:
-        done = subprocess.run(
-            [sys.executable, '-c', f'import os; os.environ["ROS_DOMAIN_ID"] = "{domain}"{NO_END}'],
-            capture_output=True, text=True, timeout=TIMEOUT, check=False)
-    assert done.stdout == 'started\n'
-    assert done.returncode == 0, done.stderr
-    assert 'Traceback' not in done.stderr
-
-
 def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
     go_on, record = threading.Event(), Recorder.record_departure
 
@@ -145,29 +107,16 @@ def test_a_response_is_recorded_as_it_was_sent(tmp_path):
         (p.pose.position.x, p.pose.position.y, p.pose.orientation.z) for p in plan.poses]
 
 
-def levels(client, code):
-    """The levels of the reports with this code, of all that have come."""
-    return {
-        report.status[0].level for report in client.received['/diagnostics']
-        if code in [each.value for each in report.status[0].values]}
-
-
 def test_an_error_of_a_request_disappears_and_a_bad_map_stays():
     with stage(parameters={'diagnostics.error_hold': 0.5}) as running:
         client = running.client
         assert not client.call('new_route').success
-        # It may be over before this looks.
-        (level,) = wait_until(lambda: levels(client, 'NO_MAP'), 'the error')
-        assert level == DiagnosticStatus.ERROR
         report = client.diagnostics(code='NONE')
         assert report['level'] == DiagnosticStatus.WARN, 'the inputs are still missing'
         assert report['message'] == 'waiting for alpha_map, start_pose, goal_pose'
-        bad = risk_grid()
-        bad.info.resolution = 0.0
-        client.publish('alpha_map', bad)
+        client.publish('alpha_map', risk_grid(resolution=0.0))
         client.diagnostics(code='INVALID_MAP')
-        seen = len(client.received['/diagnostics'])
-        client.last('/diagnostics', seen + 3)
+        client.last('/diagnostics', len(client.received['/diagnostics']) + 1)
         client.diagnostics(code='INVALID_MAP', level=DiagnosticStatus.ERROR)
         client.publish('alpha_map', risk_grid())
         client.diagnostics(code='NONE')
@@ -197,15 +146,3 @@ def test_ground_that_changes_too_fast_is_reported(monkeypatch):
         assert not answer.success
         assert 'were out of date before they were done' in answer.message
         running.client.diagnostics(code='NO_VALID_PATH')
-
-
-def test_more_plans_at_once_than_are_cached(monkeypatch):
-    """A departure leaves on the plan it waited for, even if that is no longer cached."""
-    monkeypatch.setattr(plan_cache, '_CAPACITY', 1)
-    with stage(parameters={'queue.size': 20}) as running:
-        client = running.give(risk_grid(np.zeros((20, 20))))
-        requests = [GetPlan.Request(start=START, goal=pose(8.5, 1.5 + k)) for k in range(7)]
-        futures = [client.send('get_plan', each) for each in requests]
-        wait_until(lambda: all(each.done() for each in futures), 'the answers')
-        ends = [each.result().plan.poses[-1].pose for each in futures]
-        assert ends == [each.goal.pose for each in requests]

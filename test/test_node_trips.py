@@ -1,17 +1,14 @@
 """Trips with stops: requested over DDS, displayed, recorded, verified and replayed."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
+from commands import run_here
 from forging import Forger
 from geometry_msgs.msg import PoseArray
 from rclpy.parameter import Parameter
 from ros_harness import header, pose, stage, wait_until
 
-from ambush_planner.commands import verify
+from ambush_planner.commands import replay, verify
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.ros.inputs import MOST_STOPS
@@ -84,15 +81,6 @@ def test_get_plan_and_an_empty_array_visit_no_stop(runs):
     assert by[0] == by[-1] == () and any(len(stops) == 3 for stops in by)
 
 
-def test_the_best_order_has_no_more_risk(runs):
-    strategies = {
-        departure.trip.stops: departure.strategy for departure in map(read_departure, runs[0])
-    }
-    given, best = strategies[STOPS], [s for stops, s in strategies.items() if len(stops) == 3][-1]
-    assert best.value <= given.value * 1.01 + 1e-9
-    assert best.network.legs == given.network.legs == 4
-
-
 def test_recordings_of_trips_hold(runs, capsys):
     code = verify.main([str(runs[0][0].parent), '--replan'])
     out, err = capsys.readouterr()
@@ -110,12 +98,6 @@ def said(forger, tmp_path, capsys):
     return ' '.join(capsys.readouterr().out.split())
 
 
-def test_a_stop_that_was_moved_is_found(runs, tmp_path, capsys):
-    forger = Forger(by_stops(runs[0]))
-    forger.entries['trip']['stops'][0][0] += 1.0
-    assert 'network: ' in said(forger, tmp_path, capsys)
-
-
 def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
     """Taken for one leg, the layers' sites are not one: the value would come out too low."""
     forger = Forger(by_stops(runs[0]))
@@ -124,28 +106,18 @@ def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
     assert 'FAILS' in said(forger, tmp_path, capsys)
 
 
-def test_a_replayed_trip_is_planned_again(runs):
+def test_a_replayed_trip_is_planned_again(runs, monkeypatch):
     with stage(parameters={'network.spacing': 0.8}) as running:
         domain = running.client.node.context.get_domain_id()
-        path = by_stops(runs[0])
-        assert replay_in(domain, path) == 0
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+        assert run_here(replay, by_stops(runs[0]), '--inputs-only').code == 0
         running.client.diagnostics(state='ready')
         assert running.client.call('new_route').success
         wait_until(lambda: stops_shown(running.client) == 3, 'the stops')
 
 
-def replay_in(domain, path):
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
-    return subprocess.run(
-        [sys.executable, '-m', 'ambush_planner.commands.cli', 'replay', str(path), '--inputs-only'],
-        env=environment, timeout=60, check=False,
-    ).returncode
-
-
 @pytest.mark.parametrize(('stops', 'frame', 'code', 'words'), [
-    ([(2.0, 2.0), (50.0, 2.0)], 'map', 'STOP_OUTSIDE_MAP', 'stop 2'),
     ([(2.0, 2.0)], 'moon', 'TF_ERROR', 'stop 1'),
-    ([(2.0, 2.0), (2.0, 2.0)], 'map', 'INVALID_NETWORK', 'stop 1 and stop 2'),
     ([(2.0, float('nan'))], 'map', 'INVALID_POSE', 'stop 1'),
     ([(2.0, 2.0)] * (MOST_STOPS + 1), 'map', 'INVALID_POSE', 'via_poses'),
 ])

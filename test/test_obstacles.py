@@ -52,9 +52,7 @@ def squared_distance(a, b, cell) -> Fraction:
     if meets(a, b, cell):
         return Fraction(0)
     corners = [(cell[0] + i, cell[1] + j) for i in (0, 1) for j in (0, 1)]
-    outside = [
-        sum(max(cell[k] - p[k], p[k] - cell[k] - 1, 0) ** 2 for k in (0, 1)) for p in (a, b)
-    ]
+    outside = [sum(max(cell[k] - p[k], p[k] - cell[k] - 1, 0) ** 2 for k in (0, 1)) for p in (a, b)]
     return min(outside + [squared_from_segment(corner, a, b) for corner in corners])
 
 

@@ -122,14 +122,9 @@ def test_all_imports_are_declared_for_pip():
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
     libraries = imported_packages() & set(ROSDEP_KEYS)
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
+    assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
     for name, extra in FROM_PIP.items():
         assert any(requirement.startswith(name) for requirement in extras[extra])
-
-
-def test_ros_is_an_extra_and_no_requirement():
-    arguments = setup_arguments()
-    assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
-    assert all(name.startswith('ros-jazzy-') for name in arguments['extras_require']['jazzy'])
 
 
 def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):

@@ -6,13 +6,7 @@ import re
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from recording_samples import read_with_rosbags
-from ros_harness import (
-    MARKER_TOPICS,
-    pose,
-    risk_grid,
-    stage,
-)
+from ros_harness import MARKER_TOPICS, pose, risk_grid, stage
 from waiting import unstamped
 
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -55,10 +49,6 @@ def differ(paths):
     return len({path.tobytes() for path in paths})
 
 
-def test_get_plan_publishes_what_it_answers(client):
-    assert client.get_plan(START, GOAL) == client.last('path')
-
-
 def test_departures_differ_and_solve_once(client):
     # The most probable two of the 42 paths have 0.35 together: fewer than three, 1 in 10^8.
     assert differ(departures(client, 20)) >= 3
@@ -71,26 +61,13 @@ def test_a_new_goal_a_new_map_and_new_parameters_are_solved_again(running):
     client = running.client
     departures(client, 1)
     client.publish('goal_pose', pose(8.5, 7.5))
-    client.call_until(
-        'new_route', lambda _: client.last('path').poses[-1].pose.position.y == 7.5)
+    client.call_until('new_route', lambda _: client.last('path').poses[-1].pose.position.y == 7.5)
     client.last('edge_probabilities', 2)
     client.publish('alpha_map', risk_grid(np.zeros((20, 20), dtype=np.int8)))
     client.call_until('new_route', lambda _: len(client.received['edge_probabilities']) == 3)
     running.planner.set_parameters([Parameter('strategy.max_detour', value=1.3)])
     departures(client, 1)
     client.last('edge_probabilities', 4)
-
-
-def test_going_back_and_forth_shows_the_strategy_without_solving(client):
-    client.get_plan(START, GOAL)
-    client.get_plan(GOAL, START)
-    client.diagnostics(departures='2')
-    reports = client.received['/diagnostics']
-    so_far = len(reports)
-    assert client.get_plan(START, GOAL).poses
-    client.last('edge_probabilities', 3)
-    client.diagnostics(departures='3')
-    assert all(report.status[0].values[0].value != 'solving' for report in reports[so_far:])
 
 
 def test_the_same_map_again_changes_nothing(client):
@@ -117,16 +94,6 @@ def test_a_seed_gives_the_same_sequence_and_none_another_one():
     assert len(set(runs)) == 3
 
 
-def test_replan_solves_without_a_departure(client):
-    departures(client, 1)
-    answer = client.call('replan')
-    assert answer.success
-    assert answer.message.startswith('solved in ')
-    client.last('edge_probabilities', 2)
-    assert client.diagnostics()['departures'] == '1'
-    assert len(client.received['path']) == 1
-
-
 def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     blocked = pose(5.1, 5.6, 1.0)  # 0.9 m from the block's left edge, 0.9 m + to a free centre
     assert not client.get_plan(START, blocked, 0.5).poses
@@ -138,43 +105,6 @@ def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     assert last.orientation == blocked.pose.orientation
     assert (last.position.x, last.position.y) == (6.25, 5.75), 'the nearest free centre'
     assert client.get_plan(START, GOAL, 2.0).poses[-1].pose == GOAL.pose, 'not blocked'
-
-
-def test_recordings_hold_inputs_and_outputs(tmp_path):
-    with stage(directory=tmp_path, parameters={'seed': 5}) as running:
-        departures(running.give(), 2)
-        wanted = running.client.last('path')
-    files = sorted(tmp_path.rglob('*.mcap'))
-    assert len(files) == 2
-    rows = read_with_rosbags(files[1])
-    topics = [topic for topic, _, _ in rows]
-    assert sorted(set(topics)) == sorted(
-        ['/alpha_map', '/start_pose', '/goal_pose', '/path', '/diagnostics',
-         *(f'/{topic}' for topic in MARKER_TOPICS)])
-    assert set(topics[:3]) == {'/alpha_map', '/start_pose', '/goal_pose'}
-    (path,) = [message for topic, _, message in rows if topic == '/path']
-    assert [(p.pose.position.x, p.pose.position.y) for p in path.poses] == [
-        (p.pose.position.x, p.pose.position.y) for p in wanted.poses]
-    times = [time for _, time, _ in rows]
-    assert times[-1] - times[0] < 60e9
-
-
-def test_a_failed_recording_does_not_fail_the_departure(tmp_path):
-    file = tmp_path / 'file'
-    file.write_text('')
-    with stage(directory=file / 'below') as running:
-        client = running.give()
-        assert client.call('new_route').success
-        report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
-        assert report['level'] == b'\2'
-        answer = client.call('new_route')
-        assert answer.success
-        assert 'is published on /path; recording failed at' in answer.message
-        running.planner.set_parameters(
-            [Parameter('recording.directory', value=str(tmp_path / 'good'))])
-        client.diagnostics(recording='on')
-        assert client.call('new_route').message.endswith('is published on /path')
-        client.diagnostics(code='NONE', recording='on')
 
 
 def test_a_path_stays_when_map_goal_and_parameters_change(running):
@@ -189,15 +119,6 @@ def test_a_path_stays_when_map_goal_and_parameters_change(running):
     client.diagnostics(code='INVALID_MAP', departure_id=departure)
     assert len(client.received['path']) == 1
     assert (path_from_ros(client.last('path')) == gone).all()
-
-
-def test_each_departure_has_an_id_of_its_own(client):
-    ids = []
-    for number in range(1, 4):
-        answer = client.call('new_route')
-        ids.append(client.diagnostics(departures=str(number))['departure_id'])
-        assert ids[-1] in answer.message
-    assert len(set(ids)) == 3
 
 
 def test_warns_of_a_bottleneck_at_the_ends():
@@ -221,13 +142,6 @@ def test_turns_tighter_than_the_turning_radius_are_counted():
         assert int(report['tight_turns']) > 0
         assert 'tighter than route.turning_radius' in report['message']
         assert 1 <= int(report['different_paths_of_1000']) <= 1000
-
-
-def test_warns_when_no_ambush_costs_anything():
-    with stage(parameters={'game.secured_radius': 100.0}) as running:
-        assert running.give().call('new_route').success
-        report = running.client.diagnostics(departures='1', level=b'\1')
-        assert report['message'].startswith('ready; the value is 0: no possible ambush causes')
 
 
 def test_diagnostics_have_stable_keys_once_a_second():

@@ -52,9 +52,7 @@ def clear_edges(network):
     return found
 
 
-def test_after_a_map_change_departures_are_drawn_from_the_conditioned_strategy(
-    tmp_path, a_plan
-):
+def test_after_a_map_change_departures_are_drawn_from_the_conditioned_strategy(tmp_path, a_plan):
     """Compared with routes drawn until they are clear, which is what the node does."""
     clear = clear_edges(a_plan.network)
     routes = a_plan.strategy.sample_routes(4000, np.random.default_rng(3))

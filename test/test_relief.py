@@ -54,11 +54,9 @@ def test_unknown_heights_spread_only_to_interpolated_cells():
 @pytest.mark.parametrize(
     ('heights', 'resolution', 'reason'),
     [
-        (np.zeros(4), 1.0, '2 x 2'),
-        (np.zeros((1, 4)), 1.0, '2 x 2'),
+        (np.zeros(4), 1.0, '2 x 2'), (np.zeros((1, 4)), 1.0, '2 x 2'),
         (np.full((3, 3), np.nan), 1.0, 'no elevation is known'),
-        (np.full((3, 3), np.inf), 1.0, 'finite'),
-        (np.zeros((3, 3)), 0.0, 'resolution'),
+        (np.full((3, 3), np.inf), 1.0, 'finite'), (np.zeros((3, 3)), 0.0, 'resolution'),
     ],
 )
 def test_rejects_malformed_elevations(heights, resolution, reason):

@@ -16,7 +16,6 @@ from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from ros_harness import LATCHED, free_domain, ros_context, spinning, stage
 from waiting import TIMEOUT, wait_until
 
@@ -160,14 +159,12 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
     forger = Forger(slow)
     for k in range(3):
         one = Forger(slow)
-        one.messages = [
-            replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages
-        ]
+        one.messages = [replace(m, stamp_ns=m.stamp_ns + k * 3600 * 10**9) for m in forger.messages]
         one.save(tmp_path / f'run_{k}.mcap')
     path = [m for m in forger.messages if m.type.endswith('Path')]
     with listener(path) as (found, domain):
         code, _ = replayed(
-            domain, tmp_path, '--rate', '5', '--every', '1', '--', '/path')
+            domain, tmp_path, '--rate', '5', '--every', '1', '--topics', '/path')
         assert_received(found, path * 3)
         # Not the hours that passed between them, but 2 s, or less if the first came late.
         assert 0.5 < found.span() < 300.0
@@ -175,36 +172,9 @@ def test_a_folder_is_one_timeline(slow, tmp_path):
     for number in ('2', '-1'):
         with listener(path) as (found, domain):
             code, _ = replayed(
-                domain, tmp_path, '--rate', '50', '--departure', number, '--', '/path')
+                domain, tmp_path, '--rate', '50', '--departure', number, '--topics', '/path')
             assert code == 0
             assert_received(found, path)
-
-
-def test_publishers_stay_until_ctrl_c_with_keep(slow):
-    path = [m for m in read_recording(slow).messages if m.topic == '/path']
-    with listener(path) as (found, domain), \
-            replaying(domain, slow, '--rate', '50', '--keep', '--', '/path') as process:
-        wait_until(found.count, 'the path')
-        late = Listener(found.node)
-        late.listen('/path', PathMessage, LATCHED)
-        wait_until(late.count, 'the path for a late joiner')
-        assert process.poll() is None
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == 0
-
-
-@pytest.mark.slow
-def test_rate(slow, tmp_path):
-    messages = read_recording(slow).messages
-    # At the recorded rate the first would take no time, and the second would not end in time. A
-    # message may come late, also the first one: little of the 1.8 s that the first takes is asked.
-    short = paced(slow, [0.001] * 9, tmp_path / 'short.mcap')
-    long = paced(slow, [100.0] * 5 + [0.1] * 4, tmp_path / 'long.mcap')
-    for path, rate, least in ((short, 0.005, 0.5), (long, 500.0, 0.0)):
-        with listener(messages) as (found, domain):
-            assert replayed(domain, path, '--rate', rate)[0] == 0
-            assert_received(found, messages)
-            assert found.span() > least
 
 
 def test_only_some_topics_and_other_names(slow):
@@ -215,7 +185,7 @@ def test_only_some_topics_and_other_names(slow):
             found.listen(topic, kind, LATCHED)
         remap = ['--ros-args', '-r', '/path:=/convoy/way', '-r', '__node:=again']
         code, said = replayed(
-            domain, slow, '--', '/path', '/goal_pose', *remap, listening=False)
+            domain, slow, '--topics', '/path', '/goal_pose', *remap, listening=False)
         assert code == 0
         assert 'nobody listens to /goal_pose' in said
         wait_until(found.count, 'the path under its other name')
@@ -280,31 +250,14 @@ def test_another_planner_is_fed(which, files):
     assert [(each.pose.position.x, each.pose.position.y) for each in ends] == [*recorded]
 
 
-def test_damaged_files_are_named_and_skipped(files, slow, tmp_path):
-    whole, cut, changed = (tmp_path / f'run_{k}.mcap' for k in (2, 0, 1))
-    data = slow.read_bytes()
-    whole.write_bytes(data)
-    cut.write_bytes(data[:-100])
-    at = len(data) // 2
-    changed.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1:])
-    messages = read_recording(slow).messages
-    with listener(messages) as (found, domain):
-        code, said = replayed(domain, tmp_path, '--rate', '4')
-        assert_received(found, messages)
-    assert code == 3
-    for path in (cut, changed):
-        assert f'ambush_replay: {path} is not readable as a recording: ' in said
-    assert f'{whole} is not' not in said
-
-
 @pytest.mark.parametrize(('arguments', 'code', 'words'), [
     (['none.mcap'], 3, 'No such file'),
     ([__file__], 3, 'damaged or not an MCAP file'),
     (['{}', '--rate', '0'], 2, '--rate'),
     (['{}', '--every', 'nan'], 2, '--every'),
     (['{}', '--departure', '2'], 3, 'there are 1 departure'),
-    (['{}', '--', '/x'], 3, "nothing is recorded on '/x', only on /alpha_map, "),
-    (['{}', '--inputs-only', '--', '/path'], 3, 'none of these topics is an input'),
+    (['{}', '--topics', '/x'], 3, 'nothing is recorded on /x, only on /alpha_map, '),
+    (['{}', '--inputs-only', '--topics', '/path'], 3, 'none of these topics is an input'),
     (['{}', '--ros-args', '-x'], 2, 'after --ros-args'),
     (['--help'], 0, ''),
 ])
@@ -313,29 +266,6 @@ def test_wrong_usage(arguments, code, words, slow):
         ended, said = replayed(domain, *(text.format(slow) for text in arguments))
     assert ended == code
     assert words in said
-
-
-def test_recorded_profiles_are_what_the_node_offers(files):
-    """What the tests above compare with is not all the same."""
-    qos = {m.topic: qos_from_yaml(m.qos) for m in read_recording(files[NEW_ROUTE]).messages}
-    assert qos['/path'].durability == DurabilityPolicy.TRANSIENT_LOCAL
-    assert qos['/goal_pose'].durability == DurabilityPolicy.VOLATILE
-    assert all(each.reliability == ReliabilityPolicy.RELIABLE for each in qos.values())
-
-
-def test_signal_handlers_are_restored(slow, tmp_path):
-    def mine(*_):
-        pass
-
-    numbers = signal.SIGINT, signal.SIGTERM
-    before = [signal.signal(number, mine) for number in numbers]
-    try:
-        with free_domain() as domain:
-            assert replayed(domain, tmp_path / 'none')[0] == 3
-        assert [signal.getsignal(number) for number in numbers] == [mine, mine]
-    finally:
-        for number, handler in zip(numbers, before, strict=True):
-            signal.signal(number, handler)
 
 
 @pytest.mark.slow
@@ -351,7 +281,7 @@ def test_a_listener_that_pauses_loses_nothing(files, tmp_path):
         stack.callback(listening.kill)
         assert listening.stdout.readline() == 'listening\n'
         process = stack.enter_context(
-            replaying(domain, tmp_path, '--every', '2', '--', '/goal_pose'))
+            replaying(domain, tmp_path, '--every', '2', '--topics', '/goal_pose'))
         assert listening.stdout.readline() == 'received\n'
         listening.send_signal(signal.SIGSTOP)
         assert any('2.mcap: 1 message' in line for line in process.stderr)

@@ -139,16 +139,9 @@ def test_rejects_grids_of_other_shapes(values):
 @pytest.mark.parametrize(
     'options',
     [
-        {'alpha_min': -1.0},
-        {'alpha_min': np.nan},
-        {'alpha_max': np.inf},
-        {'alpha_min': 1e-310},
-        {'alpha_max': 1e291},
-        {'unknown_alpha': 1e291},
-        {'alpha_max': 0.5},
-        {'obstacle_threshold': 0},
-        {'obstacle_threshold': 102},
-        {'unknown_alpha': np.nan},
+        {'alpha_min': -1.0}, {'alpha_min': np.nan}, {'alpha_max': np.inf}, {'alpha_min': 1e-310},
+        {'alpha_max': 1e291}, {'unknown_alpha': 1e291}, {'alpha_max': 0.5},
+        {'obstacle_threshold': 0}, {'obstacle_threshold': 102}, {'unknown_alpha': np.nan},
     ],
 )
 def test_rejects_options_out_of_range(options):

@@ -13,7 +13,6 @@ from ros_harness import (
     pose,
     risk_grid,
     stage,
-    stage_in,
     wait_until,
 )
 from rosgraph_msgs.msg import Clock
@@ -80,8 +79,8 @@ def test_quality_of_service_is_as_the_interface_table_says():
 
 
 def test_several_nodes_side_by_side_in_one_domain():
-    with free_domain() as domain, stage_in(domain, namespace='/north') as north, stage_in(
-            domain, namespace='/south') as south:
+    with free_domain() as domain, stage(domain=domain, namespace='/north') as north, stage(
+            domain=domain, namespace='/south') as south:
         for goal, running in ((2.5, north), (3.5, south)):
             running.give(goal=(8.5, goal))
             running.client.call_until('new_route', lambda answer: answer.success)

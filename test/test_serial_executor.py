@@ -5,7 +5,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from ambush_planner.ros.serial_executor import SerialExecutor, completed
+from ambush_planner.ros.serial_executor import SerialExecutor, completed, started
 
 
 class Closed(Exception):
@@ -24,10 +24,10 @@ def executor(errors):
     made.close()
 
 
-def test_a_completed_future_has_the_result_or_the_error():
-    assert completed(lambda: 8).result(0.0) == 8
+def test_a_future_of_work_that_does_not_start_has_its_error():
+    assert started(lambda: completed(8)).result(0.0) == 8
     with pytest.raises(ZeroDivisionError):
-        completed(lambda: 1 / 0).result(0.0)
+        started(lambda: 1 / 0).result(0.0)
 
 
 def test_work_is_done_in_order_by_one_thread(executor):

@@ -2,17 +2,15 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from handed_on import HandedOn, halt_workers, workers
+from handed_on import HandedOn, halt_workers
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.errors import GoalBlocked, TimeLimit
@@ -80,8 +78,7 @@ def test_the_worker_finds_the_same_plan_as_this_process(queue):
     asked = request()
     ours, theirs = plan_from_request(asked), submit(queue, 'key', asked).result(TIMEOUT)
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
-        np.testing.assert_array_equal(
-            getattr(theirs.strategy, name), getattr(ours.strategy, name))
+        np.testing.assert_array_equal(getattr(theirs.strategy, name), getattr(ours.strategy, name))
     np.testing.assert_array_equal(theirs.network.points, ours.network.points)
     assert theirs.strategy.value == ours.strategy.value
     assert (theirs.spacing, theirs.goal_xy) == (ours.spacing, ours.goal_xy)
@@ -106,14 +103,6 @@ def test_an_internal_error_has_frames_but_no_values(queue):
     assert str(caught.value).startswith('internal error (')
     assert 'plan_from_request' in caught.value.frames
     assert 'nowhere' not in str(caught.value) + caught.value.frames
-
-
-def test_a_goal_is_moved_within_its_tolerance(queue):
-    values = np.zeros((20, 20), dtype=np.int8)
-    values[10, 18] = 100
-    moved = replace(request(values=values), goal_tolerance=1.5)
-    assert submit(queue, 'key', moved).result(TIMEOUT).goal_xy in {
-        (17.5, 10.5), (18.5, 9.5), (18.5, 11.5), (19.5, 10.5)}
 
 
 def test_equal_solves_are_shared_and_others_wait(queue):
@@ -142,22 +131,6 @@ def test_a_full_queue_refuses_at_once_with_the_reason(queue):
     assert later.exception(TIMEOUT)
 
 
-def test_the_first_waiting_solve_does_not_count_before_one_runs(monkeypatch):
-    ready = threading.Event()
-    monkeypatch.setattr(
-        solve_queue, 'WorkerProcess', lambda: ready.wait(TIMEOUT) and HandedOn.take())
-    queue = SolveQueue()
-    try:
-        solves = [submit(queue, k, request(), size=1) for k in range(2)]
-        with pytest.raises(QueueFull):
-            submit(queue, 'third', request(), size=1)
-        ready.set()
-        assert all(each.result(TIMEOUT) for each in solves)
-    finally:
-        ready.set()
-        queue.close()
-
-
 def test_background_solves_run_last(fresh_queue):
     queue = fresh_queue
     submit(queue, 'slow', slow_request())
@@ -176,30 +149,6 @@ def test_background_solves_run_last(fresh_queue):
     assert outcomes == ['asked', 'last']
 
 
-def test_background_solves_do_not_count_as_waiting(queue):
-    submit(queue, 'slow', slow_request())
-    begun(queue)
-    first = submit(queue, 'first', request(), background=True)
-    submit(queue, 'asked', request(), size=1)
-    last = submit(queue, 'last', request(), size=1, background=True)
-    with pytest.raises(SolveCancelled, match='a newer map'):
-        first.result(0.0)
-    assert not last.done()
-    assert queue.cancel() == 3
-
-
-def test_a_requested_background_solve_is_kept(queue):
-    submit(queue, 'slow', slow_request())
-    begun(queue)
-    first = submit(queue, 'first', request(), background=True)
-    assert submit(queue, 'first', request()) is first
-    last = submit(queue, 'last', request(), background=True)
-    queue.withdraw_background()
-    with pytest.raises(SolveCancelled):
-        last.result(0.0)
-    assert not first.done()
-
-
 def test_a_withdrawn_request_leaves_the_background_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -213,25 +162,6 @@ def test_a_withdrawn_request_leaves_the_background_solve(queue):
     queue.withdraw_background()
     with pytest.raises(SolveCancelled, match='a newer map'):
         kept.result(0.0)
-
-
-def test_an_outcome_is_shared_while_it_is_being_set(queue, monkeypatch):
-    """A request between the end of a solve and its outcome does not begin another one."""
-    solves, again, heard, solve = [], [], threading.Event(), WorkerProcess.solve
-
-    def once_heard(worker, asked):
-        solves.append(asked)
-        assert heard.wait(TIMEOUT)
-        return solve(worker, asked)
-
-    monkeypatch.setattr(WorkerProcess, 'solve', once_heard)
-    first = submit(queue, 'key', request())
-    first.add_done_callback(lambda _: again.append(submit(queue, 'key', request())))
-    heard.set()
-    first.result(TIMEOUT)
-    wait_until(lambda: again, 'the callback')
-    assert again[0].result(TIMEOUT) is first.result()
-    assert len(solves) == 1
 
 
 def test_cancel_ends_a_long_solve_and_the_next_one_works(queue):
@@ -262,27 +192,6 @@ def test_the_time_limit_is_hard(queue):
     assert submit(queue, 'key', request()).result(TIMEOUT)
 
 
-def test_the_time_limit_holds_for_a_worker_that_reads_nothing(queue):
-    submit(queue, 'key', request()).result(TIMEOUT)
-    (pid,) = workers()
-    os.kill(pid, signal.SIGSTOP)
-    large = np.zeros((2000, 2000), dtype=np.int8)  # more than the pipe holds
-    with pytest.raises(TimeLimit):
-        submit(queue, 'large', request(values=large, time_limit=0.7)).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-
-
-def test_an_error_in_the_owner_is_an_outcome_too(queue, monkeypatch):
-    def broken(*_):
-        raise MemoryError
-
-    with monkeypatch.context() as patch:
-        patch.setattr(WorkerProcess, 'solve', broken)
-        with pytest.raises(Unexpected, match='MemoryError'):
-            submit(queue, 'key', request()).result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-
-
 def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
     queue = fresh_queue
     future = submit(queue, 'slow', slow_request())
@@ -293,14 +202,6 @@ def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
         future.result(TIMEOUT)
     assert submit(queue, 'key', request()).result(TIMEOUT)
     assert pid != queue._worker._process.pid
-
-
-def test_a_worker_that_died_while_idle_is_replaced(fresh_queue):
-    submit(fresh_queue, 'key', request()).result(TIMEOUT)
-    pid = fresh_queue._worker._process.pid
-    os.kill(pid, signal.SIGKILL)
-    wait_until(lambda: _is_zombie(pid), 'the end of the worker')
-    assert submit(fresh_queue, 'key', request()).result(TIMEOUT)
 
 
 def test_close_ends_everything_at_once():
@@ -348,15 +249,3 @@ def _is_zombie(pid):
         return Path(f'/proc/{pid}/stat').read_text().rsplit(')', 1)[1].split()[0] == 'Z'
     except OSError:
         return True
-
-
-def test_a_worker_without_an_owner_ends_quietly():
-    ours, theirs = socket.socketpair()
-    ours.close()
-    with theirs:
-        done = subprocess.run(
-            [sys.executable, '-c', f'import sys; sys.path[:] = {sys.path!r}; '
-             'from ambush_planner.worker.child import main; main()', str(theirs.fileno())],
-            pass_fds=[theirs.fileno()], capture_output=True, text=True, timeout=TIMEOUT,
-            check=False)
-    assert (done.returncode, done.stderr) == (0, '')

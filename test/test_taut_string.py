@@ -22,7 +22,7 @@ def string(portals, margin):
 
 
 @examples(40)
-@given(drives(), st.floats(0.0, 0.45))
+@given(drives, st.floats(0.0, 0.45))
 def test_the_taut_string_is_the_shortest_line_through_the_portals(drive, share):
     corridors, route = drive[:2]
     assume(len(route) > 2)
@@ -64,7 +64,7 @@ def test_portals_approached_from_behind():
 
 
 @examples(50)
-@given(drives(), st.integers(0, 10**6))
+@given(drives, st.integers(0, 10**6))
 def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     portals = portals_along(corridors, [route])

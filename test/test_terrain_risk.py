@@ -3,12 +3,7 @@
 import numpy as np
 import pytest
 
-from ambush_planner.maps import (
-    Elevation,
-    InvalidTerrain,
-    TerrainOptions,
-    terrain_map,
-)
+from ambush_planner.maps import Elevation, InvalidTerrain, TerrainOptions, terrain_map
 
 
 def hills(seed=0, shape=(40, 50)):
@@ -34,10 +29,8 @@ def test_open_plains_are_exposed_and_nothing_else():
 def test_values_follow_the_stated_formula(name):
     ground = terrain_map(Elevation(hills(), 10.0), only(name))
     share = {
-        'depth': np.minimum(ground.depth / 120.0, 1.0),
-        'exposure': ground.exposure,
-        'approach': 1.0 - ground.approach / 300.0,
-        'slope': np.minimum(ground.slope / 1.5, 1.0),
+        'depth': np.minimum(ground.depth / 120.0, 1.0), 'exposure': ground.exposure,
+        'approach': 1.0 - ground.approach / 300.0, 'slope': np.minimum(ground.slope / 1.5, 1.0),
     }[name]
     assert np.ptp(ground.values) > 5
     np.testing.assert_allclose(ground.values, 99.0 * share, atol=0.501)

@@ -1,7 +1,6 @@
 """Poses in other frames: transforms that travel over DDS, and clear errors without them."""
 
 import math
-import threading
 from contextlib import ExitStack, closing, contextmanager
 
 import interfaces
@@ -20,7 +19,6 @@ from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
-from ambush_planner.ros import transforms
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF, TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
@@ -28,8 +26,6 @@ from ambush_planner.worker.process import WorkerProcess
 
 interfaces.install('tf2_msgs')
 from tf2_msgs.msg import TFMessage  # noqa: E402
-
-HALF_TURN = (0.0, 0.0, math.pi)
 
 
 @contextmanager
@@ -123,16 +119,6 @@ def test_a_pose_in_the_maps_frame_is_unchanged_and_one_without_a_frame_refused(n
                 frames.to_frame(pose(1.0, 2.0, frame=''), 'goal', frame, math.inf)
 
 
-def test_without_tf_another_frame_is_an_error_that_says_what_to_do(node, monkeypatch):
-    monkeypatch.setattr(transforms, 'installed_type', lambda *_: None)
-    with pytest.raises(FrameMismatch) as error:
-        FrameTransforms(node).to_frame(pose(1.0, 2.0, frame='odom'), 'start', 'map', math.inf)
-    assert str(error.value) == (
-        "start is given in the frame 'odom', the map in 'map'; give it in the map's frame, or "
-        'install tf2_msgs to have it transformed'
-    )
-
-
 def test_a_pose_in_space_is_turned_and_moved(tf):
     turn, ahead = Rotation.from_euler('xyz', (0.9, 0.2, -1.3)), np.array((2.0, -0.5, 1.0))
     there = pose(3.0, 4.0, frame='arm')
@@ -149,25 +135,6 @@ def test_a_pose_in_space_is_turned_and_moved(tf):
     assert turned.apply(position(beyond) - position(there)) == pytest.approx(ahead)
 
 
-def test_frames_are_followed_up_and_down_the_tree(tf):
-    tf.fix(transform('map', 'odom', 10.0, turn=HALF_TURN), transform('map', 'depot', y=100.0))
-    tf.send(transform('odom', 'base_link', 1.0, turn=HALF_TURN))
-    given = pose(0.5, 0.25, frame='base_link')
-    tf.wait_for(given, (9.5, 0.25))
-    tf.wait_for(given, (9.5, -99.75), frame='depot')
-
-
-def test_the_latest_transform_counts_whatever_the_stamps(tf):
-    tf.send(*(transform('map', 'base_link', float(sec), sec=sec) for sec in (4, 5, 3)))
-    tf.wait_for(pose(0.0, 0.0, frame='base_link'), (5.0, 0.0))
-    for sec in (0, 3, 2_000_000_000):
-        given = pose(0.5, 0.0, frame='base_link')
-        given.header.stamp = Time(sec=sec)
-        result = tf.frames.to_frame(given, 'start', 'map', math.inf)
-        assert pose_from_ros(result.pose)[0] == pytest.approx(5.5)
-        assert result.header.stamp == Time(sec=5)
-
-
 def test_unknown_frames_and_invalid_orientations_are_errors(tf):
     tf.fix(transform('map', 'odom'))
     given = pose(1.0, 2.0, frame='odom')
@@ -178,29 +145,6 @@ def test_unknown_frames_and_invalid_orientations_are_errors(tf):
         given.pose.orientation.w = number
         with pytest.raises(InvalidPose, match='goal: orientation'):
             tf.frames.to_frame(given, 'goal', 'map', math.inf)
-
-
-def tf_threads():
-    return [thread for thread in threading.enumerate() if thread.name == '_planner_tf']
-
-
-def test_the_listeners_thread_ends_with_it_or_with_the_context(tf):
-    assert len(tf_threads()) == 1
-    tf.close()
-    assert not tf_threads()
-    with free_domain() as domain, node_in(domain, 'planner') as node:
-        frames = FrameTransforms(node)
-    with closing(frames):
-        wait_until(lambda: not tf_threads(), 'the end of the thread')
-
-
-def test_the_listener_is_remapped_like_the_node_but_keeps_its_name():
-    arguments = ['--ros-args', '-r', '__node:=convoy', '-r', '__ns:=/lead', '-r', '/tf:=tf']
-    with free_domain() as domain, node_in(domain, 'planner', cli_args=arguments) as node:
-        with closing(FrameTransforms(node)):
-            wait_until(lambda: node.count_subscribers('/lead/tf'), 'the remapped subscription')
-            names = node.get_node_names()
-            assert names.count('convoy') == names.count('_convoy_tf') == 1
 
 
 def test_invalid_transforms_and_unreadable_bytes_are_survived(tf):
@@ -291,7 +235,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(monkeypat
             solves.append(request.start_xy)
             place = places[len(solves) - 1]
             robot.is_at(*place)
-            inputs, robot_options = running.planner._inputs, running.planner._settings.robot
+            inputs, robot_options = running.planner._inputs, running.planner._settings.current.robot
             wait_until(lambda: inputs.locate(
                 inputs.latest(robot_options), robot_options).start_xy == pytest.approx(place),
                 'the move')

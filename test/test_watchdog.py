@@ -6,7 +6,6 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
-import pytest
 from waiting import wait_until
 
 HERE = Path(__file__).parent
@@ -69,9 +68,8 @@ def assert_nothing_left(folder):
     assert not stat.exists() or stat.read_text().split()[2] == 'Z'
 
 
-@pytest.mark.parametrize('options', [(), PARALLEL], ids=['alone', 'xdist'])
-def test_what_a_test_leaves_running_is_ended(tmp_path, options):
-    code, said = run(tmp_path, *options, test_a=PASSES)
+def test_what_a_test_leaves_running_is_ended(tmp_path):
+    code, said = run(tmp_path, test_a=PASSES)
     assert code == 0, said
     assert_nothing_left(tmp_path)
 
@@ -84,19 +82,12 @@ def test_a_worker_that_dies_ends_the_run_with_the_name_of_its_test(tmp_path):
     assert_nothing_left(tmp_path)
 
 
-@pytest.mark.parametrize('options', [(), PARALLEL], ids=['alone', 'xdist'])
-def test_a_run_that_hangs_can_be_ended_and_names_what_hangs(tmp_path, options):
-    with started(tmp_path, *options, test_a=HANGS, test_b=WAITS) as process:
+def test_a_run_that_hangs_can_be_ended_and_names_what_hangs(tmp_path):
+    with started(tmp_path, test_a=HANGS) as process:
         wait_until((tmp_path / 'left').exists, 'the test to hang')
         process.terminate()
         said, _ = process.communicate()
     assert process.returncode == 1, said
     assert 'ended by SIGTERM; running: ' in said and 'test_a.py::test_hangs' in said
-    if not options:  # with xdist, the first worker that ends may end the run before the traceback
-        assert 'in test_hangs' in said, 'with the place'
+    assert 'in test_hangs' in said, 'with the place'
     assert_nothing_left(tmp_path)
-
-
-def test_a_run_has_a_limit(tmp_path):
-    code, said = run(tmp_path, '-o', 'session_limit=2', test_a=WAITS)
-    assert code == 1 and 'no end within 2 s; running: ' in said

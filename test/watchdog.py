@@ -81,7 +81,7 @@ class Watchdog:
                 os.kill(pid, signal.SIGUSR1)
         self.ended.wait(1.0)
         end_processes(self.mark)
-        if not self.ended.wait(5.0):
+        if not self.ended.wait(2.0):
                 os._exit(1)
 
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 from datetime import datetime, timezone
 from pathlib import Path
-from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from ..maps.risk_map import RiskMap
-from ..recordings import UnreadableRecording, recordings_in
+from ..recordings import (
+    RecordedDeparture,
+    UnreadableRecording,
+    read_departures,
+    recordings_in,
+    source_findings,
+)
 from ..recordings.audit import Audit, NotAuditable, audit
-from ..recordings.recorded_departures import RecordedDeparture, read_departures, source_findings
 from . import cli
 from .figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, probability_scale
 
@@ -48,15 +52,11 @@ def read_all(
     place: Path, console: cli.Console
 ) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
     """Return the departures below ``place`` in order of time, and errors of unreadable files."""
-    paths = recordings_in(place)
-    console.say(f'reading {cli.count(len(paths), "recording")}')
     errors: list[UnreadableRecording] = []
-    return read_departures(console.progress(paths, 'read'), errors.append), errors
+    return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
 
 
-def audited(
-    departures: list[RecordedDeparture],
-) -> tuple[Audit | None, list[str], list[str]]:
+def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
     """Audit departures; return the audit (None: too few departures), findings, and notes."""
     findings = source_findings(departures) + [
         f'{each.path.name} was drawn with a fixed seed, so it can be foretold'
@@ -89,26 +89,21 @@ def audited(
 
 def when(stamp_ns: int) -> str:
     """Return a time as date and minute, UTC."""
-    moment = datetime.fromtimestamp(stamp_ns // 1_000_000_000, tz=timezone.utc)
-    return moment.strftime('%Y-%m-%d %H:%M UTC')
+    return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M UTC}'
 
 
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
-    width, height = risk_map.size
-    figure = Figure((21.0, float(np.clip(7.0 * height / width, 4.0, 12.0)) + 1.0),
-                    layout='constrained')
+    figure = Figure((21.0, 8.0), layout='constrained')
     published, recorded, observer = figure.subplots(1, 3)
-    expected = result.expected / result.departures
-    scale = probability_scale(expected)
-    driven = result.passages / result.departures
-    for axes, share, title in (
-        (published, expected, 'Published: probability that the convoy drives here'),
-        (recorded, driven, f'Recorded: share of {result.departures} departures'),
+    scale = probability_scale(result.expected / result.departures)
+    for axes, passages, title in (
+        (published, result.expected, 'Published: probability that the convoy drives here'),
+        (recorded, result.passages, f'Recorded: share of {result.departures} departures'),
     ):
         frame(axes, risk_map, title)
         draw_risk_map(axes, risk_map)
-        edges = draw_segments(axes, result.segments, share, scale)
+        edges = draw_segments(axes, result.segments, passages / result.departures, scale)
     figure.colorbar(edges, ax=[published, recorded], location='bottom', shrink=0.5, aspect=50,
                     label='share of departures')
     count = np.arange(1, len(result.observer_losses) + 1)
@@ -127,14 +122,13 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if options.output:
         cli.refuse_existing(options.output, [PICTURE], options.replace)
     departures, unreadable = read_all(options.recordings, console)
-    console.say(f'auditing {cli.count(len(departures), "departure")}')
     result, findings, notes = audited(departures)
     if departures:
         ends = dict.fromkeys(when(departures[k].stamp_ns) for k in (0, -1))
         console.line(f'{cli.count(len(departures), "departure")}, {" to ".join(ends)}')
     for line in [*(f'FINDING: {each}.' for each in findings), *notes,
                  *(f'UNREADABLE and not audited: {each}' for each in unreadable)]:
-        console.line(fill(line, cli.WIDTH, break_long_words=False, break_on_hyphens=False))
+        console.item(line, 0)
     console.result = {
         'departures': len(departures), 'findings': findings,
         **{name: getattr(result, name, None) for name in NUMBERS},

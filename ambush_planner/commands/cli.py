@@ -13,12 +13,12 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
 from functools import partial
+from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from ..errors import AmbushPlannerError
-from .console import WIDTH as WIDTH
 from .console import Console as Console
 from .console import count as count
 from .console import place as place
@@ -71,11 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """Return a parser with the options that all commands have."""
-    parser = argparse.ArgumentParser(
-        prog=f'ambush_{command}', description=description, epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument('--version', action='version', version=_version())
+    parser = _parser(f'ambush_{command}', description, epilog)
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print nothing but errors')
     return parser
@@ -84,46 +80,42 @@ def new_parser(command: str, description: str, epilog: str) -> argparse.Argument
 def reader_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """Return the parser of a command that reads recordings."""
     parser = new_parser(command, description, epilog)
-    parser.add_argument(
-        'recordings', type=Path, metavar='FILE_OR_FOLDER',
-        help='a recording, a session folder, or the recording.directory with all sessions',
-    )
+    parser.add_argument('recordings', type=Path, metavar='FILE_OR_FOLDER', help='a recording, a '
+                        'session folder, or the recording.directory with all sessions')
     return parser
 
 
-def add_output(parser: argparse.ArgumentParser, what: str) -> None:
+def add_output(parser: argparse.ArgumentParser, what: str, required: bool = False) -> None:
     """Add the options of a command that writes files into a folder."""
-    parser.add_argument(
-        '-o', '--output', type=Path, metavar='DIR', help=f'folder for {what}; made if missing'
-    )
+    parser.add_argument('-o', '--output', type=Path, metavar='DIR', required=required,
+                        help=f'folder for {what}; made if missing')
     parser.add_argument('--replace', action='store_true', help='overwrite existing files in DIR')
 
 
-def positive(text: str) -> int:
-    """Parse a positive integer."""
-    if int(text) < 1:
-        raise argparse.ArgumentTypeError(f'must be a positive whole number, got {text!r}')
-    return int(text)
+def add_table(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a command that writes a table."""
+    parser.add_argument('-o', '--output', type=Path, required=True, metavar='TABLE.csv',
+                        help='the table to write')
 
 
-def number(least: float, most: float) -> Callable[[str], float]:
-    """Return a parser of numbers from ``least`` to ``most``."""
-    def number(text: str) -> float:
-        if not least <= float(text) <= most:
+def number(least: float, most: float, kind: type = float) -> Callable[[str], Any]:
+    """Return a parser of numbers of a kind from ``least`` to ``most``."""
+    def number(text: str) -> Any:
+        if not least <= kind(text) <= most:
             raise argparse.ArgumentTypeError(
                 f'must be a number from {least:g} to {most:g}, got {text!r}'
             )
-        return float(text)
+        return kind(text)
 
     return number
 
 
 def command(parser: Callable[[], argparse.ArgumentParser], work: Work) -> Callable[..., int]:
     """Return the ``main(arguments)`` of a command."""
-    return partial(run, parser, work)
+    return partial(_run, parser, work)
 
 
-def run(
+def _run(
     make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     arguments: Sequence[str] | None = None,
 ) -> int:
@@ -131,8 +123,7 @@ def run(
     parser = make_parser()
     _complete(parser)
     options = parser.parse_args(arguments)
-    name = parser.prog.removeprefix('ambush_')
-    console = Console(name, as_json=options.json, quiet=options.quiet)
+    console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
     try:
         code = work(options, console)
         console.result_as_json(code.name.lower())
@@ -153,11 +144,10 @@ def run(
 
 def refuse_existing(folder: Path, names: Iterable[str], replace: bool) -> None:
     """Raise UsageError if a file with one of the names exists in the folder, unless ``replace``."""
-    for path in (folder / name for name in names):
-        if os.path.lexists(path) and not replace:
-            raise UsageError(
-                f'{place(path)} exists already; add --replace, or choose another folder with -o'
-            )
+    for name in names:
+        if (folder / name).exists() and not replace:
+            raise UsageError(f'{place(folder / name)} exists already; add --replace, or choose '
+                             'another folder with -o')
 
 
 def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -169,13 +159,24 @@ def write_private(folder: Path, files: Mapping[str, bytes]) -> None:
         write_durably(folder / name, data)
 
 
-def _entry_parser() -> argparse.ArgumentParser:
+def resource(name: str) -> str:
+    """Return the text of a file of this package."""
+    return resources.files(__package__).joinpath(name).read_text('utf-8')
+
+
+def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog='ambush', description='Random routes that an ambusher cannot foresee.',
-        epilog='ambush COMMAND --help shows its options.\n' + EXIT_CODES,
+        prog=program, description=description, epilog=epilog,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument('--version', action='version', version=_version())
+    parser.add_argument('--version', action='version',
+                        version=f'ambush_planner {version("ambush_planner")}')
+    return parser
+
+
+def _entry_parser() -> argparse.ArgumentParser:
+    parser = _parser('ambush', 'Random routes that an ambusher cannot foresee.',
+                     'ambush COMMAND --help shows its options.\n' + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():
         # Importing all commands is slow; only completion needs their options.
@@ -204,10 +205,6 @@ def _complete(parser: argparse.ArgumentParser) -> None:
         import argcomplete
 
         argcomplete.autocomplete(parser)
-
-
-def _version() -> str:
-    return f'ambush_planner {version("ambush_planner")}'
 
 
 if __name__ == '__main__':

@@ -14,16 +14,14 @@ from typing import Any, TypeVar
 from ..errors import shown
 
 WIDTH = 99  # columns of wrapped text
-_GREEN, _RED, _PLAIN = '\033[32m', '\033[31m', '\033[0m'
 _Item = TypeVar('_Item')
 
 
 class Console:
     """Print results on standard output, progress and errors on standard error."""
 
-    def __init__(self, command: str, *, as_json: bool, quiet: bool) -> None:
-        self._command, self._json, self._quiet = command, as_json, quiet
-        self._colour = sys.stdout.isatty() and 'NO_COLOR' not in os.environ
+    def __init__(self, program: str, *, as_json: bool, quiet: bool) -> None:
+        self._program, self._json, self._quiet = program, as_json, quiet
         self._begin = time.monotonic()
         self.result: dict[str, Any] = {}
 
@@ -37,14 +35,10 @@ class Console:
         if not (self._json or self._quiet):
             print(text, flush=True)
 
-    def item(self, text: str) -> None:
-        """Print details of the line before, indented and wrapped."""
-        self.line(fill(text, WIDTH, initial_indent=' ' * 7, subsequent_indent=' ' * 9,
-                       break_long_words=False, break_on_hyphens=False))
-
-    def marked(self, mark: str, good: bool) -> str:
-        """Return a word in green or red if the output is a terminal."""
-        return f'{_GREEN if good else _RED}{mark}{_PLAIN}' if self._colour else mark
+    def item(self, text: str, indent: int = 7) -> None:
+        """Print wrapped text, by default as details of the line before."""
+        self.line(fill(text, WIDTH, initial_indent=' ' * indent, break_long_words=False,
+                       subsequent_indent=' ' * (indent + 2), break_on_hyphens=False))
 
     def say(self, text: str) -> None:
         """Print a progress message."""
@@ -57,7 +51,7 @@ class Console:
 
     def error(self, text: object) -> None:
         """Print an error, even if quiet."""
-        print(f'ambush_{self._command}: {text}', file=sys.stderr, flush=True)
+        print(f'{self._program}: {text}', file=sys.stderr, flush=True)
 
     def progress(self, items: Sequence[_Item], what: str) -> Iterator[_Item]:
         """Yield the items with a progress bar."""

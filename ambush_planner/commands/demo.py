@@ -15,10 +15,18 @@ from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
 from ..game.game import GameOptions
 from ..game.strategy import Strategy, StrategyOptions
+from ..maps.ros_messages import path_from_ros
 from ..planning.evaluation import evaluate
 from ..planning.frontier import frontier
+from ..recordings import recordings_in
 from . import cli
+from . import report_words as words
+from .demo_figures import fixed_routes, routes_figure
+from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
+from .figures import as_png
+from .frontier import write_frontier
 from .node_process import NodeProcess, free_domain
+from .report import write_report
 
 # Four cells, which makes about 6000 nodes [m].
 SPACING = 360.0
@@ -44,25 +52,14 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser(
         'demo', 'Random routes on real terrain: departures, recordings, a report.', EPILOG
     )
-    made.add_argument(
-        '-o', '--output', type=Path, default=Path('out/demo'), metavar='FOLDER',
-        help='folder for the results; made if missing (default: %(default)s)',
-    )
-    made.add_argument(
-        '-n', '--departures', type=cli.positive, default=8, metavar='COUNT',
-        help='number of routes to request (default: %(default)s)',
-    )
+    made.add_argument('-o', '--output', type=Path, default=Path('out/demo'), metavar='FOLDER',
+                      help='folder for the results; made if missing (default: %(default)s)')
+    made.add_argument('-n', '--departures', type=cli.number(1, 1e6, int), default=8,
+                      metavar='COUNT', help='number of routes to request (default: %(default)s)')
     return made
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    # The parser and --help need neither ROS nor matplotlib.
-    from ..recordings import recordings_in
-    from .demo_figures import fixed_routes, routes_figure
-    from .figures import as_png
-    from .frontier import write_frontier
-    from .report import write_report
-
     folder = Path(os.path.abspath(options.output))
     folder.mkdir(parents=True, exist_ok=True)
     before = set(folder.rglob('*.mcap'))
@@ -71,15 +68,12 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if len(recordings) != options.departures:
         raise DemoFailed(f'{options.departures} departures left {len(recordings)} recordings')
     console.step('verifying the recordings and writing the report')
-    written = write_report(recordings[0].parent, folder, True, console)
-    if written.code != cli.Exit.HOLDS:
+    code, sections = write_report(recordings[0].parent, folder, True, console)
+    if code != cli.Exit.HOLDS:
         raise DemoFailed('the recordings could not be verified; see the report')
-    section = written.sections[-1]
-    strategy = section.strategy
-    figure = routes_figure(
-        section.risk_map, strategy, [path[:, :2] for path in paths], fixed_routes(strategy),
-        SECURED_RADIUS,
-    )
+    section, strategy = sections[-1], sections[-1].strategy
+    figure = routes_figure(section.risk_map, strategy, [path[:, :2] for path in paths],
+                           fixed_routes(strategy), SECURED_RADIUS)
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     game = GameOptions(ambush_radius=strategy.game.ambush_radius, secured_radius=SECURED_RADIUS)
@@ -101,9 +95,7 @@ def _departures(
     folder: Path, count: int, say: Callable[[str], None]
 ) -> tuple[list[FloatArray], list[float]]:
     """Return the paths (L, 3) of departures, and the time that each took [s]."""
-    from ..maps.ros_messages import path_from_ros
     from .demo_client import DemoClient
-    from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
 
     # SIGTERM would end this process without the node.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -112,10 +104,8 @@ def _departures(
     say('making the risk map from the elevation model')
     values = load_ground().values
     parameters = {
-        'network.spacing': SPACING,
-        'game.secured_radius': SECURED_RADIUS,
-        'game.ambush_radius': OPTIONS.view.weapon_range,
-        'recording.enabled': True,
+        'network.spacing': SPACING, 'game.secured_radius': SECURED_RADIUS,
+        'game.ambush_radius': OPTIONS.view.weapon_range, 'recording.enabled': True,
         'recording.directory': str(folder),
     }
     paths, seconds = [], []
@@ -140,8 +130,6 @@ def table(
     strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float], total: float
 ) -> str:
     """Return the numbers of the strategy and of the departures, for a terminal."""
-    from . import report_words as words
-
     first, *later = seconds
     further = f', {1000 * float(np.median(later)):.0f} ms for a further one' if later else ''
     rows = [

@@ -30,10 +30,7 @@ class NoAnswer(AmbushPlannerError):
 
 
 class DemoClient:
-    """A ROS node with its own context, used as a context manager.
-
-    ``check`` is called while waiting, and may raise.
-    """
+    """A ROS node with its own context; ``check`` is called while waiting, and may raise."""
 
     def __init__(self, domain: int, check: Callable[[], None]) -> None:
         self._domain, self._check = domain, check
@@ -60,26 +57,20 @@ class DemoClient:
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def publish_inputs(
-        self, values: np.ndarray, resolution: float, start: tuple[float, float],
-        goal: tuple[float, float],
-    ) -> None:
+    def publish_inputs(self, values: np.ndarray, resolution: float, start: tuple[float, float],
+                       goal: tuple[float, float]) -> None:
         """Publish map values, start and goal, and wait until the node plans; raises NoAnswer."""
         # The node's subscriptions of start and goal are volatile: earlier messages would be lost.
         inputs = self._map, self._start, self._goal
-        self._wait(
-            lambda: self._new_route.service_is_ready()
-            and all(each.get_subscription_count() for each in inputs),
-            DISCOVERY_TIMEOUT, 'the node was not found',
-        )
+        self._wait(lambda: self._new_route.service_is_ready()
+                   and all(each.get_subscription_count() for each in inputs),
+                   DISCOVERY_TIMEOUT, 'the node was not found')
         header = Header(frame_id='map', stamp=self._node.get_clock().now().to_msg())
         self._map.publish(occupancy_to_ros(values, resolution, (0.0, 0.0, 0.0), header))
         self._start.publish(PoseStamped(header=header, pose=pose_to_ros(*start)))
         self._goal.publish(PoseStamped(header=header, pose=pose_to_ros(*goal)))
-        self._wait(
-            lambda: self._status.get('state') in ('solving', 'ready'),
-            MESSAGE_TIMEOUT, 'the node did not accept map, start and goal',
-        )
+        self._wait(lambda: self._status.get('state') in ('solving', 'ready'),
+                   MESSAGE_TIMEOUT, 'the node did not accept map, start and goal')
 
     def depart(self) -> PathMessage:
         """Request a route and return it; raises NoAnswer with the node's reason if it refuses."""

@@ -11,35 +11,23 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.cbook import get_sample_data
 
-from ..maps import (
-    Elevation,
-    TerrainMap,
-    TerrainOptions,
-    ViewOptions,
-    elevation_from_raster,
-    terrain_map,
-)
+from ..maps import TerrainMap, TerrainOptions, ViewOptions, elevation_from_raster, terrain_map
 from ..maps.elevation_file import raster_in_degrees
 
 RESOLUTION = 90.0
 OPTIONS = TerrainOptions(ViewOptions(weapon_range=500.0))
-
 # Centres of free cells, (x, y) [m] from the map's south-west corner.
 START = (2025.0, 12015.0)
 GOAL = (26055.0, 27945.0)
 
 
-def load_elevation() -> Elevation:
-    """Load the heights; raises OSError if matplotlib's sample data are not installed."""
+def load_ground() -> TerrainMap:
+    """Make the risk map and its layers; raises OSError without matplotlib's sample data."""
     with np.load(get_sample_data('jacksboro_fault_dem.npz', asfileobj=False)) as file:
         sample = dict(file)
     # ymin and ymax are swapped in the file; their mean is correct.
     latitude = float(sample['ymin'] + sample['ymax']) / 2
-    steps = (float(sample['dy']), float(sample['dx']))
-    raster = raster_in_degrees(sample['elevation'], *steps, latitude)
-    return elevation_from_raster(raster, RESOLUTION)
-
-
-def load_ground() -> TerrainMap:
-    """Make the demo's risk map and its layers; raises OSError as ``load_elevation``."""
-    return terrain_map(load_elevation(), OPTIONS)
+    raster = raster_in_degrees(
+        sample['elevation'], float(sample['dy']), float(sample['dx']), latitude
+    )
+    return terrain_map(elevation_from_raster(raster, RESOLUTION), OPTIONS)

@@ -51,8 +51,7 @@ def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
-    axes.set_xlabel(f'x [{unit}]')
-    axes.set_ylabel(f'y [{unit}]')
+    axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
     axes.set_title(title, fontsize='large', loc='left', linespacing=1.4)
 
 
@@ -76,10 +75,7 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
 
 
 def draw_segments(
-    axes: Axes,
-    segments: FloatArray,
-    probability: npt.ArrayLike,
-    scale: Normalize | None = None,
+    axes: Axes, segments: FloatArray, probability: npt.ArrayLike, scale: Normalize | None = None,
     widths: tuple[float, float] = (0.5, 3.0),
 ) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
@@ -87,12 +83,9 @@ def draw_segments(
     scale = scale or probability_scale(p)
     shown = np.flatnonzero(p >= LEAST_PROBABILITY)
     shown = shown[np.argsort(p[shown], kind='stable')]
-    thin, thick = widths
-    lines = LineCollection(
-        segments[shown], array=p[shown], cmap=PROBABILITY, norm=scale,
-        linewidths=thin + (thick - thin) * np.asarray(scale(p[shown])) ** 2,
-        capstyle='round', zorder=2,
-    )
+    linewidths = widths[0] + (widths[1] - widths[0]) * np.asarray(scale(p[shown])) ** 2
+    lines = LineCollection(segments[shown], array=p[shown], cmap=PROBABILITY, norm=scale,
+                           linewidths=linewidths, capstyle='round', zorder=2)
     axes.add_collection(lines)
     return lines
 
@@ -101,10 +94,8 @@ def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) 
     """Mark where the ambusher waits; the markers' area grows with the probability."""
     q = np.asarray(probability, dtype=np.float64)
     sites = np.flatnonzero((q > 0.0) & (q >= 1e-3 * q.max(initial=0.0)))
-    axes.scatter(
-        *network.points[sites].T, s=20.0 + 110.0 * q[sites] / q[sites].max(initial=0.0),
-        marker='o', color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5,
-    )
+    axes.scatter(*network.points[sites].T, s=20.0 + 110.0 * q[sites] / q.max(initial=0.0),
+                 color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5)
 
 
 def draw_ends(
@@ -116,34 +107,27 @@ def draw_ends(
     for place, marker, size, name in marks:
         x, y = np.asarray(place, dtype=np.float64)
         axes.scatter(x, y, s=size, marker=marker, color='#ffd92f', edgecolors='black', zorder=7)
-        axes.annotate(
-            name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center', va='top',
-            weight='bold', path_effects=HALO, zorder=8,
-        )
+        axes.annotate(name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center',
+                      va='top', weight='bold', path_effects=HALO, zorder=8)
 
 
 def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
     """Draw circles of ``radius`` [m] around places (K, 2) where nobody can wait."""
     for centre in np.asarray(centres, dtype=np.float64):
-        circle = Circle(centre, radius, fill=False, edgecolor='black', linestyle=SECURED_DASHES)
-        circle.set(linewidth=1.2, zorder=6)
-        axes.add_patch(circle)
+        axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
+                              linestyle=SECURED_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     """Draw routes (K, 2) as lines in different colours with white edges."""
     for k, route in enumerate(routes):
-        axes.plot(
-            *np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
-            path_effects=HALO, solid_joinstyle='round', zorder=4,
-        )
+        axes.plot(*np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
+                  path_effects=HALO, solid_joinstyle='round', zorder=4)
 
 
 def as_png(figure: Figure) -> bytes:
     """Return the picture as a PNG file, without the name of the drawing program."""
     stream = BytesIO()
-    figure.savefig(
-        stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.08,
-        metadata={'Software': None},
-    )
+    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.08,
+                   metadata={'Software': None})
     return stream.getvalue()

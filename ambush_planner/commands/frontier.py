@@ -5,16 +5,19 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from ..errors import InvalidOption
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .frontier_figure import frontier_figure, relative_exposure
+from .figures import AMBUSHER, PROBABILITY
 from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
@@ -38,25 +41,19 @@ def parser() -> argparse.ArgumentParser:
     for end in ('--start', '--goal'):
         made.add_argument(end, type=float, nargs=2, required=True, metavar=('X', 'Y'),
                           help='world position [m]')
-    made.add_argument(
-        '-o', '--output', type=Path, required=True, metavar='TABLE.csv', help='the table to write'
-    )
-    made.add_argument(
-        '--detours', type=float, nargs='+', metavar='D', default=DETOURS,
-        help='expected lengths over the shortest (default: 1.02 to 1.5)',
-    )
-    made.add_argument(
-        '--slacks', type=float, nargs='+', metavar='E', default=SLACKS,
-        help='shares of the value given up for unpredictability (default: 0 to 0.3)',
-    )
+    cli.add_table(made)
+    made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
+                      help='expected lengths over the shortest (default: 1.02 to 1.5)')
+    made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
+                      'of the value given up for unpredictability (default: 0 to 0.3)')
     add_set(made)
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options = options_from(arguments.set)
-    if arguments.output.suffix == '.png':
-        raise InvalidOption(f'{arguments.output}: the picture has this name; choose TABLE.csv')
+    options, output = options_from(arguments.set), arguments.output
+    if output.suffix == '.png':
+        raise InvalidOption(f'{output}: the picture has this name; choose TABLE.csv')
     risk_map = read_risk_map(arguments.map, options.map)
     network = build_network(
         risk_map, tuple(arguments.start), tuple(arguments.goal), options.network
@@ -67,13 +64,11 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         network, options.game, detours, slacks, options.strategy,
         lambda _: show(next(solved) / (len(detours) + len(slacks))),
     )
-    write_frontier(arguments.output, rows, options.strategy.max_detour, options.strategy.risk_slack)
+    write_frontier(output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
-    console.line(f'\n{cli.place(arguments.output)}, {arguments.output.with_suffix(".png").name}: '
+    console.line(f'\n{cli.place(output)}, {output.with_suffix(".png").name}: '
                  f'{len(network.points)} nodes')
-    console.result = {
-        'table': cli.place(arguments.output), 'rows': [asdict(row) for row in rows],
-    }
+    console.result = {'table': cli.place(output), 'rows': [asdict(row) for row in rows]}
     return cli.Exit.FINDING if any(row.error for row in rows) else cli.Exit.HOLDS
 
 
@@ -102,10 +97,52 @@ def _as_text(rows: Sequence[FrontierRow]) -> str:
         gap = (row.value - row.lower_bound) / row.value if row.value > 0.0 else 0.0
         numbers = f'  {row.error}' if row.error else (
             f'{row.value:14.4g}{gap:14.1e}{row.expected_length / row.shortest_length:14.3f}'
-            f'{relative_exposure(row):14.3f}{row.route_entropy:14.2f}'
+            f'{_relative_exposure(row):14.3f}{row.route_entropy:14.2f}'
         )
         lines.append(f'{row.max_detour:14g}{row.risk_slack:14g}{numbers}')
     return '\n'.join(lines)
+
+
+def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: float) -> Figure:
+    """Plot value, exposure and route entropy: over the detour (left) and over the slack (right).
+
+    Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
+    """
+    figure = Figure(figsize=(11.0, 9.0), dpi=110, layout='constrained')
+    panels = figure.subplots(3, 2, sharex='col', sharey='row')
+    convoy, style = PROBABILITY(0.6), {'marker': 'o', 'markersize': 5, 'zorder': 3}
+    for (value, exposure, entropy), name, fixed, title in (
+        (panels[:, 0], 'max_detour', max_detour, f'Longer detour (risk_slack {risk_slack:g})'),
+        (panels[:, 1], 'risk_slack', risk_slack, f'More risk (max_detour {max_detour:g})'),
+    ):
+        solved = [row for row in rows if row.swept == name and not row.error]
+        solved.sort(key=lambda row: getattr(row, name))
+        x = [getattr(row, name) for row in solved]
+        value.plot(x, [row.lower_bound for row in solved], color='0.45', linestyle=':',
+                   label='lower bound', **style)
+        value.plot(x, [row.value for row in solved], color=AMBUSHER, label='the strategy', **style)
+        exposure.plot(x, [_relative_exposure(row) for row in solved], color=convoy, **style)
+        entropy.plot(x, [row.route_entropy for row in solved], color=convoy, **style)
+        for axes in (value, exposure, entropy):
+            axes.axvline(fixed, color='0.6', linestyle='--', linewidth=1.2, zorder=1)
+            axes.grid(color='0.92')
+        value.set_title(title, loc='left')
+    for axes, label, least in (
+        (panels[0, 0], 'mean loss by the best ambush', 0.0),
+        (panels[1, 0], 'mean exposure over the least', 1.0),
+        (panels[2, 0], 'route entropy [nats]', 0.0),
+    ):
+        axes.set(ylabel=label, ylim=(least, None))
+    panels[2, 0].set_xlabel('max_detour: expected length over the shortest')
+    panels[2, 1].set_xlabel('risk_slack: share of the value given up')
+    panels[0, 0].legend(loc='best', frameon=False)
+    return figure
+
+
+def _relative_exposure(row: FrontierRow) -> float:
+    """Return the exposure over the least possible one; NaN if that is 0."""
+    least = row.least_exposure
+    return row.expected_exposure / least if least > 0.0 else math.nan
 
 
 main = cli.command(parser, _work)

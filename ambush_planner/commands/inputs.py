@@ -41,27 +41,17 @@ class SolveOptions:
 
 def add_set(parser: argparse.ArgumentParser) -> None:
     """Add the argument ``--set``, for ``options_from``."""
-    parser.add_argument(
-        '--set', nargs='+', default=[], metavar='NAME=VALUE',
-        help='options, such as network.spacing=50 strategy.max_detour=1.3',
-    )
+    parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
+                        help='options, such as network.spacing=50 strategy.max_detour=1.3')
 
 
 def options_from(assignments: Sequence[str]) -> SolveOptions:
-    """Parse assignments such as ``network.spacing=50``.
-
-    Raises
-    ------
-    InvalidOption
-        A name does not exist, a value has another type than the default, or is out of range.
-    """
+    """Parse assignments such as ``network.spacing=50``; raises InvalidOption."""
     options = vars(SolveOptions())
     names = [f'{group}.{option}' for group, part in options.items() for option in vars(part)]
     changes: dict[str, dict[str, Any]] = {group: {} for group in options}
     for assignment in assignments:
-        name, equals, text = assignment.partition('=')
-        if not equals:
-            raise InvalidOption(f'{assignment!r}: must be NAME=VALUE')
+        name, _, text = assignment.partition('=')
         if name not in names:
             raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
         group, option = name.split('.')
@@ -86,12 +76,7 @@ def _value(name: str, text: str, kind: type) -> Any:
 def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
     """Read a map of map_server, or the fields of a ``RiskMap`` from an npz file.
 
-    Raises
-    ------
-    InvalidTerrain, InvalidRiskMap
-        The file's content is not such a map.
-    OSError
-        The file cannot be opened.
+    Raises InvalidTerrain, InvalidRiskMap or OSError if the file is not such a map.
     """
     if path.suffix != '.npz':
         grid = read_map(path)

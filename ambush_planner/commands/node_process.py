@@ -18,10 +18,8 @@ from typing import TextIO
 
 from ..errors import AmbushPlannerError
 
-# By the DDS rules, participants of domain d use the UDP ports from 7400 + 250 d: the first one for
-# multicast discovery, then two for each participant from 7400 + 250 d + 10.
-FIRST_PORT, PORTS_PER_DOMAIN = 7400, 250
-DISCOVERY_PORTS = (0, *range(10, 26, 2))  # offsets: multicast, eight participants
+# By the DDS rules, the first participant of domain d listens at the UDP port 7410 + 250 d.
+FIRST_PORT, PORTS_PER_DOMAIN = 7410, 250
 # Ports of domains above 101 are ephemeral on Linux; domains up to 50 are left to people and tests.
 DOMAINS = range(51, 102)
 STOP_TIMEOUT = 10.0  # [s]; the node promises to exit within 2 s
@@ -36,12 +34,11 @@ class NodeFailed(AmbushPlannerError):
 def free_domain() -> Iterator[int]:
     """Reserve a random ROS domain that nobody on this machine uses; raises NodeFailed if none."""
     for domain in random.SystemRandom().sample(DOMAINS, len(DOMAINS)):
-        if (lock := lock_domain(domain)) is None:
-            continue
-        with lock:
-            if is_free(domain):
-                yield domain
-                return
+        if (lock := lock_domain(domain)) is not None:
+            with lock:
+                if is_free(domain):
+                    yield domain
+                    return
     raise NodeFailed('no ROS domain id is free on this machine')
 
 
@@ -56,23 +53,19 @@ def lock_domain(domain: int) -> TextIO | None:
 
 
 def is_free(domain: int) -> bool:
-    """Return whether no process on this machine uses the domain's discovery ports."""
-    for offset in DISCOVERY_PORTS:
+    """Return whether the port of the domain's first participant is unused on this machine."""
+    try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(('', FIRST_PORT + PORTS_PER_DOMAIN * domain + offset))
-            except OSError:
-                return False
+            probe.bind(('', FIRST_PORT + PORTS_PER_DOMAIN * domain))
+    except OSError:
+        return False
     return True
 
 
 class NodeProcess:
     """Run the planner node until the ``with`` block ends, with its output in the file ``log``.
 
-    Raises
-    ------
-    NodeFailed
-        At the end of the block, if the node did not exit with 0 on SIGINT.
+    The end of the block raises NodeFailed if the node does not exit with 0 on SIGINT.
     """
 
     def __init__(self, parameters: Mapping[str, object], domain: int, log: Path) -> None:
@@ -80,9 +73,7 @@ class NodeProcess:
         self._arguments = ['--ros-args', '--log-level', 'warn']
         for name, value in parameters.items():
             self._arguments += ['-p', f'{name}:={json.dumps(value)}']  # JSON is valid YAML
-        self._environment = {
-            **os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONFAULTHANDLER': '1',
-        }
+        self._environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain)}
 
     def __enter__(self) -> NodeProcess:
         with self._log.open('wb') as log:
@@ -93,6 +84,7 @@ class NodeProcess:
                 # Ctrl-C goes to the caller only, which then stops the node.
                 start_new_session=True,
             )
+        self.pid = self._process.pid
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -104,11 +96,6 @@ class NodeProcess:
             code = self._process.wait()
         if kind is None and code != 0:
             raise NodeFailed(f'the node exited with {code} on SIGINT{self._last_words()}')
-
-    @property
-    def pid(self) -> int:
-        """The node's process id."""
-        return self._process.pid
 
     def check(self) -> None:
         """Raise NodeFailed if the node has ended."""

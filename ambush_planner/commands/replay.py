@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import signal
-import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ..errors import AmbushPlannerError
-from ..recordings import RecordedMessage, UnreadableRecording, read_recording, recordings_in
-from ..recordings.qos_text import DURATIONS, fields_from_yaml
+from ..recordings import UnreadableRecording, read_recording, recordings_in
+from ..recordings.messages import DURATIONS, Channel, fields_from_yaml
 from . import cli
 
 NODE_NAME = 'ambush_replay'
@@ -23,9 +23,8 @@ recorded distances in time; departures are --every seconds apart. Publishers are
 wait for listeners on each topic for up to 3.5 s, with --inputs-only for up to 10 s. Recorded
 service calls go out on <service>/_service_event; no service is called. Latched messages are kept
 for late joiners until all listeners have them (for 30 s at most), or until Ctrl-C with --keep.
-Topics to publish, by their recorded names, follow --; remapping and node options follow
---ros-args, as for any ROS executable:
-  ambush_replay FOLDER --keep -- /alpha_map /path
+Remapping and node options follow --ros-args at the end, as for any ROS executable:
+  ambush_replay FOLDER --keep --topics /alpha_map /path
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 """ + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
@@ -47,146 +46,76 @@ class NothingToPublish(AmbushPlannerError):
     """The recordings hold no message that was asked for."""
 
 
-class Channel(NamedTuple):
-    """A topic with one type and one quality of service."""
-
-    topic: str
-    type: str
-    qos: str
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Replay recordings and return the exit code."""
-    own, topics, for_ros = _split(sys.argv[1:] if arguments is None else arguments)
-
-    def work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-        # Handlers are set even where a shell's background job would ignore SIGINT.
-        before = [signal.signal(number, _end_once) for number in _ENDS]
-        try:
-            return _Replay(options, topics, console).run(for_ros)
-        finally:
-            for number, handler in zip(_ENDS, before, strict=True):
-                signal.signal(number, handler)
-
-    return cli.run(parser, work, own)
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.reader_parser(
         'replay', 'Publish recorded departures again, for RViz or for a running planner.', EPILOG
     )
-    made.usage = '%(prog)s [options] FILE_OR_FOLDER [-- TOPIC ...] [--ros-args ...]'
-    made.add_argument(
-        '-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
-        help='time from one departure to the next (default: %(default)s)',
-    )
-    made.add_argument(
-        '-d', '--departure', type=int, metavar='N',
-        help='only the departure at this place, from 1; negative numbers count from the end',
-    )
-    made.add_argument(
-        '-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
-        help='how many times as fast as recorded (default: %(default)s)',
-    )
-    made.add_argument(
-        '-l', '--loop', action='store_true', help='start again after the end, until Ctrl-C'
-    )
-    made.add_argument(
-        '-k', '--keep', action='store_true', help='keep latched messages until Ctrl-C'
-    )
-    made.add_argument(
-        '--inputs-only', action='store_true',
-        help='publish only map, start, stops and goal, to feed a running planner',
-    )
+    made.add_argument('-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
+                      help='time from one departure to the next (default: %(default)s)')
+    made.add_argument('-d', '--departure', type=int, metavar='N', help='only the departure at '
+                      'this place, from 1; negative numbers count from the end')
+    made.add_argument('-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
+                      help='how many times as fast as recorded (default: %(default)s)')
+    made.add_argument('-l', '--loop', action='store_true',
+                      help='start again after the end, until Ctrl-C')
+    made.add_argument('-k', '--keep', action='store_true',
+                      help='keep latched messages until Ctrl-C')
+    made.add_argument('--inputs-only', action='store_true',
+                      help='publish only map, start, stops and goal, to feed a running planner')
+    made.add_argument('--topics', nargs='+', metavar='TOPIC',
+                      help='publish only these topics, by their recorded names')
+    made.add_argument('--ros-args', nargs=argparse.REMAINDER, default=[],
+                      help='arguments of the ROS node')
     return made
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    # Handlers are set even where a shell's background job would ignore SIGINT.
+    for number in _ENDS:
+        signal.signal(number, _end_once)
+    replay = _Replay(options, console)
+    try:
+        try:
+            rclpy.init(args=[NODE_NAME, '--ros-args', *options.ros_args],
+                       signal_handler_options=SignalHandlerOptions.NO)
+        except (RuntimeError, UnicodeError) as error:
+            raise cli.UsageError(f'after --ros-args: {error}') from error
+        node = rclpy.create_node(NODE_NAME, start_parameter_services=False)
+        try:
+            replay.run(node)
+        finally:
+            node.destroy_node()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        rclpy.try_shutdown()
+    console.result = {'published': dict(replay.published), 'unreadable': replay.unreadable}
+    return cli.Exit.UNREADABLE if replay.unreadable else cli.Exit.HOLDS
 
 
 class _Replay:
     """Makes all publishers first, then publishes message after message in time."""
 
-    def __init__(
-        self, options: argparse.Namespace, topics: Sequence[str], console: cli.Console
-    ) -> None:
-        self._options, self._topics, self._console = options, topics, console
-        self._unreadable: dict[Path, str] = {}
-        self._published: Counter[str] = Counter()
+    def __init__(self, options: argparse.Namespace, console: cli.Console) -> None:
+        self._options, self._console = options, console
+        self.unreadable: list[str] = []
+        self.published: Counter[str] = Counter()
         self._publishers: dict[Channel, Any] = {}
+        self._due = 0.0
 
-    def run(self, for_ros: Sequence[str]) -> cli.Exit:
-        """Publish until the end or Ctrl-C, and return the exit code."""
-        import rclpy
-        from rclpy.signals import SignalHandlerOptions
-
-        node = None
-        try:
-            try:
-                rclpy.init(
-                    args=[NODE_NAME, *for_ros], signal_handler_options=SignalHandlerOptions.NO
-                )
-            except (RuntimeError, UnicodeError) as error:
-                raise cli.UsageError(f'after --ros-args: {error}') from error
-            files = self._files()
-            node = rclpy.create_node(NODE_NAME, start_parameter_services=False)
-            self._advertise(node, files)
-            self._play(list(files))
-        except KeyboardInterrupt:
-            pass
-        finally:
-            if node is not None:
-                node.destroy_node()
-            rclpy.try_shutdown()
-        self._console.result = {
-            'published': dict(self._published), 'unreadable': list(self._unreadable.values()),
-        }
-        return cli.Exit.UNREADABLE if self._unreadable else cli.Exit.HOLDS
-
-    def _files(self) -> dict[Path, set[Channel]]:
-        """Return the readable files with their channels."""
-        paths = recordings_in(self._options.recordings)
-        if (number := self._options.departure) is not None:
-            if not (0 < number <= len(paths) or 0 < -number <= len(paths)):
-                raise NothingToPublish(f'there are {cli.count(len(paths), "departure")}')
-            paths = [paths[number - (number > 0)]]
-        found = {path: {_channel(each) for each in self._messages(path)}
-                 for path in self._console.progress(paths, 'read')}
-        if not any(found.values()):
-            raise NothingToPublish('none of the recordings can be read')
-        return {path: channels for path, channels in found.items() if channels}
-
-    def _messages(self, path: Path) -> Sequence[RecordedMessage]:
-        try:
-            return read_recording(path).messages
-        except UnreadableRecording as error:
-            if path not in self._unreadable:
-                self._unreadable[path] = str(error)
-                self._console.error(error)
-            return ()
-
-    def _advertise(self, node: Any, files: dict[Path, set[Channel]]) -> None:
-        known = set().union(*files.values())
-        topics = sorted({channel.topic for channel in known})
-        for topic in self._topics:
-            if topic not in topics:
-                raise NothingToPublish(
-                    f'nothing is recorded on {topic[:60]!r}, only on {", ".join(topics)}'
-                )
-        wanted = sorted(filter(self._wants, known))
-        if not wanted:
-            raise NothingToPublish('none of these topics is an input')
-        self._publishers = {
-            channel: node.create_publisher(
-                _message_class(channel.type), channel.topic, qos_from_yaml(channel.qos)
-            ) for channel in wanted
-        }
-
-    def _play(self, files: Sequence[Path]) -> None:
+    def run(self, node: Any) -> None:
+        """Publish until the end or until KeyboardInterrupt."""
+        files = self._files()
+        self._advertise(node, set().union(*files.values()))
         self._console.say(cli.count(len(files), 'departure'))
         if unheard := self._wait_for_listeners():
             self._console.say(f'nobody listens to {", ".join(unheard)}')
         self._round(files)
-        while self._options.loop and self._published:
-            _sleep_until(self._due)
+        while self._options.loop:
             self._console.say('again from the beginning')
             self._round(files)
         if missing := self._wait_for_receipts():
@@ -196,31 +125,62 @@ class _Replay:
             while True:
                 signal.pause()
 
+    def _files(self) -> Mapping[Path, set[Channel]]:
+        """Return the readable files with their channels."""
+        paths = recordings_in(self._options.recordings)
+        if (number := self._options.departure) is not None:
+            if not 0 < abs(number) <= len(paths):
+                raise NothingToPublish(f'there are {cli.count(len(paths), "departure")}')
+            paths = [paths[number - (number > 0)]]
+        found = {}
+        for path in self._console.progress(paths, 'read'):
+            try:
+                found[path] = {each.channel for each in read_recording(path).messages}
+            except UnreadableRecording as error:
+                self.unreadable.append(str(error))
+                self._console.error(error)
+        if not found:
+            raise NothingToPublish('none of the recordings can be read')
+        return found
+
+    def _advertise(self, node: Any, known: set[Channel]) -> None:
+        topics = sorted({channel.topic for channel in known})
+        if missing := set(self._options.topics or topics).difference(topics):
+            raise NothingToPublish(
+                f'nothing is recorded on {", ".join(sorted(missing))}, only on {", ".join(topics)}'
+            )
+        self._publishers = {
+            channel: node.create_publisher(
+                _message_class(channel.type), channel.topic, qos_from_yaml(channel.qos)
+            )
+            for channel in sorted(known)
+            if channel.topic in (self._options.topics or topics)
+            and (channel.type in INPUT_TYPES or not self._options.inputs_only)
+        }
+        if not self._publishers:
+            raise NothingToPublish('none of these topics is an input')
+
     def _round(self, files: Iterable[Path]) -> None:
         """Publish everything once."""
-        self._due = time.monotonic()
         for path in files:
-            messages = [each for each in self._messages(path) if self._wants(_channel(each))]
+            messages = [each for each in read_recording(path).messages
+                        if each.channel in self._publishers]
             if not messages:
                 continue
             _sleep_until(self._due)
-            begin, first = time.monotonic(), messages[0].stamp_ns
+            begin = time.monotonic()
+            self._due = begin + self._options.every
             for each in messages:
-                _sleep_until(begin + (each.stamp_ns - first) / 1e9 / self._options.rate)
-                self._publishers[_channel(each)].publish(each.data)
-                self._published[each.topic] += 1
-            self._due = max(begin + self._options.every, time.monotonic())
+                recorded = (each.stamp_ns - messages[0].stamp_ns) / 1e9
+                _sleep_until(begin + recorded / self._options.rate)
+                self._publishers[each.channel].publish(each.data)
+                self.published[each.topic] += 1
             self._console.say(f'{cli.place(path)}: {cli.count(len(messages), "message")}')
-
-    def _wants(self, channel: Channel) -> bool:
-        named = not self._topics or channel.topic in self._topics
-        return named and (channel.type in INPUT_TYPES or not self._options.inputs_only)
 
     def _wait_for_listeners(self) -> list[str]:
         """Wait until each topic has a listener; return the topics without one."""
-        end = time.monotonic() + (
-            _DISCOVERY_OF_INPUTS if self._options.inputs_only else _DISCOVERY
-        )
+        limit = _DISCOVERY_OF_INPUTS if self._options.inputs_only else _DISCOVERY
+        end = time.monotonic() + limit
         while self._unheard() and time.monotonic() < end:
             time.sleep(_STEP)
         time.sleep(_SETTLING)
@@ -244,47 +204,23 @@ class _Replay:
 
 def qos_from_yaml(text: str) -> Any:
     """Return the first profile (rclpy) in a channel's ``offered_qos_profiles``."""
+    from rclpy import qos
     from rclpy.duration import Duration
-    from rclpy.qos import (
-        DurabilityPolicy,
-        HistoryPolicy,
-        LivelinessPolicy,
-        QoSProfile,
-        ReliabilityPolicy,
-    )
 
     fields = dict(fields_from_yaml(text))
-    for kind in (HistoryPolicy, ReliabilityPolicy, DurabilityPolicy, LivelinessPolicy):
-        name = kind.__name__.removesuffix('Policy').lower()
-        fields[name] = kind.get_from_short_key(fields[name])
+    for name in ('history', 'reliability', 'durability', 'liveliness'):
+        policy = getattr(qos, f'{name.capitalize()}Policy')
+        fields[name] = policy.get_from_short_key(fields[name])
     for name in DURATIONS:
         fields[name] = Duration(seconds=fields[name]['sec'], nanoseconds=fields[name]['nsec'])
-    return QoSProfile(**fields)
+    return qos.QoSProfile(**fields)
 
 
 def _message_class(name: str) -> Any:
-    """Return the class of a recorded type. No other types: a file could name any module."""
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
-    from nav_msgs.msg import OccupancyGrid, Path
-    from nav_msgs.srv import GetPlan
-    from std_srvs.srv import Trigger
-    from visualization_msgs.msg import MarkerArray
-
-    from ..recordings import type_name
-
-    kinds = (
-        OccupancyGrid, PoseStamped, PoseWithCovarianceStamped, PoseArray, Path, MarkerArray,
-        DiagnosticArray, Trigger.Event, GetPlan.Event,
-    )
-    try:
-        return {type_name(kind): kind for kind in kinds}[name]
-    except KeyError as error:
-        raise NothingToPublish(f'ambush_planner records nothing of type {name[:60]!r}') from error
-
-
-def _channel(recorded: RecordedMessage) -> Channel:
-    return Channel(recorded.topic, recorded.type, recorded.qos_text)
+    """Return the class of a recorded type such as ``std_srvs/srv/Trigger_Event``."""
+    package, kind, short_name = name.split('/')
+    found = getattr(import_module(f'{package}.{kind}'), short_name.removesuffix('_Event'))
+    return found.Event if kind == 'srv' else found
 
 
 def _end_once(*_: object) -> None:
@@ -294,18 +230,9 @@ def _end_once(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def _split(arguments: Sequence[str]) -> tuple[list[str], list[str], list[str]]:
-    """Return the command's own arguments, the topics after --, and those from --ros-args on."""
-    own, for_ros = _cut(list(arguments), '--ros-args')
-    own, topics = _cut(own, '--')
-    return own, topics[1:], for_ros
-
-
-def _cut(arguments: list[str], mark: str) -> tuple[list[str], list[str]]:
-    place = arguments.index(mark) if mark in arguments else len(arguments)
-    return arguments[:place], arguments[place:]
-
-
 def _sleep_until(end: float) -> None:
     """Sleep until ``time.monotonic()`` is ``end``."""
     time.sleep(max(0.0, end - time.monotonic()))
+
+
+main = cli.command(parser, _work)

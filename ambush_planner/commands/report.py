@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..recordings import recordings_in
 from ..recordings.report_data import Section, sections_of
+from ..recordings.verify import Verifier
 from . import cli
 from .audit import audited, read_all
 from .report_page import Checks, page
-from .verify import verify_files
 
 PAGE = 'report.html'
 EPILOG = """\
@@ -25,59 +24,49 @@ ambush_audit find; the exit code is 1 if a recording fails verification.
 """ + cli.EXIT_CODES
 
 
-@dataclass(frozen=True, eq=False)
-class Written:
-    """A report's exit code and sections."""
-
-    code: cli.Exit
-    sections: list[Section]
-
-
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.reader_parser(
         'report', 'Recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
-    cli.add_output(made, PAGE)
+    cli.add_output(made, PAGE, required=True)
     made.add_argument('--verify', action='store_true', help='verify and audit the recordings')
     return made
 
 
-def write_report(place: Path, output: Path, verify: bool, console: cli.Console) -> Written:
-    """Write the page of the recordings in a file or folder."""
+def write_report(
+    place: Path, output: Path, verify: bool, console: cli.Console
+) -> tuple[cli.Exit, list[Section]]:
+    """Write the page of the recordings in a file or folder; return the exit code and sections."""
     departures, unreadable = read_all(place, console)
     for error in unreadable:
         console.error(error)
     sections, checks = sections_of(departures), None
+    code = cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
     if verify and departures:
-        missing = {error.path for error in unreadable}
+        verifier, missing = Verifier(), {error.path for error in unreadable}
         paths = [path for path in recordings_in(place) if path not in missing]
-        problems = {each.path.name: each.problems for each in verify_files(paths, console)
-                    if each.problems}
-        _, findings, notes = audited(departures)
-        checks = Checks(len(departures), problems, findings, notes)
+        verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
+        problems = {each.path.name: each.problems for each in verdicts if each.problems}
+        checks = Checks(len(departures), problems, *audited(departures)[1:])
+        code = cli.Exit.FINDING if problems else code
     if departures:
         cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
         console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
     else:
         console.error('no recording could be read, so there is no report')
-    code = cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
-    if checks and checks.problems:
-        code = cli.Exit.FINDING
     console.result = {
         'page': cli.place(output / PAGE) if departures else None, 'departures': len(departures),
         'sections': len(sections), 'unreadable': len(unreadable),
         'verified': code == cli.Exit.HOLDS if verify else None,
     }
-    return Written(code, sections)
+    return code, sections
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    if options.output is None:
-        raise cli.UsageError('-o DIR is required: the folder for report.html')
     cli.refuse_existing(options.output, [PAGE], options.replace)
-    return write_report(options.recordings, options.output, options.verify, console).code
+    return write_report(options.recordings, options.output, options.verify, console)[0]
 
 
 main = cli.command(parser, _work)

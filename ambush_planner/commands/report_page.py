@@ -12,13 +12,12 @@ from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib import resources
 from string import Template
 
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
-from .cli import count
+from .cli import count, resource
 from .figures import ROUTES
 
 SEVERAL = (
@@ -52,22 +51,16 @@ def page(sections: Sequence[Section], unreadable: int, checks: Checks | None) ->
     said = _checks(checks)
     if unreadable:
         said.append(_warning(f'Recordings that could not be read and are missing: {unreadable}.'))
-    names = [f'Trip {k} of {len(sections)}: ' for k in range(1, len(sections) + 1)]
     script = resource('report_map.js')
     return Template(resource('report_page.html')).substitute(
-        digest=b64encode(hashlib.sha256(script.encode()).digest()).decode('ascii'),
+        digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         title=f'Convoy routes: {count(departures, "departure")}', style=resource('report.css'),
         checks='\n'.join(said), script=script,
         sections='\n'.join(
-            _section(section, name if len(sections) > 1 else '')
-            for section, name in zip(sections, names, strict=True)
+            _section(section, f'Trip {k} of {len(sections)}: ' if len(sections) > 1 else '')
+            for k, section in enumerate(sections, start=1)
         ),
     )
-
-
-def resource(name: str) -> str:
-    """Return the text of a file of this package."""
-    return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
 def colours(section: Section) -> dict[int, str]:
@@ -129,15 +122,11 @@ def _warning(text: str) -> str:
 
 def _table(rows: Sequence[Sequence[str]], kind: str, marks: Mapping[int, str] | None = None) -> str:
     """Return a table; the first row is its head, ``marks`` are HTML after the names of rows."""
-    head, *body = rows
-    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in rows[0])
     lines = []
-    for k, (name, *cells) in enumerate(body):
+    for k, (name, *cells) in enumerate(rows[1:]):
         data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
         mark = (marks or {}).get(k, '')
         lines.append(f'<tr><th scope="row">{escape(name)}{mark}</th>{data}</tr>')
-    content = '\n'.join(lines)
-    return (
-        f'<div class="wide {kind}" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
-        f'<tbody>{content}</tbody></table></div>'
-    )
+    return (f'<div class="wide {kind}" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
+            '<tbody>' + '\n'.join(lines) + '</tbody></table></div>')

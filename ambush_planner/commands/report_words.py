@@ -18,9 +18,6 @@ PLANNERS = {
 }
 # Relative gap below which a strategy counts as optimal.
 OPTIMAL = 1e-5
-# Numbers from here on are shown as powers of ten.
-HUGE = 1e12
-RAISED = str.maketrans('0123456789', '⁰¹²³⁴⁵⁶⁷⁸⁹')
 
 
 def distance(metres: float) -> str:
@@ -40,8 +37,8 @@ def certificate(section: Section) -> list[str]:
     held = max(section.departures[-1].parameters.planning.game.secured_radius,
                strategy.game.ambush_radius)
     outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
-    budget = f' with an expected length of at most {distance(strategy.length_budget)}'
-    length = budget if math.isfinite(strategy.length_budget) else ''
+    length = ('' if strategy.length_budget == math.inf else
+              f' with an expected length of at most {distance(strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
     reach = strategy.game.ambush_radius
@@ -66,10 +63,10 @@ def certificate(section: Section) -> list[str]:
 
 def tiles(strategy: Strategy) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
-    shortest = evaluate(strategy)['energy_efficient']
+    shortest = evaluate(strategy)['energy_efficient'].v_repeated
     return [
         (f'{strategy.value:.2f}', 'mean loss per departure by the best possible ambush'),
-        (f'{shortest.v_repeated:.2f}', 'the same if the shortest route were always driven'),
+        (f'{shortest:.2f}', 'the same if the shortest route were always driven'),
         (_routes(strategy), 'equally likely routes would be as hard to guess'),
         (f'{strategy.expected_length / strategy.shortest_length:.2f} x',
          f'mean length, relative to the shortest route ({distance(strategy.shortest_length)})'),
@@ -132,8 +129,6 @@ def settings(section: Section) -> list[tuple[str, str]]:
 
 
 def _routes(strategy: Strategy) -> str:
-    """The effective number of routes; a power of ten has raised digits."""
+    """The effective number of routes."""
     number = math.exp(min(strategy.route_entropy, 700.0))
-    if number >= HUGE:
-        return '10' + str(math.floor(math.log10(number))).translate(RAISED)
-    return f'{number:,.0f}' if number >= 100.0 else f'{number:.3g}'
+    return f'{number:.3g}' if number < 100.0 or number >= 1e9 else f'{number:,.0f}'

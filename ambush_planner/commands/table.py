@@ -43,14 +43,10 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('depots', type=Path, metavar='DEPOTS.csv', help='where trips begin')
     made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where trips end')
     made.add_argument('--map', type=Path, required=True, metavar='MAP', help='the risk map')
-    made.add_argument(
-        '-o', '--output', type=Path, required=True, metavar='TABLE.csv', help='the table to write'
-    )
+    cli.add_table(made)
     add_set(made)
-    made.add_argument(
-        '--jobs', type=cli.positive, default=len(os.sched_getaffinity(0)), metavar='N',
-        help='processes (default: one for each processor)',
-    )
+    made.add_argument('--jobs', type=cli.number(1, 1e3, int), default=len(os.sched_getaffinity(0)),
+                      metavar='N', help='processes (default: one for each processor)')
     return made
 
 
@@ -78,13 +74,13 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     for ((depot, _), (customer, _)), result in zip(pairs, results, strict=True):
         error = {'error': f'{type(result.error).__name__}: {result.error}'} if result.error else {}
         writer.writerow({'depot': depot, 'customer': customer, **(result.answer or error)})
-    cli.write_private(arguments.output.parent, {arguments.output.name: text.getvalue().encode()})
-    failed, seconds = sum(result.error is not None for result in results), round(console.seconds, 1)
-    console.line(f'{cli.place(arguments.output)}: {cli.count(len(pairs), "pair")}, '
+    output, seconds = arguments.output, round(console.seconds, 1)
+    cli.write_private(output.parent, {output.name: text.getvalue().encode()})
+    failed = sum(result.error is not None for result in results)
+    console.line(f'{cli.place(output)}: {cli.count(len(pairs), "pair")}, '
                  f'{failed} without a strategy, in {seconds} s')
     console.result = {
-        'table': cli.place(arguments.output), 'pairs': len(pairs), 'failed': failed,
-        'seconds': seconds,
+        'table': cli.place(output), 'pairs': len(pairs), 'failed': failed, 'seconds': seconds,
     }
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 

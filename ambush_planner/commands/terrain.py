@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from ..maps import (
+    Elevation,
     TerrainMap,
     TerrainOptions,
     ViewOptions,
@@ -17,9 +19,9 @@ from ..maps import (
 )
 from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
-from ..maps.occupancy import OccupancyMap
+from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
 from . import cli
-from .terrain_figure import terrain_figure
+from .figures import OBSTACLE, draw_risk_map, frame
 
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[terrain]'), or an npz file with elevation (H, W) [m],
@@ -34,15 +36,16 @@ The map's origin is its south-west corner.
 It also writes MAP.pgm, in map_server's mode raw, and a preview, MAP.png.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
+# Maximum cells across a panel of the preview; larger maps are subsampled.
+_MOST_CELLS = 1000
 
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('terrain', 'Make a risk map from an elevation model.', EPILOG)
     made.add_argument('elevation', type=Path, metavar='DEM', help='GeoTIFF or npz')
-    made.add_argument(
-        '-o', '--output', type=Path, required=True, metavar='MAP.yaml', help='the map to write'
-    )
+    made.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
+                      help='the map to write')
     made.add_argument('--roads', type=Path, metavar='FILE', help='cells with roads')
     for name, default, text in (
         ('--resolution', 0.0, "cell size [m] (default: the DEM's)"),
@@ -53,11 +56,9 @@ def parser() -> argparse.ArgumentParser:
         ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
     ):
         made.add_argument(name, type=float, default=default, metavar='X', help=text)
-    made.add_argument(
-        '--weights', type=float, nargs=4, default=(0.4, 0.2, 0.2, 0.2),
-        metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
-        help='weights of the four shares (default: 0.4 0.2 0.2 0.2)',
-    )
+    made.add_argument('--weights', type=float, nargs=4, default=(0.4, 0.2, 0.2, 0.2),
+                      metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
+                      help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
     return made
 
 
@@ -87,12 +88,36 @@ def _summary(ground: TerrainMap) -> str:
     values = ground.values
     risk = values[(values >= 0) & (values < 100)]
     spread = ', '.join(f'{v:.0f}' for v in np.percentile(risk, [10, 50, 90])) if risk.size else '-'
-    return (
-        f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
-        f'{100.0 * np.mean(values == 100):.1f} % too steep, '
-        f'{100.0 * np.mean(values == -1):.1f} % unknown; risk of the rest (10 %, 50 %, 90 %) '
-        f'{spread}'
-    )
+    return (f'{values.shape[1]} x {values.shape[0]} cells of {ground.resolution:g} m: '
+            f'{100.0 * np.mean(values == 100):.1f} % too steep, {100.0 * np.mean(values == -1):.1f}'
+            f' % unknown; risk of the rest (10 %, 50 %, 90 %) {spread}')
+
+
+def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
+    """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
+    figure = Figure(figsize=(15.0, 9.6), dpi=110, layout='compressed')
+    *panels, last = figure.subplots(2, 3).ravel()
+    risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
+    width, height = risk_map.size
+    place = {'origin': 'lower', 'extent': (0.0, width, 0.0, height), 'interpolation': 'nearest'}
+    thin = max(1, max(elevation.heights.shape) // _MOST_CELLS)
+    for axes, (layer, title, colours) in zip(panels, (
+        (elevation.heights, 'Height [m]', 'cividis'),
+        (ground.slope, 'Slope, rise over run', 'magma_r'),
+        (ground.depth, 'Depth below the ground within range [m]', 'magma_r'),
+        (ground.exposure, 'Share of the ground within range that sees a vehicle', 'magma_r'),
+        (ground.approach, 'Mean distance to the nearest hidden ground [m]', 'magma'),
+    ), strict=True):
+        frame(axes, risk_map, title)
+        axes.set_facecolor(OBSTACLE)
+        shown = np.ma.masked_invalid(layer[::thin, ::thin])
+        figure.colorbar(axes.imshow(shown, cmap=colours, **place), ax=axes, shrink=0.7)
+    frame(last, risk_map, 'Risk map: grey risk, black obstacle or unknown')
+    figure.colorbar(draw_risk_map(last, risk_map), ax=last, shrink=0.7, label='loss')
+    if ground.roads.any():
+        roads = np.ma.masked_equal(ground.roads, False)
+        last.imshow(roads, cmap='winter', alpha=0.8, zorder=1, **place)
+    return figure
 
 
 main = cli.command(parser, _work)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 from ..errors import shown
@@ -35,76 +34,51 @@ def parser() -> argparse.ArgumentParser:
     made = cli.reader_parser(
         'verify', 'Check that recorded departures follow from what is recorded with them.', EPILOG,
     )
-    made.add_argument(
-        '--replan', action='store_true', help='solve each game again and compare the values'
-    )
+    made.add_argument('--replan', action='store_true',
+                      help='solve each game again and compare the values')
     return made
 
 
-def verify_files(
-    paths: Sequence[Path], console: cli.Console, replan: bool = False
-) -> list[Verdict]:
-    """Verify files one after the other, with progress."""
-    verifier = Verifier(replan)
-    return [verifier.verify(path) for path in console.progress(paths, 'verified')]
-
-
-def _work(options: argparse.Namespace, console: cli.Console) -> int:
+def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     paths = recordings_in(options.recordings)
     console.say(f'verifying {cli.count(len(paths), "recording")}')
-    verdicts = verify_files(paths, console, options.replan)
-    folder = None
+    verifier = Verifier(options.replan)
+    verdicts = [verifier.verify(path) for path in console.progress(paths, 'verified')]
     for verdict in verdicts:
-        if verdict.path.parent != folder:
-            folder = verdict.path.parent
-            console.line(f'in {cli.place(folder)}:')
-        _print(verdict, console)
+        line = f'{"holds" if verdict.holds else "FAILS"}  {shown(verdict.path.name)}'
+        if verdict.id:
+            line += (f': departure {verdict.number}, {verdict.nodes} nodes, '
+                     f'value {verdict.value:.6g}')
+        console.line(line)
+        _print_below(console, verdict.problems, verdict.notes)
     findings, notes = together(verdicts)
-    for finding in findings:
-        console.line(console.marked('FAILS', False))
-        console.item(finding)
-    for note in notes:
-        console.item(f'({note})')
-    failed = sum(not verdict.holds for verdict in verdicts)
+    if findings:
+        console.line('FAILS')
+    _print_below(console, findings, notes)
+    failing = [verdict for verdict in verdicts if not verdict.holds]
     departures = cli.count(len(verdicts), 'departure')
-    if failed:
-        console.line(f'{failed} of {departures}: not consistent')
+    if failing:
+        console.line(f'{len(failing)} of {departures}: not consistent')
     else:
         console.line(f'{departures}: {"each holds, but not together" if findings else "all hold"}')
     console.result = {
         'departures': [*map(_as_json, verdicts)], 'findings': findings, 'notes': notes,
     }
-    return _exit_code(verdicts, findings)
-
-
-def _exit_code(verdicts: Iterable[Verdict], findings: list[str]) -> cli.Exit:
-    failing = [verdict for verdict in verdicts if not verdict.holds]
     if findings or any(verdict.readable for verdict in failing):
         return cli.Exit.FINDING
     return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS
 
 
-def _print(verdict: Verdict, console: cli.Console) -> None:
-    mark = console.marked('holds' if verdict.holds else 'FAILS', verdict.holds)
-    line = f'{mark}  {shown(verdict.path.name)}'
-    if verdict.id:
-        line += (f': departure {verdict.number}, {verdict.nodes} nodes, '
-                 f'value {verdict.value:.6g}')
-    console.line(line)
-    for problem in verdict.problems:
-        console.item(problem)
-    for note in verdict.notes:
-        console.item(f'({note})')
+def _print_below(console: cli.Console, problems: Sequence[str], notes: Sequence[str]) -> None:
+    for text in (*problems, *(f'({note})' for note in notes)):
+        console.item(text)
 
 
 def _as_json(verdict: Verdict) -> dict[str, Any]:
     return {
-        'file': cli.place(verdict.path),
-        'number': verdict.number,
-        'holds': verdict.holds,
+        'file': cli.place(verdict.path), 'number': verdict.number, 'holds': verdict.holds,
         'value': verdict.value if math.isfinite(verdict.value) else None,
-        'problems': verdict.problems,
-        'notes': verdict.notes,
+        'problems': verdict.problems, 'notes': verdict.notes,
     }
 
 

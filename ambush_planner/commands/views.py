@@ -1,33 +1,27 @@
 """``ambush_views``: RViz and Foxglove layouts for a map of any size.
 
 The two templates next to this file, installed in share/ambush_planner/config, fit the example map
-of 10 m x 8 m. Heights: the path is at 0, as it is driven; line markers are below it and discs above
-it, see ``ros.markers``. Foxglove draws transparent lines last, the higher ones in front, and a
-transparent map hides nothing below it.
+of 10 m x 8 m. The path is at height 0, line markers are below it and discs above it. Foxglove draws
+transparent lines last, the higher ones in front.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from importlib import resources
+from dataclasses import dataclass, field
 from itertools import takewhile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import yaml
 
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
+from ..recordings import RecordingFile, read_departure, read_recording, recordings_in
 from . import cli
 from .inputs import MAP_HELP, read_risk_map
-
-if TYPE_CHECKING:
-    from ..recordings import RecordingFile
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
 MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
@@ -41,10 +35,8 @@ The files are ambush_planner.rviz (rviz2 -d FILE) and ambush_planner_foxglove.js
 from file): the whole map in view, lines of visible width, start and goal tools, a departure button.
 --json: {{"verdict", "files", "frame", "centre", "size"}}
 """ + cli.EXIT_CODES
-# Size of RViz's map view [px].
-_RVIZ_VIEW = 900, 700
-# Width over height of Foxglove's 3D panel on a wide screen.
-_PANEL_ASPECT = 1.2
+# Size of RViz's map view [px], and width over height of Foxglove's 3D panel on a wide screen.
+_RVIZ_VIEW, _PANEL_ASPECT = (900, 700), 1.2
 # Widths and arrow sizes as shares of the map's larger side.
 _LINE = 0.008
 _ARROW = {
@@ -57,36 +49,31 @@ _UPDATES = '_updates'
 
 @dataclass(frozen=True)
 class Scene:
-    """The centre and size (x, y) [m] of a map's bounding box, its frame, and the planner's names.
-
-    ``topics`` are the full names of our topics (default: in the root namespace), ``node`` is the
-    planner's full name.
-    """
+    """A map's bounding box, (x, y) [m], its frame, and the full names of topics and of the node."""
 
     centre: tuple[float, float]
     size: tuple[float, float]
     frame: str = 'map'
-    topics: Mapping[str, str] | None = None
+    topics: Mapping[str, str] = field(default_factory=dict)
     node: str = '/ambush_planner'
 
 
 def scene_of(risk_map: RiskMap, **more: Any) -> Scene:
     """Return the scene of a map, which may be rotated; ``more`` are other fields of Scene."""
-    (width, height), (x, y, yaw) = risk_map.size, risk_map.origin
-    corners = np.array([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
-    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    low, high = (extreme((corners @ turn + (x, y)), axis=0) for extreme in (np.min, np.max))
+    width, height = risk_map.size
+    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
     return Scene(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), **more)
 
 
 def rviz_text(scene: Scene) -> str:
     """Return the file for ``rviz2 -d``."""
-    text = _template(RVIZ)
+    text = cli.resource(RVIZ)
     header = ''.join(takewhile(lambda line: line.startswith('#'), text.splitlines(True)))
     config = _renamed(yaml.safe_load(text), scene)
-    manager, (width, height), scale = config['Visualization Manager'], scene.size, max(scene.size)
+    manager, scale = config['Visualization Manager'], max(scene.size)
     manager['Global Options']['Fixed Frame'] = scene.frame
-    zoom = min(_RVIZ_VIEW[0] / width, _RVIZ_VIEW[1] / height)
+    zoom = min(_RVIZ_VIEW[0] / scene.size[0], _RVIZ_VIEW[1] / scene.size[1])
     x, y = map(_short, scene.centre)
     manager['Views']['Current'].update({'Scale': _short(zoom), 'X': x, 'Y': y})
     for display in manager['Displays']:
@@ -100,7 +87,7 @@ def rviz_text(scene: Scene) -> str:
 
 def foxglove_text(scene: Scene) -> str:
     """Return the layout for Foxglove and Lichtblick."""
-    layout = _renamed(json.loads(_template(FOXGLOVE)), scene)
+    layout = _renamed(json.loads(cli.resource(FOXGLOVE)), scene)
     panel = layout['configById']['3D!planner']
     panel['followTf'] = scene.frame
     # The visible height of the panel equals the camera's distance.
@@ -109,10 +96,10 @@ def foxglove_text(scene: Scene) -> str:
         'distance': _short(distance), 'targetOffset': [*map(_short, scene.centre), 0],
         'near': _short(0.01 * distance), 'far': _short(10.0 * distance),
     })
-    arrow = _short(_ARROW['Shaft Length'] * max(scene.size))
+    line, arrow = (_short(share * max(scene.size)) for share in (_LINE, _ARROW['Shaft Length']))
     for topic in panel['topics'].values():
         if 'lineWidth' in topic:
-            topic['lineWidth'] = _short(_LINE * max(scene.size))
+            topic['lineWidth'] = line
         if 'arrowScale' in topic:
             topic['arrowScale'] = [arrow, 0.2 * arrow, 0.2 * arrow]
     return json.dumps(layout, indent=2) + '\n'
@@ -123,10 +110,8 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser('views', 'RViz and Foxglove layouts for a map or a recording.', EPILOG)
     made.add_argument('source', type=Path, metavar='RECORDING_OR_MAP', help='what to show')
     cli.add_output(made, f'{RVIZ}, {FOXGLOVE}')
-    made.add_argument(
-        '--inputs', default='', metavar='NAMESPACE',
-        help='of start_pose, goal_pose and initialpose, such as `ambush` alongside Nav2',
-    )
+    made.add_argument('--inputs', default='', metavar='NAMESPACE', help='of start_pose, goal_pose '
+                      'and initialpose, such as `ambush` alongside Nav2')
     return made
 
 
@@ -146,12 +131,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
 
 
 def _scene(source: Path, namespace: str) -> Scene:
-    where = f'/{namespace.strip("/")}' if namespace.strip('/') else ''
-    topics = {name: f'{where}/{name}' for name in POSES}
+    topics = {name: f'/{namespace}/{name}'.replace('//', '/') for name in POSES}
     if source.suffix in ('.yaml', '.yml', '.npz'):
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
-    from ..recordings import read_departure, read_recording, recordings_in
-
     path = recordings_in(source)[-1]
     departure = read_departure(path)
     return scene_of(
@@ -165,11 +147,9 @@ def _recorded_topics(file: RecordingFile) -> dict[str, str]:
     """The names that a recording has for topics, by our own."""
     drawn = ((each, file.decoded(each).markers) for each in file.messages
              if each.type == 'visualization_msgs/msg/MarkerArray')
-    named = {markers[0].ns: each.topic for each, markers in drawn if markers}
-    inputs = file.entries['topics']
+    topics = {markers[0].ns: each.topic for each, markers in drawn if markers}
     roles = {'alpha_map': 'map', 'path': 'path', 'start_pose': 'start', 'goal_pose': 'goal'}
-    return {**{name: named[name] for name in MARKERS if name in named},
-            **{name: inputs[role] for name, role in roles.items()}}
+    return topics | {name: file.entries['topics'][role] for name, role in roles.items()}
 
 
 def _renamed(value: Any, scene: Scene) -> Any:
@@ -182,13 +162,8 @@ def _renamed(value: Any, scene: Scene) -> Any:
         return value
     topic, updates = value.removesuffix(_UPDATES), value.endswith(_UPDATES) * _UPDATES
     if topic.startswith('/') and topic[1:] in TOPICS:
-        return (scene.topics or {}).get(topic[1:], topic) + updates
+        return scene.topics.get(topic[1:], topic) + updates
     return value.replace('ambush_planner', scene.node.lstrip('/'))
-
-
-def _template(name: str) -> str:
-    """Return the file for the example map."""
-    return resources.files(__package__).joinpath(name).read_text('utf-8')
 
 
 def _short(number: float) -> float:

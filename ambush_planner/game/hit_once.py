@@ -92,15 +92,16 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
     network = stage.acyclic_part(game, base.p)
     loss, aim = game.loss[game.sites], bound * (1.0 + AIM * stage.slack)
     eased, latest, start = np.ones(len(loss)), base, None
-    best, found = worst_loss(game, base.p), []
+    best = worst_loss(game, base.p)
+    found: list[_Valued] = []
     for _ in range(MAX_ROUNDS):
         hit = hit_probabilities(game, latest.p)
         ratio = np.where(hit > LEAST_HIT, (game.hits @ latest.p) / np.maximum(hit, LEAST_HIT), 1.0)
         if found:
             eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
         limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)
-        p, law = stage.gibbs_strategy(network, limits, limits.start(start))
-        p = None if law.infeasible else mixture(p, base.p, stage.within_budgets)
+        drawn, law = stage.gibbs_strategy(network, limits, limits.start(start))
+        p = None if law.infeasible else mixture(drawn, base.p, stage.within_budgets)
         if time.monotonic() > stage.deadline:
             break
         if p is None:

@@ -12,18 +12,7 @@ from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
 from .visibility import ViewOptions, Views, viewshed
 
 __all__ = [
-    'Elevation',
-    'InvalidTerrain',
-    'OccupancyMap',
-    'Raster',
-    'TerrainMap',
-    'TerrainOptions',
-    'ViewOptions',
-    'Views',
-    'elevation_from_raster',
-    'mask_from_raster',
-    'relative_depth',
-    'slope',
-    'terrain_map',
-    'viewshed',
+    'Elevation', 'InvalidTerrain', 'OccupancyMap', 'Raster', 'TerrainMap', 'TerrainOptions',
+    'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster', 'relative_depth', 'slope',
+    'terrain_map', 'viewshed',
 ]

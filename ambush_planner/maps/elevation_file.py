@@ -27,12 +27,8 @@ def read_raster(path: Path, name: str = 'elevation') -> Raster:
     Rasters in degrees are treated as rectangles with the scale at their centre. Beyond 60 degrees
     of latitude, or if they span more than a degree, reproject them first (gdalwarp).
 
-    Raises
-    ------
-    InvalidTerrain
-        The file is malformed, or rasterio, which reads GeoTIFF, is not installed.
-    OSError
-        The file cannot be opened.
+    Raises InvalidTerrain if the file is malformed, or is a GeoTIFF and rasterio is not installed;
+    OSError if it cannot be opened.
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'

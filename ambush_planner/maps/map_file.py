@@ -31,11 +31,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     The image is written first, so that an existing YAML file implies both. ``remark`` becomes a
     comment.
 
-    Raises
-    ------
-    InvalidTerrain
-        ``path`` does not end with .yaml or .yml.
-    OSError
+    Raises InvalidTerrain if ``path`` does not end with .yaml or .yml; OSError.
     """
     if path.suffix not in ('.yaml', '.yml'):
         raise InvalidTerrain(f'{path}: the name of a map must end with .yaml')
@@ -45,13 +41,9 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
     pixels = np.where(values < 0, 255, values).astype(np.uint8)
     picture.write_bytes(b'P5\n%d %d\n255\n' % (columns, rows) + pixels.tobytes())
     fields = {
-        'image': picture.name,
-        'mode': 'raw',
-        'resolution': float(occupancy.resolution),
-        'origin': [float(value) for value in occupancy.origin],
-        'negate': 0,
-        'occupied_thresh': 0.65,
-        'free_thresh': 0.196,
+        'image': picture.name, 'mode': 'raw', 'resolution': float(occupancy.resolution),
+        'origin': [float(value) for value in occupancy.origin], 'negate': 0,
+        'occupied_thresh': 0.65, 'free_thresh': 0.196,
     }
     comments = ''.join(f'# {line}\n' for line in remark.splitlines())
     path.write_text(comments + yaml.safe_dump(fields, sort_keys=False), encoding='utf-8')
@@ -61,12 +53,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
 def read_map(path: Path) -> OccupancyMap:
     """Read a map_server YAML file and its image; formats other than PGM need Pillow.
 
-    Raises
-    ------
-    InvalidTerrain
-        Either file is malformed.
-    OSError
-        Either file cannot be opened.
+    Raises InvalidTerrain if either file is malformed, OSError if it cannot be opened.
     """
     try:
         fields = yaml.safe_load(path.read_text(encoding='utf-8'))
@@ -108,9 +95,7 @@ def _cells(
         value = np.rint(light * 255.0)
         return np.where(value <= 100.0, value, -1).astype(np.int8)
     defaults = {'occupied_thresh': 0.65, 'free_thresh': 0.196, 'negate': 0}
-    full, free, negate = (
-        _numbers(path, defaults | fields, name, 1)[0] for name in defaults
-    )
+    full, free, negate = (_numbers(path, defaults | fields, name, 1)[0] for name in defaults)
     occupied = light if negate else 1.0 - light
     if mode == 'scale' and full > free:
         between = np.rint((occupied - free) / (full - free) * 100.0)

@@ -152,10 +152,7 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def nearest_free_cell(
-    risk_map: RiskMap,
-    xy: tuple[float, float],
-    tolerance: float,
-    clearance: float,
+    risk_map: RiskMap, xy: tuple[float, float], tolerance: float, clearance: float,
     clear_of_edge: bool = True,
 ) -> tuple[float, float]:
     """Return ``xy`` if it is clear, else the centre of the nearest clear cell [m].

@@ -61,9 +61,7 @@ class OccupancyOptions:
 
 
 def risk_map_from_occupancy(
-    values: npt.ArrayLike,
-    resolution: float,
-    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     options: OccupancyOptions | None = None,
 ) -> RiskMap:
     """Convert an occupancy grid (H, W) of values -1..100 to a risk map.

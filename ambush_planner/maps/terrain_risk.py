@@ -97,9 +97,7 @@ class TerrainMap:
 
 
 def terrain_map(
-    elevation: Elevation,
-    options: TerrainOptions | None = None,
-    roads: BoolArray | None = None,
+    elevation: Elevation, options: TerrainOptions | None = None, roads: BoolArray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TerrainMap:
     """Compute the risk map of terrain; ``roads`` (H, W) marks cells that contain a road.
@@ -134,9 +132,7 @@ def _values(
     steepness, depth, exposure, approach, roads = layers
     reach = options.view.weapon_range
     shares = (
-        np.minimum(depth / (FULL_DEPTH * reach), 1.0),
-        exposure,
-        1.0 - approach / reach,
+        np.minimum(depth / (FULL_DEPTH * reach), 1.0), exposure, 1.0 - approach / reach,
         np.minimum(steepness / options.slope_limit, 1.0),
     )
     total = sum(options.weights)

@@ -104,8 +104,7 @@ class Sample:
 
 
 def viewshed(
-    elevation: Elevation,
-    options: ViewOptions | None = None,
+    elevation: Elevation, options: ViewOptions | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Views:
     """Compute the visibility of all cells, on all processors available to this process.

@@ -19,12 +19,6 @@ TIE_BREAK = np.array([[1.0, 1.0e-6], [0.0, 1.0 + 0.7e-6]])
 FLAT = 0.25
 # Rows and columns of lattice nodes added beyond the border; triangles of inner nodes stay within.
 FRAME = 3
-# Target number of points per Qhull call; for 40 000 points it takes three times as long per point.
-PART = 2500
-# Corners of a square well outside the unit square.
-OUTER_SQUARE = np.array([(-0.5, -0.5), (1.5, -0.5), (1.5, 1.5), (-0.5, 1.5)])
-# Share of a circle's radius that a node may lie inside it: nodes and mirror images are cocircular.
-ROUNDING = 1e-9
 
 
 def grid8_pairs(node_of: IndexArray) -> IndexArray:
@@ -39,15 +33,13 @@ def grid8_pairs(node_of: IndexArray) -> IndexArray:
     return joined[(joined >= 0).all(axis=1)]
 
 
-def delaunay_pairs(
-    points: FloatArray, mirrored: FloatArray
-) -> tuple[IndexArray, IndexArray]:
+def delaunay_pairs(points: FloatArray, mirrored: FloatArray) -> tuple[IndexArray, IndexArray]:
     """Edges (E, 2) and triangles (T, 3) of the Delaunay triangulation of points (K, 2) on a map.
 
     Their mirror images (F, 2) beyond the map's edge prevent long edges between nodes along it: two
     nodes are joined only if their Voronoi cells meet on the map.
     """
-    triangles = _triangles_by_parts(np.concatenate((points, mirrored)))
+    triangles = _triangles(np.concatenate((points, mirrored)))
     pairs = _triangle_edges(triangles)
     pairs = _unique_pairs(pairs[(pairs < len(points)).all(axis=1)])
     return pairs, triangles[(triangles < len(points)).all(axis=1)]
@@ -166,41 +158,8 @@ def _circle_contains(
     return contains
 
 
-def _triangles_by_parts(points: FloatArray) -> IndexArray:
-    """Compute ``_triangles`` square by square.
-
-    Each square's nodes are triangulated with four outer corners. Triangles whose circles lie within
-    the square belong to the whole triangulation; the corners of all others are triangulated again.
-    """
-    low, extent = points.min(axis=0), np.ptp(points, axis=0)
-    if len(points) < 2 * PART or not extent.all():
-        return _triangles(points)
-    side = np.sqrt(extent.prod() * PART / len(points))
-    square = np.floor((points - low) / side).astype(np.int64)
-    key = square[:, 0] * (square[:, 1].max() + 1) + square[:, 1]
-    order = np.argsort(key, kind='stable')
-    kept, rim = [], np.zeros(len(points), dtype=bool)
-    for part in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        corner = low + side * square[part[0]]
-        places = np.concatenate((points[part], corner + side * OUTER_SQUARE))
-        triangles = _triangles(places)
-        centre, radius = _circles(places[triangles])
-        gap = np.minimum(centre - corner, corner + side - centre).min(axis=1)
-        good = (gap > radius) & (triangles < len(part)).all(axis=1)
-        kept.append(part[triangles[good]])
-        others = triangles[~good]
-        rim[part[others[others < len(part)]]] = True
-    gaps = _gap_triangles(points, np.ones_like(rim), rim, ROUNDING)
-    return np.concatenate((*kept, gaps))
-
-
-def _gap_triangles(
-    places: FloatArray, present: BoolArray, rim: BoolArray, rounding: float = 0.0
-) -> IndexArray:
-    """Delaunay triangles of the nodes present that have all corners on the rim of gaps.
-
-    Other nodes may lie inside a circle by the share ``rounding`` of its radius.
-    """
+def _gap_triangles(places: FloatArray, present: BoolArray, rim: BoolArray) -> IndexArray:
+    """Delaunay triangles of the nodes present that have all corners on the rim of gaps."""
     chosen = np.flatnonzero(rim & present)
     triangles = _triangles(places[chosen])
     if triangles.shape[1] == 2:
@@ -214,7 +173,7 @@ def _gap_triangles(
     real = np.isfinite(radius)
     tree = cKDTree(places[others], balanced_tree=False, compact_nodes=False)
     nearest = tree.query(np.where(real[:, None], centre, 0.0))[0]
-    return triangles[real & (nearest >= (1.0 - rounding) * radius)]
+    return triangles[real & (nearest >= radius)]
 
 
 def _circles(corners: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -28,16 +28,11 @@ from ..maps.risk_map import RiskMap
 from ..option_checks import check_at_least, check_flag, check_whole
 from .layout import FreeSpace, connect_nodes
 from .network import Network
-from .node_sampling import lattice_points, lattice_shape
 from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
 from .shortest_paths import reachable_from
 
 METHODS = (
-    'uniform_delaunay',
-    'lattice_delaunay',
-    'uniform_grid8',
-    'random_delaunay',
-    'gradient_delaunay',
+    'uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay'
 )
 
 
@@ -83,12 +78,9 @@ class NetworkOptions:
 
 # Largest number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
-# Lattice positions sampled to estimate the free share of the map, to about 2 %.
-_SAMPLES = 4096
 # Errors raised for an end off the map and for a blocked one; all other positions are stops.
 POSITION_ERRORS: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
-    'start': (StartOutsideMap, StartBlocked),
-    'goal': (GoalOutsideMap, GoalBlocked),
+    'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked),
 }
 
 
@@ -123,21 +115,15 @@ class TripGraph:
                 layers[-1][edges[:, 1] == target, 1] += count
         edges = np.concatenate(layers)
         return Network(
-            np.tile(self.points, (legs, 1)),
-            np.tile(self.alpha, legs),
-            edges[np.lexsort((edges[:, 1], edges[:, 0]))],
-            visits[0],
-            visits[-1] + (legs - 1) * count,
-            legs=legs,
+            np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs),
+            edges[np.lexsort((edges[:, 1], edges[:, 0]))], visits[0],
+            visits[-1] + (legs - 1) * count, legs=legs,
         )
 
 
 def build_network(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: NetworkOptions | None = None,
-    stops: Iterable[npt.ArrayLike] = (),
+    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+    options: NetworkOptions | None = None, stops: Iterable[npt.ArrayLike] = (),
 ) -> Network:
     """Build the network for driving from start to goal via stops; world positions [m].
 
@@ -147,26 +133,17 @@ def build_network(
     narrow passage that the map's cells show, nodes are added there. The same inputs, options and
     seed give the same network, bit for bit.
 
-    Raises
-    ------
-    StartBlocked, StopBlocked, GoalBlocked
-        The position is not finite, off the map, or within the clearance of an obstacle.
-    InvalidNetwork
-        Two consecutive positions are equal.
-    InvalidOption
-        The spacing requires more than ``MAX_CANDIDATES`` nodes.
-    NoRoute
-        No route leads from start to goal, or to a stop.
+    Raises StartBlocked, StopBlocked or GoalBlocked if the position is not finite, off the map, or
+    within the clearance of an obstacle; InvalidNetwork if two consecutive positions are equal;
+    InvalidOption if the spacing requires more than ``MAX_CANDIDATES`` nodes; NoRoute if no route
+    leads from start to goal, or to a stop.
     """
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
     return graph.network(graph.visits)
 
 
 def build_trip_graph(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: NetworkOptions,
+    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike, options: NetworkOptions,
     stops: Iterable[npt.ArrayLike] = (),
 ) -> TripGraph:
     """Place the nodes and join them; raises as ``build_network``."""
@@ -255,23 +232,6 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
             f'{MAX_CANDIDATES} nodes; choose a larger spacing'
         )
     return spacing
-
-
-def expected_nodes(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """Estimate a network's number of nodes from some lattice positions, without building it.
-
-    Raises InvalidOption if the spacing requires more than ``MAX_CANDIDATES`` nodes.
-    """
-    spacing = chosen_spacing(risk_map, options)
-    rows, columns = lattice_shape(risk_map, spacing)
-    if rows * columns == 0:
-        return 0.0
-    samples = np.random.default_rng(0).integers(rows * columns, size=_SAMPLES)
-    cells = np.stack((samples // columns, samples % columns), axis=1)
-    uv = lattice_points(cells, spacing, options.method)
-    field = ObstacleField(risk_map, options.clear_of_edge)
-    free = field.clear_points(uv, options.clearance)
-    return rows * columns * float(free.mean())
 
 
 def _checked_positions(

@@ -38,10 +38,6 @@ def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Netw
     layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
     losses = network.alpha.reshape(legs, -1), np.tile(alpha, (legs, 1))
     return Network(
-        np.concatenate(layers, 1).reshape(-1, 2),
-        np.concatenate(losses, 1).ravel(),
-        moved[network.edges],
-        int(moved[network.source]),
-        int(moved[network.target]),
-        legs=legs,
+        np.concatenate(layers, 1).reshape(-1, 2), np.concatenate(losses, 1).ravel(),
+        moved[network.edges], int(moved[network.source]), int(moved[network.target]), legs=legs,
     )

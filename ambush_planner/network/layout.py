@@ -11,12 +11,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
-from .connectivity import (
-    delaunay_pairs,
-    grid8_pairs,
-    lattice_delaunay_pairs,
-    without_slivers,
-)
+from .connectivity import delaunay_pairs, grid8_pairs, lattice_delaunay_pairs, without_slivers
 from .node_sampling import (
     all_cells,
     gradient_points,

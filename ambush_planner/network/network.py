@@ -57,7 +57,8 @@ class Network:
         target = _node('target', self.target, len(points))
         _check_ends(alpha, source, target)
         edges = _edge_array(self.edges, len(points))
-        _check_layers(points, alpha, edges, source, target, self.legs)
+        if self.legs < 1 or len(points) % self.legs:
+            raise InvalidNetwork(f'{self.legs} legs need as many copies of all places')
         outside = (edges[:, 1] == source) | (edges[:, 0] == target)
         if outside.any():
             warnings.warn(
@@ -124,34 +125,6 @@ class Network:
     def heads(self) -> IndexArray:
         """Head of each edge (M,)."""
         return self.edges[:, 1]
-
-
-def _check_layers(
-    points: FloatArray, alpha: FloatArray, edges: IndexArray, source: int, target: int, legs: object
-) -> None:
-    if legs == 1:
-        return
-    if isinstance(legs, bool) or not isinstance(legs, int | np.integer) or legs < 1:
-        raise InvalidNetwork(f'legs must be a whole number >= 1, got {legs!r}')
-    count = len(points) // int(legs)
-    if count * legs != len(points):
-        raise InvalidNetwork(f'{legs} legs need as many copies of all places, got {len(points)}')
-    first = np.arange(len(points)) % count
-    if not (np.array_equal(points, points[first]) and np.array_equal(alpha, alpha[first])):
-        raise InvalidNetwork('the layers of the legs must have the same points and losses')
-    tail, head = (edges // count).T
-    crossing = tail != head
-    stops = np.unique(edges[crossing, 1])
-    if not (
-        np.array_equal(stops // count, np.arange(1, legs))
-        and (head[crossing] == tail[crossing] + 1).all()
-        and (source // count, target // count) == (0, legs - 1)
-        and (alpha[stops] == 0.0).all()
-    ):
-        raise InvalidNetwork(
-            'each leg must end at one stop in the layer of the next one, with alpha 0; the first '
-            'begins at the source, and the last ends at the target'
-        )
 
 
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:

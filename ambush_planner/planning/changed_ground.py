@@ -40,14 +40,8 @@ class Assessment:
     """The value of a strategy on another map, and a lower bound on that of any strategy there.
 
     The bound holds for the strategy's own network: ground that has become free counts after the
-    next solve.
-
-    Attributes
-    ----------
-    value
-        If ``clear_share`` is below 1: that of drawing until a route is clear.
-    clear_share
-        Probability that a route meets no new obstacle and no place that must not be entered.
+    next solve. ``clear_share`` is the probability that a route meets no new obstacle and no place
+    that must not be entered; if it is below 1, the value is that of drawing until a route is clear.
     """
 
     value: float
@@ -81,17 +75,10 @@ class Assessment:
 class ChangedGround:
     """Assesses a plan, and draws its routes, on other maps of the same ground.
 
-    Parameters
-    ----------
-    plan, planned_on
-        The plan, and the map that it was solved on.
-    occupancy
-        How cell values are read.
+    The plan was solved on the map ``planned_on``; ``occupancy`` says how cell values are read.
     """
 
-    def __init__(
-        self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions
-    ) -> None:
+    def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions) -> None:
         self._plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
         self._clearance = plan.options.network.clearance
         network = plan.network

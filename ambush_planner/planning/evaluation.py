@@ -43,9 +43,7 @@ def evaluate(strategy: Strategy) -> dict[str, Measures]:
     """
     game, q = strategy.game, strategy.ambush_probability
     p_first = meeting_probability(game, strategy.edge_probability, q)
-    stochastic = Measures(
-        'stochastic', strategy.expected_length, p_first, p_first, strategy.value
-    )
+    stochastic = Measures('stochastic', strategy.expected_length, p_first, p_first, strategy.value)
     return {
         'stochastic': stochastic,
         'energy_efficient': _fixed('energy_efficient', game, energy_efficient_route(game), q),
@@ -69,9 +67,6 @@ def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measur
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
     return Measures(
-        planner,
-        float(p @ game.network.lengths),
-        meeting_probability(game, p, q),
-        1.0 if worst > 0.0 else 0.0,
-        worst,
+        planner, float(p @ game.network.lengths), meeting_probability(game, p, q),
+        1.0 if worst > 0.0 else 0.0, worst,
     )

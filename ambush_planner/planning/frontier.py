@@ -44,11 +44,8 @@ class FrontierRow:
 
 
 def frontier(
-    network: Network,
-    game: GameOptions | None = None,
-    detours: Sequence[float] = DETOURS,
-    slacks: Sequence[float] = SLACKS,
-    options: StrategyOptions | None = None,
+    network: Network, game: GameOptions | None = None, detours: Sequence[float] = DETOURS,
+    slacks: Sequence[float] = SLACKS, options: StrategyOptions | None = None,
     on_row: Callable[[FrontierRow], None] | None = None,
 ) -> tuple[FrontierRow, ...]:
     """Solve for each of ``detours``, then for each of ``slacks``; the other is that of ``options``.

@@ -30,10 +30,7 @@ _Options = TypeVar('_Options')
 class RecordingOptions:
     """Whether, where and how departures are recorded.
 
-    Raises
-    ------
-    InvalidOption
-        The directory is empty, or its home directory is unknown.
+    Raises InvalidOption if the directory is empty, or its home directory is unknown.
     """
 
     enabled: bool
@@ -84,10 +81,7 @@ class NodeParameters:
 def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
     """Read the values of all ``PARAMETERS`` as a set.
 
-    Raises
-    ------
-    InvalidOption
-        A value is out of range, or values contradict each other.
+    Raises InvalidOption if a value is out of range, or values contradict each other.
     """
     for name, parameter in PARAMETERS.items():
         if parameter.choices and values[name] not in parameter.choices:

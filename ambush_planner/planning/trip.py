@@ -48,14 +48,9 @@ Position = tuple[float, float]
 
 
 def plan_trip(
-    risk_map: RiskMap,
-    start_xy: npt.ArrayLike,
-    goal_xy: npt.ArrayLike,
-    options: PlanningOptions | None = None,
-    *,
-    stops: Iterable[npt.ArrayLike] = (),
-    order: str = 'given',
-    warm: WarmStart | None = None,
+    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+    options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
+    order: str = 'given', warm: WarmStart | None = None,
 ) -> Plan:
     """Plan a trip from start to goal by way of stops, all world positions [m].
 

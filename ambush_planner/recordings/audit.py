@@ -58,10 +58,8 @@ class Audit:
 
     Attributes
     ----------
-    departures, strategies : int
-        How many were audited.
-    left_out : int
-        Departures drawn from strategies with cycles, whose routes have no such law.
+    departures, strategies, left_out : int
+        How many were audited; how many departures were not, as their strategies have cycles.
     impossible : int
         Steps and ends of routes that the strategies cannot have drawn.
     p_value : float
@@ -106,27 +104,17 @@ def audit(
 ) -> Audit:
     """Test departures against their strategies, and follow an observer who learns from them.
 
-    Parameters
-    ----------
-    departures
-        In order of time, each with the attributes ``drawn_from`` (Strategy) and ``route`` (K,);
-        those of one strategy share the object.
-    rng, resamples
-        Generator or seed of the resamples, and their number: 999 or more, for a finding.
-
-    Raises
-    ------
-    NotAuditable
-        There are fewer than ``FEWEST_DEPARTURES`` departures from strategies without cycles.
+    ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy) and
+    ``route`` (K,); those of one strategy share the object. A finding needs 999 ``resamples`` or
+    more. Raises NotAuditable if fewer than ``FEWEST_DEPARTURES`` are from strategies without
+    cycles.
     """
     rng = np.random.default_rng(rng)
     groups, audited = _grouped(departures)
     n, impossible = len(audited), 0
     if n < FEWEST_DEPARTURES:
-        raise NotAuditable(
-            f'at least {FEWEST_DEPARTURES} departures from strategies without cycles are needed, '
-            f'got {n}'
-        )
+        raise NotAuditable(f'at least {FEWEST_DEPARTURES} departures from strategies without '
+                           f'cycles are needed, got {n}')
     segments = _number_by_position(groups)
     # Set 0 is the recorded one, the others are resamples.
     passages = np.zeros((1 + resamples, len(segments)), np.uint16)
@@ -263,9 +251,7 @@ def _expected(groups: Sequence[_Group], count: int) -> tuple[FloatArray, FloatAr
     return mean, variance
 
 
-def _p_value(
-    passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray
-) -> float:
+def _p_value(passages: npt.NDArray[np.uint16], expected: FloatArray, variance: FloatArray) -> float:
     """Monte Carlo p-value of the first row of ``passages`` (1 + resamples, C)."""
     recorded, *drawn = ((row - expected) ** 2 @ (1.0 / (variance + 1.0)) for row in passages)
     reached = np.count_nonzero(np.array(drawn) >= recorded * (1.0 - ROUNDING))

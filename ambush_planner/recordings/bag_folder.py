@@ -11,8 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from .messages import RecordedMessage
-from .qos_text import fields_from_yaml
+from .messages import Channel, RecordedMessage, fields_from_yaml
 from .schemas import load_definition
 
 FILE_NAME = 'metadata.yaml'
@@ -24,24 +23,23 @@ class BagFile(NamedTuple):
     name: str
     start_ns: int
     end_ns: int
-    counts: tuple[tuple[tuple[str, str, str], int], ...]
+    counts: tuple[tuple[Channel, int], ...]
 
 
 def describe_file(name: str, messages: Sequence[RecordedMessage]) -> BagFile:
     """Describe a file by its messages, which are in the order of time."""
-    counts = Counter((each.topic, each.type, each.qos_text) for each in messages)
+    counts = Counter(each.channel for each in messages)
     return BagFile(name, messages[0].stamp_ns, messages[-1].stamp_ns, tuple(counts.items()))
 
 
 def bag_text(files: Sequence[BagFile]) -> bytes:
     """Return ``metadata.yaml`` of a folder with these files; rosbag2 demands every key."""
-    counts: Counter[tuple[str, str, str]] = Counter()
+    counts: Counter[Channel] = Counter()
     # Nearly all files have equal counts; adding them up one by one takes longer than recording.
     for equal, times in Counter(each.counts for each in files).items():
-        for topic, number in equal:
-            counts[topic] += times * number
-    start = min((each.start_ns for each in files), default=0)
-    end = max((each.end_ns for each in files), default=0)
+        for channel, number in equal:
+            counts[channel] += times * number
+    start, end = min(each.start_ns for each in files), max(each.end_ns for each in files)
     described = {'rosbag2_bagfile_information': {
         'version': 9,
         'storage_identifier': 'mcap',
@@ -52,28 +50,23 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
         'custom_data': {},
         'ros_distro': os.environ.get('ROS_DISTRO', ''),
         'topics_with_message_count': [
-            {'topic_metadata': _described(*topic), 'message_count': count}
-            for topic, count in counts.items()
+            {'topic_metadata': _described(channel), 'message_count': count}
+            for channel, count in counts.items()
         ],
         'relative_file_paths': [each.name for each in files],
-        'files': [
-            {
-                'path': each.name, **_time_span(each.start_ns, each.end_ns),
-                'message_count': sum(number for _, number in each.counts),
-            }
-            for each in files
-        ],
+        'files': [{
+            'path': each.name, **_time_span(each.start_ns, each.end_ns),
+            'message_count': sum(number for _, number in each.counts),
+        } for each in files],
     }}
     return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
 
 
-def _described(topic: str, kind: str, qos: str) -> dict[str, Any]:
+def _described(channel: Channel) -> dict[str, Any]:
     return {
-        'name': topic,
-        'type': kind,
-        'serialization_format': 'cdr',
-        'offered_qos_profiles': [fields_from_yaml(qos)],
-        'type_description_hash': load_definition(kind).type_hash,
+        'name': channel.topic, 'type': channel.type, 'serialization_format': 'cdr',
+        'offered_qos_profiles': [fields_from_yaml(channel.qos)],
+        'type_description_hash': load_definition(channel.type).type_hash,
     }
 
 

@@ -13,13 +13,8 @@ def write_durably(path: Path, data: bytes) -> None:
     """Put ``data`` at ``path`` (mode 0600) in one step, replacing what is there.
 
     The data goes to a temporary file in the same folder, is flushed to the disk, and is then
-    renamed: a reader sees the old content or the new one, never a part.
-
-    Raises
-    ------
-    OSError
-        Nothing was changed at ``path`` and no temporary file is left, unless the final flush of
-        the folder failed: then the file is in place, but may not survive a power cut.
+    renamed: a reader sees the old content or the new one, never a part. After an OSError no
+    temporary file is left.
     """
     temporary = path.with_name(f'{path.name}{TEMPORARY}')
     try:
@@ -34,35 +29,15 @@ def write_durably(path: Path, data: bytes) -> None:
 
 
 def make_private_folders(path: Path) -> None:
-    """Make the folder ``path`` and the missing ones above it, with mode 0700.
-
-    Raises
-    ------
-    FileExistsError
-        ``path`` or one above it exists and is not a folder.
-    OSError
-        One of them cannot be made.
-    """
+    """Make the folder ``path`` and the missing ones above it, with mode 0700."""
     for folder in reversed([path, *path.parents]):
         if not folder.is_dir():
-            try:
-                make_private_folder(folder)
-            except FileExistsError:
-                if not folder.is_dir():  # another process may have made it meanwhile
-                    raise
+            make_private_folder(folder, exist_ok=True)  # another process may make it meanwhile
 
 
-def make_private_folder(path: Path) -> None:
-    """Make the folder ``path`` with mode 0700 and flush its parent to the disk.
-
-    Raises
-    ------
-    FileExistsError
-        Something of this name exists.
-    OSError
-        The parent does not exist or is not writable.
-    """
-    path.mkdir(mode=0o700)
+def make_private_folder(path: Path, exist_ok: bool = False) -> None:
+    """Make the folder ``path`` with mode 0700 and flush its parent to the disk."""
+    path.mkdir(mode=0o700, exist_ok=exist_ok)
     _flush_folder(path.parent)
 
 

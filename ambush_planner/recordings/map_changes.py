@@ -24,13 +24,7 @@ def map_changes_file(before: npt.NDArray[np.int8], after: npt.NDArray[np.int8]) 
 
 
 def changed_map(before: npt.NDArray[np.int8], data: bytes) -> npt.NDArray[np.int8]:
-    """Return the map (H, W) after the changes in the bytes of a ``map_changes.npz``.
-
-    Raises
-    ------
-    ValueError, LookupError, OSError, zipfile.BadZipFile
-        The bytes are not changes of this map.
-    """
+    """Return the map (H, W) after the changes in the bytes of a ``map_changes.npz``."""
     after = before.ravel().copy()
     with np.load(BytesIO(data), allow_pickle=False) as content:
         after[content['cells']] = content['values']

@@ -49,15 +49,13 @@ class RecordedDeparture:
     ----------
     id, number
         Unique to the departure; its number in the node's run, from 1.
-    stamp_ns
-        When the path was published.
     call
         ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and the fields of
         ``request`` and ``response``.
     topics
         The topics of map, start, goal and path, and of the stops (``via``) if there are any.
-    trip, ends
-        The planned trip, and the ends of the driven path, which may lie near the trip's [m].
+    ends
+        The ends of the driven path, which may lie near the trip's [m].
     route : (K,)
         Node indices, drawn by ``numpy.random.default_rng(route_entropy_source)``.
     strategy, stated
@@ -102,10 +100,7 @@ class RecordedDeparture:
 
 
 class SharedParts:
-    """Strategies and maps that departures have in common, each built once.
-
-    ``most`` limits how many of each are kept; None keeps all.
-    """
+    """Strategies and maps that departures have in common; the last ``most`` of each are kept."""
 
     def __init__(self, most: int | None = None) -> None:
         self.strategy = lru_cache(most)(strategy_from_file)
@@ -122,24 +117,12 @@ class SharedParts:
 
 
 def read_departure(path: Path | str, shared: SharedParts | None = None) -> RecordedDeparture:
-    """Read one recorded departure and check the CRCs of its file.
-
-    Raises
-    ------
-    UnreadableRecording
-        The file is missing, damaged, of another format, or not a departure.
-    """
+    """Read one recorded departure and check its CRCs; raises UnreadableRecording."""
     return departure_in(read_recording(path), shared or SharedParts())
 
 
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
-    """Return the departure in a file.
-
-    Raises
-    ------
-    UnreadableRecording
-        A part of it is missing or malformed.
-    """
+    """Return the departure in a file; UnreadableRecording names a part that is malformed."""
     entries = file.entries
     parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters']))
     game, occupancy = parameters.planning.game, parameters.occupancy
@@ -162,14 +145,11 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
         return RecordedDeparture(
             file.path, entries['departure_id'], entries['departure'], message.stamp_ns,
             entries['frame'], entries['call'], entries['topics'], entries['versions'], parameters,
-            RecordedTrip(
-                _position(trip['start']), _position(trip['goal']),
-                tuple(map(_position, trip['stops'])),
-            ),
-            (_position(entries['ends'][0]), _position(entries['ends'][1])),
-            route, entries['route_entropy_source'], strategy, stated, drawn_from, planned_on,
-            newest, risk_map,
-            file.defined(message),
+            RecordedTrip(tuple(trip['start']), tuple(trip['goal']),
+                         tuple(map(tuple, trip['stops']))),
+            (tuple(entries['ends'][0]), tuple(entries['ends'][1])), route,
+            entries['route_entropy_source'], strategy, stated, drawn_from, planned_on, newest,
+            risk_map, file.defined(message),
         )
 
     return _part(file, 'metadata', read)
@@ -237,8 +217,3 @@ def _conditioned(
         visit_probability=frozen_array(strategy.game.visits(p), np.float64),
         value=worst_loss(strategy.game, p),
     )
-
-
-def _position(numbers: list[float]) -> Position:
-    x, y = numbers
-    return float(x), float(y)

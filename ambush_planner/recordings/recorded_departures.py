@@ -20,16 +20,8 @@ LEAST_BITS = 192
 def recordings_in(path: Path | str) -> list[Path]:
     """List the recordings in a file, a session folder or a recording.directory.
 
-    Returns
-    -------
-    list of Path
-        The file itself; or the files of a folder by their numbers, followed by those of all
-        session folders in it, in the order of time.
-
-    Raises
-    ------
-    UnreadableRecording
-        The path does not exist, or the folder holds no recording.
+    Files of a folder come in the order of their numbers, followed by those of the session folders
+    in it, in the order of time. Raises UnreadableRecording if there is none.
     """
     path = Path(path)
     with reading_from(path):

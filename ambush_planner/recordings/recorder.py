@@ -35,23 +35,15 @@ class Recorder:
     The folder is made for the first departure, and a new one once it holds ``MOST_FILES`` or has
     been taken away. Several threads may use one recorder.
 
-    Parameters
-    ----------
-    directory
-        Where session folders are made; it is made itself, with mode 0700, if missing.
-    compression
-        ``zstd``, ``lz4`` or ``none``.
-
-    Raises
-    ------
-    InvalidOption
-        The compression is unknown.
+    ``directory`` is made with mode 0700 if missing; ``compression`` is ``zstd``, ``lz4`` or
+    ``none``.
     """
 
     def __init__(self, directory: Path, compression: str = 'zstd') -> None:
         if compression not in COMPRESSIONS:
-            names = ', '.join(COMPRESSIONS)
-            raise InvalidOption(f'compression {compression!r} is not one of {names}')
+            raise InvalidOption(
+                f'compression {compression!r} is not one of {", ".join(COMPRESSIONS)}'
+            )
         self._directory = Path(directory).expanduser()
         self._compression = compression
         self._folder: Path | None = None
@@ -60,32 +52,14 @@ class Recorder:
         self._lock = Lock()
 
     def record_departure(
-        self,
-        messages: Sequence[RecordedMessage],
-        entries: Mapping[str, Any],
+        self, messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
         attachments: Mapping[str, bytes],
     ) -> Path:
-        """Write one departure to a file of its own and list it in the folder's metadata.yaml.
+        """Write one departure to a file of its own, list it in metadata.yaml, and return its path.
 
-        Parameters
-        ----------
-        messages
-            At least one, in any order.
-        entries
-            The entries of the metadata record, which JSON can hold.
-        attachments
-            The contents of npz files to be kept in the recording, by name.
-
-        Returns
-        -------
-        Path
-            The finished file, flushed to the disk.
-
-        Raises
-        ------
-        RecordingFailed
-            A file or folder could not be written, or a message's definition is not installed. No
-            partial file is left, and the next departure tries again.
+        Messages come in any order, ``entries`` are those of the metadata record. RecordingFailed:
+        a file or folder could not be written, or a message's definition is not installed. No
+        partial file is left, and the next departure tries again.
         """
         ordered = sorted(messages, key=lambda each: each.stamp_ns)
         data = encode(ordered, entries, attachments, self._compression)
@@ -119,11 +93,6 @@ def remove_abandoned(directory: Path) -> list[Path]:
     """Remove temporary files that a kill left in session folders, and return their names.
 
     Files younger than a minute stay, since another node may be writing them.
-
-    Raises
-    ------
-    RecordingFailed
-        A file cannot be removed.
     """
     with recording_to(directory):
         found = [
@@ -137,11 +106,10 @@ def remove_abandoned(directory: Path) -> list[Path]:
 
 def _new_folder(wanted: Path) -> Path:
     """Make the folder ``wanted``; if it exists, append the first free number."""
-    folder = wanted
-    for number in count(2):
+    folder, number = wanted, count(2)
+    while True:
         try:
             make_private_folder(folder)
-            break
+            return folder
         except FileExistsError:
-            folder = wanted.with_name(f'{wanted.name}-{number}')
-    return folder
+            folder = wanted.with_name(f'{wanted.name}-{next(number)}')

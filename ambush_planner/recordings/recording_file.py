@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from io import BytesIO
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 from mcap import records
-from mcap.stream_reader import MAGIC_SIZE, StreamReader
+from mcap.stream_reader import StreamReader
 from mcap.well_known import MessageEncoding
 from mcap.writer import CompressionType, Writer
 from mcap_ros2.decoder import DecoderFactory
 
-from .messages import RecordedMessage
+from .messages import Channel, RecordedMessage
 from .recording_errors import UnreadableRecording, reading_from
 from .schemas import load_definition
 
@@ -35,20 +35,10 @@ _CHUNK_SIZE = 2**20  # bytes
 
 @dataclass(frozen=True, eq=False)
 class RecordingFile:
-    """The contents of one file.
+    """The contents of one file, its messages in the order of time.
 
-    Attributes
-    ----------
-    path
-        The file.
-    messages
-        In the order of their times.
-    entries
-        The metadata record, with each entry's JSON read.
-    attachments
-        The contents of attached files by name.
-    definitions
-        The texts of message definitions by type name.
+    ``entries`` are those of the metadata record, with their JSON read, ``definitions`` the texts of
+    message definitions by type name.
     """
 
     path: Path
@@ -72,18 +62,10 @@ class RecordingFile:
 
 
 def encode(
-    messages: Sequence[RecordedMessage],
-    entries: Mapping[str, Any],
-    attachments: Mapping[str, bytes],
-    compression: str,
+    messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
+    attachments: Mapping[str, bytes], compression: str,
 ) -> bytes:
-    """Return the bytes of a whole file; ``messages`` are in the order of time.
-
-    Raises
-    ------
-    RecordingFailed
-        The definition of a message is not installed.
-    """
+    """Return the bytes of a whole file; ``messages`` are in the order of time."""
     stream = BytesIO()
     # The checksum of the data section covers metadata and attachments; chunks have their own.
     writer = Writer(
@@ -96,41 +78,33 @@ def encode(
     for name, data in attachments.items():
         writer.add_attachment(0, messages[0].stamp_ns, name, 'application/zip', data)
     schemas: dict[str, int] = {}
-    channels: dict[tuple[str, str, str], int] = {}
+    channels: dict[Channel, int] = {}
     for message in messages:
         definition = load_definition(message.type)
         if message.type not in schemas:
             schemas[message.type] = writer.register_schema(
                 message.type, definition.encoding, definition.text.encode()
             )
-        key = message.topic, message.type, message.qos_text
-        if key not in channels:
-            channels[key] = writer.register_channel(
+        channel = message.channel
+        if channel not in channels:
+            channels[channel] = writer.register_channel(
                 message.topic, MessageEncoding.CDR, schemas[message.type],
-                {'offered_qos_profiles': key[2], 'topic_type_hash': definition.type_hash},
+                {'offered_qos_profiles': channel.qos, 'topic_type_hash': definition.type_hash},
             )
-        writer.add_message(channels[key], message.stamp_ns, message.data, message.stamp_ns)
+        writer.add_message(channels[channel], message.stamp_ns, message.data, message.stamp_ns)
     writer.finish()
     return stream.getvalue()
 
 
 def read_recording(path: Path | str) -> RecordingFile:
-    """Read a file and check its CRCs.
-
-    Raises
-    ------
-    UnreadableRecording
-        The file is missing, damaged, of another format, or not from this planner.
-    """
+    """Read a file and check its CRCs; raises UnreadableRecording."""
     path = Path(path)
     with reading_from(path):
-        if not path.is_file():
-            path.stat()
-            raise UnreadableRecording(path, 'it is not a file')
         data = path.read_bytes()
     try:
         found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
-        _check_summary(data, found[-1])
+        # The summary repeats schemas and channels, and the library does not check its CRC.
+        found = list(takewhile(lambda each: not isinstance(each, records.DataEnd), found))
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
@@ -143,10 +117,8 @@ def read_recording(path: Path | str) -> RecordingFile:
     )
     if texts.get('format') != FORMAT:
         raise UnreadableRecording(
-            path,
-            f'its format is {texts["format"][:20]!r}, this version reads {FORMAT!r}: use the '
-            'version of ambush_planner that recorded it' if 'format' in texts
-            else 'it was not recorded by ambush_planner',
+            path, f'its format is {texts.get("format")!r}, this version reads {FORMAT!r}: use the '
+            'version of ambush_planner that recorded it'
         )
     try:
         return _contents(path, found, {name: json.loads(text) for name, text in texts.items()})
@@ -167,14 +139,6 @@ def _decoder(definition: str, kind: str) -> Any:
 def decode(definition: str, kind: str, data: bytes) -> Any:
     """Decode a message of the type ``kind`` by its definition."""
     return _decoder(definition, kind)(data)
-
-
-def _check_summary(data: bytes, footer: records.McapRecord) -> None:
-    """Check the CRC of the summary, which the library leaves unread."""
-    assert isinstance(footer, records.Footer)
-    summary = data[footer.summary_start:-MAGIC_SIZE - 4]
-    if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
-        raise ValueError('the CRC of the summary does not hold')
 
 
 def _contents(

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ..arrays import FloatArray
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from .recorded_departures import RecordedDeparture
+from .recorded_departure import RecordedDeparture
 
 # Starts or goals are the same up to this share of the distance between start and goal.
 SAME_TRIP = 0.05
@@ -62,10 +62,9 @@ def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
     sections: list[Section] = []
     for each in departures:
         section = next((section for section in sections if section.includes(each)), None)
-        if section:
-            section.departures.append(each)
-        else:
-            sections.append(Section([each]))
+        if section is None:
+            sections.append(section := Section([]))
+        section.departures.append(each)
     return sections
 
 

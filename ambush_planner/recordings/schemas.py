@@ -34,13 +34,7 @@ class MessageDefinition(NamedTuple):
 
 @cache
 def load_definition(name: str) -> MessageDefinition:
-    """Read the definition of a type like ``nav_msgs/msg/Path`` from the installed packages.
-
-    Raises
-    ------
-    RecordingFailed
-        The interface files of the type are not installed.
-    """
+    """Read the definition of a type from the installed packages; raises RecordingFailed."""
     event = '/srv/' in name and name.endswith(_EVENT)
     described = json.loads(_read_interface(name.removesuffix(_EVENT) if event else name, 'json'))
     hashes = {entry['type_name']: entry['hash_string'] for entry in described['type_hashes']}

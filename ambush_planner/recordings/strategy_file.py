@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from io import BytesIO
@@ -44,34 +43,23 @@ def strategy_file(strategy: Strategy) -> bytes:
     return stream.getvalue()
 
 
-def strategy_from_file(
-    data: bytes, options: GameOptions
-) -> tuple[Strategy, Mapping[str, float]]:
+def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Mapping[str, float]]:
     """Return the strategy in the bytes of a ``strategy.npz``, and the numbers stated there.
 
     ``options`` are the game's. Everything that follows from the probabilities, including the
     certificate, is computed from them; the stated ``NUMBERS`` are for comparison. Iterations and
     multipliers are not recorded.
-
-    Raises
-    ------
-    AmbushPlannerError, ValueError, LookupError, OSError, zipfile.BadZipFile
-        The bytes are not a strategy.
     """
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         content = {name: archive[name] for name in archive.files}
-    with warnings.catch_warnings():
-        warnings.simplefilter('error', UserWarning)  # the network would drop edges
-        network = Network(
-            content['points'], content['alpha'], content['edges'],
-            int(content['source']), int(content['target']), legs=int(content['legs']),
-        )
+    network = Network(
+        content['points'], content['alpha'], content['edges'],
+        int(content['source']), int(content['target']), legs=int(content['legs']),
+    )
     game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
     stated = {name: float(content[name]) for name in NUMBERS}
     p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
-    if p.shape != (len(network.edges),) or q.shape != (len(network.points),) or not (
-        (np.isfinite(p) & (p >= 0.0)).all() and (np.isfinite(q) & (q >= 0.0)).all()
-    ):
+    if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):
         raise ValueError('its probabilities are not those of its network')
     budgets = (
         Budget(game, network.lengths, stated['length_budget'], stated['shortest_length'],

@@ -47,16 +47,8 @@ _KEPT = 4
 class Verdict:
     """What was found about one file.
 
-    Attributes
-    ----------
-    readable
-        Whether the file is a whole recording.
-    problems, notes
-        What does not hold, each beginning with the part of the recording that it concerns; and
-        remarks that are no problems.
-    id, number, nodes, value, route_entropy_source
-        Of the departure and its strategy; empty, 0 or nan if they cannot be read. The strategy
-        itself is not kept, since a folder may hold thousands.
+    ``problems`` do not hold, and each begins with the part of the recording that it concerns;
+    ``notes`` are other remarks. The strategy is not kept, since a folder may hold thousands.
     """
 
     path: Path
@@ -76,10 +68,7 @@ class Verdict:
 
 
 class Verifier:
-    """Verifies departures one after the other; those of one strategy share its checks.
-
-    With ``replan`` each strategy is also solved again, from cold, and the values are compared.
-    """
+    """Verifies departures; with ``replan`` each strategy is also solved again, from cold."""
 
     def __init__(self, replan: bool = False) -> None:
         self._replan = replan
@@ -152,17 +141,9 @@ def network_problems(
     strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions, trip: RecordedTrip,
     order: str,
 ) -> list[str]:
-    """Build the network again and compare it bit for bit; then compare the game's budgets.
-
-    Raises
-    ------
-    AmbushPlannerError
-        Map, trip and options allow no network.
-    """
+    """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
-    laid = trip_network(
-        risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order
-    )
+    laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
     ends = attrgetter('source', 'target', 'legs')
     if ends(recorded) != ends(network) or not all(
@@ -179,10 +160,8 @@ def network_problems(
         ):
             stated = getattr(strategy, f'{what}_budget')
             if not math.isclose(stated, budget.limit, rel_tol=_TOLERANCE):
-                problems.append(
-                    f'strategy: its {what} budget is {stated:.9g}, the parameters give '
-                    f'{budget.limit:.9g}'
-                )
+                problems.append(f'strategy: its {what} budget is {stated:.9g}, the parameters '
+                                f'give {budget.limit:.9g}')
     return problems
 
 
@@ -196,10 +175,8 @@ def certificate_problems(
     for name in NUMBERS:
         found = getattr(strategy, name)
         if not math.isclose(stated[name], found, rel_tol=_TOLERANCE, abs_tol=rounding):
-            problems.append(
-                f'strategy: its {name} is stated as {stated[name]:.12g}, its probabilities give '
-                f'{found:.12g}'
-            )
+            problems.append(f'strategy: its {name} is stated as {stated[name]:.12g}, its '
+                            f'probabilities give {found:.12g}')
     if planning.strategy.solver == 'max_entropy' and not is_acyclic(
         strategy.network, strategy.edge_probability
     ):
@@ -255,9 +232,7 @@ def together(verdicts: Iterable[Verdict]) -> tuple[list[str], list[str]]:
     notes = []
     for folder, found in numbers.items():
         if missing := max(found) - min(found) + 1 - len(found):
-            notes.append(
-                f'{folder.name}: {missing} departures between the first and the last have no '
-                'recording: recording was off, it failed, or files are missing'
-            )
+            notes.append(f'{folder.name}: {missing} departures between the first and the last have '
+                         'no recording: recording was off, it failed, or files are missing')
     return problems, notes
 

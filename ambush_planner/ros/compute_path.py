@@ -6,20 +6,21 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
-from std_msgs.msg import Header
 
-from .conversions import installed_type, pose_to_ros
+from .conversions import installed_type
 from .departure_record import Departure
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoStart, code_of
+from .inputs import robot_pose
+from .parameter_changes import NodeSettings
 from .qos import REQUESTS
 from .requests import Requests, plan_response
+from .serial_executor import started
 
 NAME = '~/compute_path_to_pose'
 # Time for which results are kept [s], as by Nav2's planner server.
@@ -36,8 +37,11 @@ class ComputePath:
     solves of others alone.
     """
 
-    def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests) -> None:
+    def __init__(
+        self, node: Node, error_boundary: ErrorBoundary, requests: Requests, settings: NodeSettings
+    ) -> None:
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
+        self._settings = settings
         self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
         # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
@@ -56,7 +60,9 @@ class ComputePath:
             self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
-        departure = self._requests.start_plan(lambda: self._plan_request(handle.request))
+        departure = started(
+            lambda: self._requests.start_plan(self._plan_request(handle.request))
+        )
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 
@@ -86,19 +92,17 @@ class ComputePath:
         if departure.cancelled():
             handle.canceled()
             return result
-        done, error = self._error_boundary.attempt(
-            'compute_path_to_pose', 'request', departure.result
-        )
+        name = NAME.removeprefix('~/')
+        done, error = self._error_boundary.attempt(name, 'request', departure.result)
         if done is None:
             code = code_of(error or RuntimeError())
-            result.error_code = getattr(
-                self._action.Result, _NAV2_CODES.get(code, code), self._action.Result.UNKNOWN
-            )
+            codes = self._action.Result
+            result.error_code = getattr(codes, _NAV2_CODES.get(code, code), codes.UNKNOWN)
             if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
                 result.error_msg = str(error)
             handle.abort()
             return result
-        result.path = done.path.to_message()
+        result.path = done.path
         result.planning_time = Duration(nanoseconds=done.end_ns - done.begin_ns).to_msg()
         handle.succeed()
         return result
@@ -106,29 +110,22 @@ class ComputePath:
     def _plan_request(self, goal: Any) -> GetPlan.Request:
         """Return the goal as a request of get_plan.
 
-        Raises
-        ------
-        InvalidPlanner
-            The goal is for another planner.
-        NoStart, FrameMismatch
-            The start is missing or has no frame.
+        Raises InvalidPlanner if the goal is for another planner, and NoStart or FrameMismatch if
+        the start is missing or has no frame.
         """
         name = self._node.get_name()
         if goal.planner_id not in ('', name):
             raise InvalidPlanner(
                 f'planner_id is {goal.planner_id[:80]!r}, but must be {name!r} or empty'
             )
+        start = goal.start
         if not goal.use_start:
-            return GetPlan.Request(start=self._robot_here(), goal=goal.goal)
-        if not goal.start.header.frame_id:
+            start = robot_pose(self._settings.current.robot)
+            if start is None:
+                raise NoStart(
+                    'use_start is false, so the route begins at the robot: set robot_base_frame, '
+                    'or give a start'
+                )
+        elif not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
-        return GetPlan.Request(start=goal.start, goal=goal.goal)
-
-    def _robot_here(self) -> PoseStamped:
-        frame = self._requests.robot().frame
-        if not frame:
-            raise NoStart(
-                'use_start is false, so the route begins at the robot: set robot_base_frame, or '
-                'give a start'
-            )
-        return PoseStamped(header=Header(frame_id=frame), pose=pose_to_ros(0.0, 0.0))
+        return GetPlan.Request(start=start, goal=goal.goal)

@@ -46,10 +46,16 @@ def occupancy_to_ros(
 
 
 def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> PathMessage:
-    """Return the path along ``poses`` (L, 3) = (x, y, yaw), from exactly start to exactly goal."""
+    """Return the path along ``poses`` (L, 3) = (x, y, yaw) from exactly ``start``.
+
+    It ends at the position of the last pose with the goal's height and orientation: a blocked goal
+    has been moved there.
+    """
     result = stamped_poses(poses, header)
+    end = result[-1].pose.position
+    position = Point(x=end.x, y=end.y, z=goal.position.z)
     result[0].pose = start
-    result[-1].pose = goal
+    result[-1].pose = Pose(position=position, orientation=goal.orientation)
     return PathMessage(header=header, poses=result)
 
 

@@ -71,39 +71,38 @@ def map_from(received: ReceivedMessage) -> CurrentMap:
 def updated_map(present: CurrentMap, update: Any) -> CurrentMap:
     """Return the map with the cells of a map_msgs/OccupancyGridUpdate.
 
-    Raises
-    ------
-    InvalidRiskMap
-        The update is malformed or does not fit the map.
+    Raises InvalidRiskMap if the update is malformed or does not fit the map.
     """
+    (rows, columns), x, y = (update.height, update.width), update.x, update.y
+    if fault := _update_fault(present, update):
+        raise InvalidRiskMap(f'map update: {fault}')
+    new = np.frombuffer(update.data, np.int8).reshape(rows, columns)
     try:
-        return _updated_map(present, update)
+        check_occupancy(new, present.resolution, present.origin)
     except InvalidRiskMap as error:
         raise InvalidRiskMap(f'map update: {error}') from error
-
-
-def _updated_map(present: CurrentMap, update: Any) -> CurrentMap:
-    (height, width), frame = present.values.shape, update.header.frame_id
-    rows, columns, x, y = update.height, update.width, update.x, update.y
-    if len(update.data) != rows * columns:
-        raise InvalidRiskMap(
-            f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
-            f'{rows * columns}'
-        )
-    if frame != present.frame:
-        raise InvalidRiskMap(
-            f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
-        )
-    if x < 0 or y < 0 or x + columns > width or y + rows > height:
-        raise InvalidRiskMap(
-            f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
-            f'{width} x {height}'
-        )
-    new = np.frombuffer(update.data, np.int8).reshape(rows, columns)
-    check_occupancy(new, present.resolution, present.origin)
     cells = present.received.message.data[:]
-    values = np.frombuffer(cells, np.int8).reshape(height, width)
+    values = np.frombuffer(cells, np.int8).reshape(present.values.shape)
     values[y:y + rows, x:x + columns] = new
     message = OccupancyGrid(header=update.header, info=present.received.message.info, data=cells)
     received = replace(present.received, message=message, serialised=None)
     return CurrentMap(values, present.resolution, present.origin, received=received)
+
+
+def _update_fault(present: CurrentMap, update: Any) -> str:
+    """Describe why an update does not fit a map; '' if it fits."""
+    (height, width), frame = present.values.shape, update.header.frame_id
+    rows, columns, x, y = update.height, update.width, update.x, update.y
+    if len(update.data) != rows * columns:
+        return (
+            f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
+            f'{rows * columns}'
+        )
+    if frame != present.frame:
+        return f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
+    if x < 0 or y < 0 or x + columns > width or y + rows > height:
+        return (
+            f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
+            f'{width} x {height}'
+        )
+    return ''

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import scipy
+from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
@@ -23,7 +24,6 @@ from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.strategy_file import STRATEGY_FILE
 from .conversions import fields_of
 from .current_map import ReceivedMessage
-from .departure_path import DeparturePath
 from .inputs import Trip
 from .plan_cache import CachedPlan
 from .qos import LATEST
@@ -45,20 +45,10 @@ class ServiceCall:
 class Departure:
     """One convoy's departure; times are nanoseconds of the node's clock.
 
-    Attributes
-    ----------
-    trip
-        The requested trip, on the newest map.
-    held
-        The plan it left on, which may be of an older map and a nearby trip.
-    path
-        From the requested start pose along the route to the goal.
-    published, others
-        The path, and markers and diagnostics, as they were published.
-    trouble
-        What went wrong with earlier recordings; empty if nothing did.
-    response
-        The answer, given at ``end_ns``; None until then.
+    ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
+    map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
+    they were published. ``trouble`` says what went wrong with earlier recordings. The ``response``
+    was given at ``end_ns``; None until then.
     """
 
     id: str
@@ -69,7 +59,7 @@ class Departure:
     held: CachedPlan
     entropy_source: list[int]
     route: Route
-    path: DeparturePath
+    path: Path
     published: RecordedMessage
     others: tuple[RecordedMessage, ...]
     begin_ns: int
@@ -96,12 +86,9 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     ]
     if not departure.parameters.recording.service_events:
         return [*inputs, *published]
-    request = _event(
-        departure, ServiceEventInfo.REQUEST_RECEIVED, begin, request=[departure.call.request]
-    )
-    response = _event(
-        departure, ServiceEventInfo.RESPONSE_SENT, departure.end_ns, response=[departure.response]
-    )
+    asked, sent = ServiceEventInfo.REQUEST_RECEIVED, ServiceEventInfo.RESPONSE_SENT
+    request = _event(departure, asked, begin, request=[departure.call.request])
+    response = _event(departure, sent, departure.end_ns, response=[departure.response])
     return [*inputs, request, *published, response]
 
 
@@ -114,15 +101,11 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
     }
     call = departure.call
     return {
-        'departure_id': departure.id,
-        'departure': departure.number,
-        'frame': trip.map.frame,
+        'departure_id': departure.id, 'departure': departure.number, 'frame': trip.map.frame,
         'versions': dict(software_versions()),
         'parameters': dict(departure.parameters.values),
         'topics': {role: each.topic for role, each in roles.items() if each},
-        'trip': {
-            'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy,
-        },
+        'trip': {'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy},
         'ends': departure.held.ends(trip),
         'route': departure.route.nodes.tolist(),
         'route_entropy_source': departure.entropy_source,

@@ -17,6 +17,10 @@ from ..worker.solve_errors import SolveCancelled
 from .error_codes import OK_CODE, code_of
 
 _DIFFERENT = f'different_paths_of_{DRAWN}'
+_STRATEGY_NUMBERS = (
+    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'expected_length',
+    'shortest_length',
+)
 
 
 class Problem(NamedTuple):
@@ -24,25 +28,16 @@ class Problem(NamedTuple):
 
     code: str
     message: str
-    level: bytes = DiagnosticStatus.ERROR
+    level: bytes
 
 
 @dataclass(frozen=True)
 class Status:
     """The node's status.
 
-    Attributes
-    ----------
-    lifecycle
-        unconfigured, inactive, active or finalized.
-    problems
-        By what they concern: 'request', 'map' or 'recording'.
-    warnings
-        Texts by what they concern: 'parameters' or 'alpha_map'.
-    assessment, stale
-        How good the displayed plan is on the current map; why it is stale, '' if it is not.
-    tight_turns
-        Number of turns of the last path that are tighter than ``route.turning_radius``.
+    ``problems`` are by what they concern: 'request', 'map' or 'recording'; ``warnings`` are texts
+    on 'parameters' or 'alpha_map'. ``assessment`` is of the displayed plan on the current map, and
+    ``stale`` says why that plan is stale, if it is.
     """
 
     lifecycle: str = 'active'
@@ -70,9 +65,8 @@ class Status:
     def with_problem(self, concern: str, error: Exception) -> Status:
         """Return the status with ``error`` as the problem of ``concern``."""
         # A solve that was cancelled on request has not failed.
-        level = (
-            DiagnosticStatus.WARN if isinstance(error, SolveCancelled) else DiagnosticStatus.ERROR
-        )
+        cancelled = isinstance(error, SolveCancelled)
+        level = DiagnosticStatus.WARN if cancelled else DiagnosticStatus.ERROR
         problem = Problem(code_of(error), str(error) or type(error).__name__, level)
         return replace(self, problems={**self.problems, concern: problem})
 
@@ -85,23 +79,22 @@ class Status:
 def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
     """Return the status as the node called ``name`` publishes it on /diagnostics."""
     level, code, message = _summary(status)
+    now = status.assessment
     values = {
         'state': status.state,
         'code': code,
         'message': message,
         **_strategy_values(status.plan),
-        **_assessment_values(status.assessment, status.stale),
+        'current_value': f'{now.value:.9g}' if now else '',
+        'current_gap': f'{now.gap:.9g}' if now else '',
+        'stale': ('yes' if status.stale else 'no') if now else '',
         'departures': str(status.departures),
         'departure_id': status.departure_id,
         'tight_turns': str(status.tight_turns),
         'recording': status.recording,
     }
-    entry = DiagnosticStatus(
-        level=level,
-        name=name,
-        message=message,
-        values=[KeyValue(key=key, value=value) for key, value in values.items()],
-    )
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    entry = DiagnosticStatus(level=level, name=name, message=message, values=pairs)
     return DiagnosticArray(header=Header(stamp=stamp), status=[entry])
 
 
@@ -116,8 +109,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
         return DiagnosticStatus.OK, OK_CODE, status.lifecycle
     waiting = (f'waiting for {", ".join(status.missing)}',) if status.missing else ()
     if status.warnings or waiting:
-        message = '; '.join((*waiting, *status.warnings.values()))
-        return DiagnosticStatus.WARN, OK_CODE, message
+        return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
     warning = (
         status.stale or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
         or _tight_turns_warning(status.tight_turns)
@@ -180,27 +172,15 @@ def _bottleneck_warning(plan: Plan | None) -> str:
     )
 
 
-def _assessment_values(assessment: Assessment | None, stale: str) -> dict[str, str]:
-    """Return the numbers of the displayed plan on the current map."""
-    return {
-        'current_value': '' if assessment is None else f'{assessment.value:.9g}',
-        'current_gap': '' if assessment is None else f'{assessment.gap:.9g}',
-        'stale': '' if assessment is None else 'yes' if stale else 'no',
-    }
-
-
 def _strategy_values(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of the displayed plan; empty ones before the first plan."""
-    names = ('value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
-             'expected_length', 'shortest_length')
     if plan is None:
-        return dict.fromkeys(
-            (*names, _DIFFERENT, 'nodes', 'edges', 'deciding_sites', 'deciding_sites_near_ends',
-             'secured_value', 'stops', 'order', 'solve_seconds'),
-            '',
-        )
+        return dict.fromkeys((
+            *_STRATEGY_NUMBERS, _DIFFERENT, 'nodes', 'edges', 'deciding_sites',
+            'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds',
+        ), '')
     return {
-        **{name: f'{getattr(plan.strategy, name):.9g}' for name in names},
+        **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
         'nodes': str(len(plan.network.points)),
         'edges': str(len(plan.network.edges)),

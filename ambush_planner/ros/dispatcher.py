@@ -13,6 +13,7 @@ from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..errors import AmbushPlannerError, InvalidOption
@@ -21,11 +22,14 @@ from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.solve_errors import SolveCancelled, for_the_log
-from .departure_path import DeparturePath, draw_path, route_entropy_source
+from .cdr import path_bytes
+from .conversions import path_to_ros
+from .departure_path import draw_path, route_entropy_source
 from .departure_record import Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
 from .error_codes import GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
+from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, PlanCache
 from .publishers import Publishers
 from .recordings import Recordings
@@ -57,23 +61,19 @@ class Dispatcher:
     """The plans and the departures of a configured node; thread-safe.
 
     Departures leave one after the other on a thread of their own, and no thread waits for a solve.
+    Requests are refused until ``resume`` is called.
     Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
     """
 
     def __init__(
-        self,
-        parameters: NodeParameters,
-        inputs: Inputs,
-        publishers: Publishers,
-        reporter: Reporter,
-        clock: Clock,
-        logger: RcutilsLogger,
+        self, settings: NodeSettings, inputs: Inputs, publishers: Publishers, reporter: Reporter,
+        clock: Clock, logger: RcutilsLogger,
     ) -> None:
-        self._parameters, self._inputs, self._publishers = parameters, inputs, publishers
+        self._settings, self._inputs, self._publishers = settings, inputs, publishers
         self._reporter, self._clock, self._logger = reporter, clock, logger
         self._plans = PlanCache(logger)
         self._departures = SerialExecutor(
-            'departures', reporter.refresh, lambda error: reporter.failed('request', error),
+            'departures', reporter.set, lambda error: reporter.failed('request', error),
             _shutting_down,
         )
         self._displayed = DisplayedPlan(
@@ -83,8 +83,7 @@ class Dispatcher:
         self._shutdown_began: float | None = None
         self._paused = True
         self._review_queued = False
-        self._contradiction: InvalidOption | None = None
-        self._recordings = Recordings(parameters.recording, self._recorded, logger.warning)
+        self._recordings = Recordings(settings.current.recording, self._recorded, logger.warning)
 
     @property
     def solving(self) -> bool:
@@ -106,7 +105,7 @@ class Dispatcher:
         self._plans.cancel()
 
     def resume(self) -> None:
-        """Accept requests; a new dispatcher refuses them until this is called."""
+        """Accept requests."""
         self._paused = False
         if self._displayed.cached is not None:
             self.map_changed()
@@ -121,15 +120,13 @@ class Dispatcher:
                 f'recording: {lost} departures could not be written before the shutdown'
             )
 
-    def reconfigure(self, parameters: NodeParameters) -> None:
-        """Use other parameters from the next request on."""
-        before, self._parameters, self._contradiction = self._parameters, parameters, None
-        if before.publish_path and not parameters.publish_path:
-            self._departures.submit(self._withdraw_path)  # later departures are not published
+    def withdraw_path(self) -> None:
+        """Replace the latched path by an empty one, after the departures that are under way."""
+        def withdraw() -> None:
+            if self._count:
+                self._publishers.publish('path', Path())
 
-    def refuse(self, error: InvalidOption) -> None:
-        """Refuse requests for this reason until ``reconfigure`` is called."""
-        self._contradiction = error
+        self._departures.submit(withdraw)
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -139,9 +136,9 @@ class Dispatcher:
 
     def depart(self, call: ServiceCall, trip_request: TripRequest) -> Future[Departure]:
         """Depart on a trip, unless the returned future is cancelled before the route is drawn."""
-        self._refuse_contradictions()
+        parameters = self._settings.agreeing()
         self._refuse_unheard(call)
-        pending = _Pending(call, trip_request, self._parameters, self._now())
+        pending = _Pending(call, trip_request, parameters, self._now())
         self._departures.submit(lambda: self._try(pending), pending.departure)
         return pending.departure
 
@@ -153,19 +150,19 @@ class Dispatcher:
 
     def replan(self, trip_request: TripRequest) -> Future[Plan]:
         """Solve a trip on the current map, whether or not a plan is cached."""
-        self._refuse_contradictions()
+        self._settings.agreeing()
         result: Future[Plan] = Future()
 
         def begin() -> None:
             self._refuse_unless_active()
-            parameters = self._parameters
+            parameters = self._settings.current
             trip = self._inputs.locate(trip_request, parameters.robot)
             self._when_solved(self._plans.solve(trip, parameters), show, result)
 
         def show(cached: CachedPlan) -> None:
             self._displayed.show(cached)
             self._review()
-            self._reporter.succeeded()
+            self._reporter.succeeded('request')
             result.set_result(cached.plan)
 
         self._departures.submit(begin, result)
@@ -184,10 +181,10 @@ class Dispatcher:
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
         suits = solved is not None and solved.suits(trip, parameters)
         cached = solved if suits else self._plans.find(trip, parameters)
-        if cached is None:
-            self._try_after(self._plans.plan_for(trip, parameters), pending)
-        else:
+        if cached is not None:
             self._leave(cached, trip, pending)
+        else:
+            self._try_after(self._plans.plan_for(trip, parameters), pending)
 
     def _try_after(self, solve: Future[CachedPlan], pending: _Pending) -> None:
         pending.solves += 1
@@ -203,7 +200,7 @@ class Dispatcher:
         self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None], result: Future[Any]
     ) -> None:
         """Use the plan on the departures thread; an error becomes the exception of ``result``."""
-        self._reporter.refresh()
+        self._reporter.set()
         solve.add_done_callback(
             lambda done: self._departures.submit(lambda: use(done.result()), result)
         )
@@ -225,18 +222,18 @@ class Dispatcher:
         source = route_entropy_source(parameters.seed, number)
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.begin_ns, self._now())
-        drawn = draw_path(
-            cached, trip, source, parameters.path_spacing, Time(nanoseconds=leaving).to_msg()
-        )
+        drawn = draw_path(cached, trip, source, parameters.path_spacing)
         if drawn is None:
             self._try_after(self._plans.solve(trip, parameters), pending)
             return
         if not pending.departure.set_running_or_notify_cancel():
             return
-        route, path = drawn
+        route, rows = drawn
+        header = Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=leaving).to_msg())
+        path = path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
         published = self._publish_path(path, pending)
         self._count = number
-        tight = tight_turns(path.rows, cached.plan.options.drive.turning_radius)
+        tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
         report, trouble = self._reporter.departed(number, departure_id, tight)
         pending.departure.set_result(Departure(
             departure_id, number, pending.call, trip, parameters, cached, source, route, path,
@@ -244,26 +241,16 @@ class Dispatcher:
             max(leaving, self._now()), trouble,
         ))
 
-    def _publish_path(self, path: DeparturePath, pending: _Pending) -> RecordedMessage:
+    def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:
         """Publish the path if that is allowed, and return it as the recording keeps it."""
-        if pending.parameters.publish_path and self._parameters.publish_path:
-            return self._publishers.publish('path', path.to_bytes())
-        return self._publishers.as_recorded('path', path.to_bytes(), f'{pending.call.name}/path')
-
-    def _withdraw_path(self) -> None:
-        """Replace the latched path by an empty one."""
-        if self._count:
-            self._publishers.publish('path', Path())
-
-    def _refuse_contradictions(self) -> None:
-        if self._contradiction is not None:
-            raise InvalidOption(
-                f'parameters contradict each other: {self._contradiction}'
-            ) from self._contradiction
+        data = path_bytes(path)
+        if pending.parameters.publish_path and self._settings.current.publish_path:
+            return self._publishers.publish('path', data)
+        return self._publishers.as_recorded('path', data, f'{pending.call.name}/path')
 
     def _refuse_unheard(self, call: ServiceCall) -> None:
         """Refuse a departure whose path would reach nobody."""
-        if call.kind is Trigger and not self._parameters.publish_path:
+        if call.kind is Trigger and not self._settings.current.publish_path:
             raise InvalidOption(
                 'new_route cannot return a path while path.publish is false: call get_plan'
             )
@@ -278,7 +265,7 @@ class Dispatcher:
         """Assess the displayed plan; solve it again if it is stale and the node is active."""
         self._review_queued = False
         after_resolve = None if self._paused else self._review
-        self._displayed.review(self._parameters.replan_tolerance, after_resolve)
+        self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _now(self) -> int:
         """Return the time of the node's clock [ns]."""
@@ -288,12 +275,8 @@ class Dispatcher:
         """Log and report how the recording of a departure went."""
         if error is not None:
             self._logger.error(f'recording: {for_the_log(error)}')
-        if options != self._parameters.recording:
-            return
-        if error is None:
-            self._reporter.recording(True)
-        else:
-            self._reporter.recording_failed(error)
+        if options == self._settings.current.recording:
+            self._reporter.recording(True, error)
 
 
 def _shutting_down() -> SolveCancelled:

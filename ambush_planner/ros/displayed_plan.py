@@ -23,24 +23,13 @@ from .serial_executor import SerialExecutor
 class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
-    Call all methods on the departures thread, which is that of ``departures``.
-
-    Attributes
-    ----------
-    cached
-        The plan; None before the first one.
-    markers
-        The markers published for it.
+    Call all methods on the departures thread, which is that of ``departures``. The plan is
+    ``cached``, None before the first one; ``markers`` are those published for it.
     """
 
     def __init__(
-        self,
-        plans: PlanCache,
-        inputs: Inputs,
-        publishers: Publishers,
-        reporter: Reporter,
-        clock: Clock,
-        departures: SerialExecutor,
+        self, plans: PlanCache, inputs: Inputs, publishers: Publishers, reporter: Reporter,
+        clock: Clock, departures: SerialExecutor,
     ) -> None:
         self._plans, self._inputs, self._publishers = plans, inputs, publishers
         self._reporter, self._clock, self._departures = reporter, clock, departures
@@ -65,7 +54,8 @@ class DisplayedPlan:
         self.cached = cached
         newest = self._inputs.current_map()
         same = newest.same_ground(cached.trip.map)
-        self._reporter.plan_shown(plan, cached.ground.assess(newest) if same else None)
+        assessment = cached.ground.assess(newest) if same else None
+        self._reporter.set(plan=plan, assessment=assessment, stale='')
 
     def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
         """Report how good the plan is on the current map.
@@ -76,23 +66,23 @@ class DisplayedPlan:
         cached, newest = self.cached, self._inputs.current_map()
         self._plans.keep_ground(newest)
         if cached is None or not newest.same_ground(cached.trip.map):
-            self._reporter.plan_assessed(None, '')
+            self._reporter.set(assessment=None, stale='')
             return
         assessment = cached.ground.assess(newest)
         if not assessment.is_stale(cached.plan.strategy.value, tolerance):
             self._latest_resolve = None
             self._plans.withdraw_background()
-            self._reporter.plan_assessed(assessment, '')
+            self._reporter.set(assessment=assessment, stale='')
             return
         why = 'the map has changed: ' + (
             f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
             if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
         )
         if after_resolve is None:
-            self._reporter.plan_assessed(assessment, why)
-            return
-        self._reporter.plan_assessed(assessment, f'{why}; it is being solved again')
-        self._resolve(cached, why, after_resolve)
+            self._reporter.set(assessment=assessment, stale=why)
+        else:
+            self._reporter.set(assessment=assessment, stale=f'{why}; it is being solved again')
+            self._resolve(cached, why, after_resolve)
 
     def _resolve(self, cached: CachedPlan, why: str, after_resolve: Callable[[], None]) -> None:
         """Have the plan solved for the current map in the background, and show the new one."""
@@ -103,16 +93,16 @@ class DisplayedPlan:
                 self.show(solve.result())
             except SolveCancelled:
                 if solve is self._latest_resolve:  # not superseded by a later one
-                    self._reporter.plan_stale(f'{why}, and solving it again was cancelled')
+                    self._reporter.set(stale=f'{why}, and solving it again was cancelled')
                 return
             except AmbushPlannerError as error:
-                self._reporter.plan_stale(f'{why}, and solving it again failed: {error}')
+                self._reporter.set(stale=f'{why}, and solving it again failed: {error}')
                 return
             after_resolve()
 
         solve = self._plans.solve(trip, cached.parameters, background=True)
         self._latest_resolve = solve
-        self._reporter.refresh()
+        self._reporter.set()
         solve.add_done_callback(
             lambda done: self._departures.submit(lambda: show_result(done))
         )

@@ -48,16 +48,15 @@ def protect_services(node: Node) -> None:
     They raise, for instance, at a parameter value of an unknown type, and at a transition that the
     node's state does not have.
     """
+    def answer_anyway(
+        name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any
+    ) -> Any:
+        try:
+            return callback(request, response)
+        except Exception as error:
+            # The error's own message could repeat the content of the request.
+            node.get_logger().error(f'{name}: refused, {type(error).__name__}')
+            return response
+
     for service in list(node.services):
-        service.callback = partial(_answer_anyway, node, service.srv_name, service.callback)
-
-
-def _answer_anyway(
-    node: Node, name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any
-) -> Any:
-    try:
-        return callback(request, response)
-    except Exception as error:
-        # The error's own message could repeat the content of the request.
-        node.get_logger().error(f'{name}: refused, {type(error).__name__}')
-        return response
+        service.callback = partial(answer_anyway, service.srv_name, service.callback)

@@ -24,16 +24,10 @@ MOST_STOPS = 50
 
 @dataclass(frozen=True, eq=False)
 class TripRequest:
-    """Where somebody wants to go, in any frames.
+    """Where somebody wants to go, in any frames, via some stops.
 
-    Attributes
-    ----------
-    start
-        None: the robot's pose at departure.
-    goal_tolerance
-        How far a blocked goal may be moved [m].
-    via
-        The stops on the way, if any.
+    Without a start it is the robot's pose at departure. A blocked goal may be moved by
+    ``goal_tolerance`` [m].
     """
 
     start: ReceivedMessage | None
@@ -65,23 +59,25 @@ class Inputs:
     checked at departure, when its map is known; a bad pose replaces the previous one, so that
     nobody departs for a goal that has been given up. If a trip starts at the robot, its pose is
     recorded as if it had arrived on ``start_topic``.
+
+    Attributes
+    ----------
+    start, goal, via
+        Where later departures begin and lead, and their stops in order; None: not given.
     """
 
     def __init__(self, transforms: FrameTransforms, start_topic: str) -> None:
         self._transforms, self._start_topic = transforms, start_topic
+        self.start: ReceivedMessage | None = None
+        self.goal: ReceivedMessage | None = None
+        self.via: ReceivedMessage | None = None
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
-        self._start: ReceivedMessage | None = None
-        self._goal: ReceivedMessage | None = None
-        self._via: ReceivedMessage | None = None
 
     def accept_map(self, received: ReceivedMessage) -> CurrentMap:
         """Make a map the current one and return it; an equal map changes nothing.
 
-        Raises
-        ------
-        InvalidRiskMap
-            The map is malformed; the previous one stays.
+        Raises InvalidRiskMap if the map is malformed; the previous one stays.
         """
         try:
             new = map_from(received)
@@ -93,52 +89,32 @@ class Inputs:
     def update_map(self, update: Any) -> CurrentMap:
         """Change the cells that a map_msgs/OccupancyGridUpdate gives, and return the map.
 
-        Raises
-        ------
-        NoMap
-            No map has arrived.
-        InvalidRiskMap
-            The update does not fit the map, which stays as it was.
+        Raises NoMap if no map has arrived, and InvalidRiskMap if the update does not fit the map,
+        which stays as it was.
         """
         return self._replace_map(updated_map(self.current_map(), update))
 
-    def set_start(self, received: ReceivedMessage) -> None:
-        """Set where later departures begin."""
-        self._start = received
-
-    def set_goal(self, received: ReceivedMessage) -> None:
-        """Set where later departures lead."""
-        self._goal = received
-
-    def set_via(self, received: ReceivedMessage) -> None:
-        """Set the stops of later departures, in order; an empty array clears them."""
-        self._via = received if received.message.poses else None
-
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        arrived = {
-            'alpha_map': self._map is not None,
-            'start_pose': self._start is not None or bool(robot.frame),
-            'goal_pose': self._goal is not None,
+        inputs = {
+            'alpha_map': self._map, 'start_pose': self.start or robot.frame,
+            'goal_pose': self.goal,
         }
-        return tuple(name for name, done in arrived.items() if not done)
+        return tuple(name for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:
         """Return the trip from the latest start to the latest goal via the latest stops.
 
-        Raises
-        ------
-        NoMap, NoStart, NoGoal
-            An input has not arrived.
+        Raises NoMap, NoStart or NoGoal if an input has not arrived.
         """
         self.current_map()
-        if self._start is None and not robot.frame:
+        if self.start is None and not robot.frame:
             raise NoStart(
                 'no start yet: publish one on start_pose or initialpose, or set robot_base_frame'
             )
-        if self._goal is None:
+        if self.goal is None:
             raise NoGoal('no goal yet: publish one on goal_pose')
-        return TripRequest(self._start, self._goal, via=self._via)
+        return TripRequest(self.start, self.goal, via=self.via)
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises NoMap if no map has arrived."""
@@ -150,12 +126,8 @@ class Inputs:
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
 
-        Raises
-        ------
-        NoMap
-            No map has arrived.
-        FrameMismatch, InvalidPose
-            A pose cannot be transformed into the map's frame, or is not a valid pose.
+        Raises NoMap if no map has arrived, and FrameMismatch or InvalidPose if a pose cannot be
+        transformed into the map's frame or is not a valid pose.
         """
         present = self.current_map()
         start, start_pose = self._located_start(request.start, robot, present.frame)
@@ -163,14 +135,9 @@ class Inputs:
             request.goal.message, 'goal', present.frame, robot.max_age
         )
         return Trip(
-            map=present,
-            start=start,
-            goal=request.goal,
-            start_pose=start_pose,
-            goal_pose=goal_pose,
-            start_xy=position_from_ros(start_pose, 'start'),
-            goal_xy=position_from_ros(goal_pose, 'goal'),
-            goal_tolerance=request.goal_tolerance,
+            map=present, start=start, goal=request.goal, start_pose=start_pose,
+            goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
+            goal_xy=position_from_ros(goal_pose, 'goal'), goal_tolerance=request.goal_tolerance,
             via=request.via,
             stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
         )
@@ -181,8 +148,7 @@ class Inputs:
         """Return the start to record, and its pose in the map's frame."""
         if start is not None and (start.message.header.frame_id or not robot.frame):
             return start, self._transforms.to_frame(start.message, 'start', frame, robot.max_age)
-        here = PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))
-        pose = self._transforms.to_frame(here, 'start', frame, robot.max_age)
+        pose = self._transforms.to_frame(robot_pose(robot), 'start', frame, robot.max_age)
         return ReceivedMessage(self._start_topic, type_name(pose), pose, LATEST), pose
 
     def _located_stops(
@@ -195,16 +161,24 @@ class Inputs:
             raise InvalidPose(
                 f'via_poses: {len(via.message.poses)} stops, but at most {MOST_STOPS} are allowed'
             )
-        stops = []
-        for number, pose in enumerate(via.message.poses, start=1):
-            name = f'stop {number}'
-            given = PoseStamped(header=via.message.header, pose=pose)
-            moved = self._transforms.to_frame(given, name, frame, max_age)
-            stops.append(position_from_ros(moved, name))
-        return tuple(stops)
+        stops = {
+            f'stop {number}': PoseStamped(header=via.message.header, pose=pose)
+            for number, pose in enumerate(via.message.poses, start=1)
+        }
+        return tuple(
+            position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
+            for name, given in stops.items()
+        )
 
     def _replace_map(self, new: CurrentMap) -> CurrentMap:
         if self._map is None or not self._map.same_map(new):
             self._map = new
         self._refused = None
         return self._map
+
+
+def robot_pose(robot: RobotOptions) -> PoseStamped | None:
+    """Return the pose of the robot, in its own frame; None if that has no name."""
+    if not robot.frame:
+        return None
+    return PoseStamped(header=Header(frame_id=robot.frame), pose=pose_to_ros(0.0, 0.0))

@@ -28,7 +28,6 @@ _LAYERS = {'network': -3, 'edge_probabilities': -2, 'mean_direction': -1, 'ambus
 # so that the path below them is visible.
 _CONVOY = np.array([[0.55, 0.80, 1.00, 0.25], [0.25, 0.55, 1.00, 0.70], [0.00, 0.20, 1.00, 1.0]])
 _AMBUSHER = np.array([[1.00, 0.70, 0.20, 0.35], [1.00, 0.50, 0.10, 0.70], [0.90, 0.30, 0.00, 0.9]])
-_SHADES = 64
 _ONE_COLOUR = np.empty((0, 4), dtype=np.float32)
 
 
@@ -51,13 +50,11 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
     The length shows how certain the direction is, the colour how often the node is visited.
     """
     network, x = strategy.network, strategy.visit_probability
-    shown = np.flatnonzero(x >= _LEAST_SHOWN)
-    length = _edge_length(network)
-    direction = strategy.mean_direction()[shown]
-    shown, direction = _drop_zero(shown, direction)
+    length, direction = _edge_length(network), strategy.mean_direction()
+    shown = np.flatnonzero((x >= _LEAST_SHOWN) & (np.hypot(*direction.T) > 1e-6))
     marker = _marker('mean_direction', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.06 * length
-    arrows = _arrows(network.points[shown], 0.8 * length * direction)
+    arrows = _arrows(network.points[shown], 0.8 * length * direction[shown])
     return marker_array(marker, arrows, _colours(_CONVOY, np.repeat(np.sqrt(x[shown]), 6)))
 
 
@@ -123,20 +120,13 @@ def _pairs(network: Network) -> IndexArray:
 def _colours(ramp: FloatArray, shares: FloatArray) -> npt.NDArray[np.float32]:
     """Return a colour (K, 4) of the ramp for each share (K,) in 0..1."""
     at = np.linspace(0.0, 1.0, len(ramp))
-    channels = [np.interp(np.linspace(0.0, 1.0, _SHADES), at, channel) for channel in ramp.T]
-    shades = np.stack(channels, axis=1).astype(np.float32)
-    return shades[np.rint(np.clip(shares, 0.0, 1.0) * (_SHADES - 1)).astype(np.int64)]
-
-
-def _drop_zero(nodes: IndexArray, direction: FloatArray) -> tuple[IndexArray, FloatArray]:
-    moving = np.hypot(*direction.T) > 1e-6
-    return nodes[moving], direction[moving]
+    channels = [np.interp(shares, at, channel) for channel in ramp.T]
+    return np.stack(channels, axis=1).astype(np.float32)
 
 
 def _arrows(tails: FloatArray, shafts: FloatArray) -> FloatArray:
     """Return the ends (6 * K, 2) of the three strokes of each arrow."""
     tips = tails + shafts
     across = np.stack((-shafts[:, 1], shafts[:, 0]), axis=1)
-    barbs = (tips - 0.3 * shafts + 0.15 * side * across for side in (1.0, -1.0))
-    left, right = barbs
+    left, right = (tips - 0.3 * shafts + 0.15 * side * across for side in (1.0, -1.0))
     return np.stack((tails, tips, tips, left, tips, right), axis=1).reshape(-1, 2)

@@ -24,42 +24,45 @@ from ..planning.parameters import PARAMETERS, Declaration
 _INT64_MAX = 2**63 - 1
 
 
-def declare_parameters(
-    node: Node,
-    changed: Callable[[NodeParameters], None],
-    contradicting: Callable[[InvalidOption], None],
-) -> NodeParameters:
-    """Declare all parameters; return their values, and call back after each later change.
+class NodeSettings:
+    """The parameters of a node, all of which this declares.
 
-    The changes of one request must be possible for some values of the other parameters. If they
-    contradict the present values, as may happen while ``ros2 param load`` sets one parameter after
-    the other, ``contradicting`` is called with the reason, otherwise ``changed``.
+    The changes of one request must be possible for some values of the other parameters. They may
+    contradict the present values, for instance while ``ros2 param load`` sets one parameter after
+    the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
+    reason. ``changed`` is called after each change with the values before it.
 
-    Raises
-    ------
-    InvalidOption
-        The initial values are invalid as a set.
-    rclpy.exceptions.ParameterException
-        An initial value has the wrong type or is out of its range.
+    Raises InvalidOption if the initial values are invalid as a set, and
+    rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
-    node.declare_parameters(
-        '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
-    )
-    _warn_of_unknown(node)
-    parameters = parameters_from(_values(node))
 
-    def report(_: list[Parameter]) -> None:
-        try:
-            new = parameters_from(_values(node))
-        except InvalidOption as error:
-            contradicting(error)
-        else:
-            changed(new)
+    def __init__(self, node: Node, changed: Callable[[NodeParameters], None]) -> None:
+        node.declare_parameters(
+            '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
+        )
+        _warn_of_unknown(node)
+        self.current = parameters_from(_values(node))
+        self.contradiction: InvalidOption | None = None
 
-    node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
-    node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
-    node.add_post_set_parameters_callback(report)
-    return parameters
+        def update(_: list[Parameter]) -> None:
+            before = self.current
+            try:
+                self.current, self.contradiction = parameters_from(_values(node)), None
+            except InvalidOption as error:
+                self.contradiction = error
+            changed(before)
+
+        node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
+        node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
+        node.add_post_set_parameters_callback(update)
+
+    def agreeing(self) -> NodeParameters:
+        """Return the values; raises InvalidOption while they contradict each other."""
+        if self.contradiction is not None:
+            raise InvalidOption(
+                f'parameters contradict each other: {self.contradiction}'
+            ) from self.contradiction
+        return self.current
 
 
 def _warn_of_unknown(node: Node) -> None:
@@ -105,15 +108,13 @@ def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if the changes contradict all values of the other parameters."""
     others = {name: each.default for name, each in PARAMETERS.items()}
     others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS}
-    refused: list[InvalidOption] = []
-    for solver in SOLVERS:
+    for solver in reversed(SOLVERS):  # the reason given is that of the first solver
         try:
             parameters_from({**others, 'strategy.solver': solver, **changes})
-        except InvalidOption as error:
-            refused.append(error)
-        else:
             return
-    raise refused[0]
+        except InvalidOption as error:
+            refused = error
+    raise refused
 
 
 def _descriptor(declaration: Declaration) -> ParameterDescriptor:
@@ -123,14 +124,11 @@ def _descriptor(declaration: Declaration) -> ParameterDescriptor:
         description=declaration.description,
         additional_constraints='read at the start only' if declaration.fixed else constraint,
     )
+    low, high = declaration.low, declaration.high
     if isinstance(declaration.default, float):
-        result.floating_point_range = [
-            FloatingPointRange(from_value=float(declaration.low), to_value=float(declaration.high))
-        ]
+        limits = FloatingPointRange(from_value=float(low), to_value=float(high))
+        result.floating_point_range = [limits]
     elif isinstance(declaration.default, int) and not isinstance(declaration.default, bool):
-        result.integer_range = [
-            IntegerRange(
-                from_value=int(declaration.low), to_value=int(min(declaration.high, _INT64_MAX))
-            )
-        ]
+        ends = IntegerRange(from_value=int(low), to_value=int(min(high, _INT64_MAX)))
+        result.integer_range = [ends]
     return result

@@ -44,11 +44,9 @@ class CachedPlan:
 
     def suits(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether one can depart on this plan for a trip that may differ a little."""
-        if not trip.map.same_ground(self.trip.map) or not _same(self.parameters, parameters):
+        if not trip.map.same_ground(self.trip.map) or not self._is_for(trip, parameters):
             return False
         if self.goal_was_moved and _goal(self.trip) != _goal(trip):
-            return False
-        if _stops(self.trip, self.parameters) != _stops(trip, parameters):
             return False
         distance = _distance(self.trip, trip)
         if distance > _tolerance(parameters, self.plan.spacing):
@@ -63,9 +61,11 @@ class CachedPlan:
         return (
             self.trip.start_xy == trip.start_xy
             and _goal(self.trip) == _goal(trip)
-            and _stops(self.trip, self.parameters) == _stops(trip, parameters)
-            and _same(self.parameters, parameters)
+            and self._is_for(trip, parameters)
         )
+
+    def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
+        return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
 
     def _connects(self, trip: Trip) -> bool:
         """Whether all first and last edges in use can be driven from the start and to the goal.
@@ -131,17 +131,11 @@ class PlanCache:
         """Return the future of a plan for the trip: a kept one, or one that is being solved.
 
         A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
-
-        Raises
-        ------
-        SolveCancelled
-            The cache is closed.
-        QueueFull
-            Too many solves wait.
+        Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
         with self._lock:
             if (found := self.find(trip, parameters)) is not None:
-                return completed(lambda: found)
+                return completed(found)
             for each in self._pending:
                 if not each.solve.done() and _will_suit(each, trip, parameters):
                     return self._submit(each.trip, each.parameters, background=False)
@@ -182,12 +176,10 @@ class PlanCache:
     def _submit(
         self, trip: Trip, parameters: NodeParameters, background: bool
     ) -> Future[CachedPlan]:
+        request = _request(trip, parameters, self._warm_start(trip, parameters))
         solve = self._queue.submit(
-            _key(trip, parameters),
-            _request(trip, parameters, self._warm_start(trip, parameters)),
-            partial(self._solved, trip, parameters),
-            parameters.queue_size,
-            background,
+            _key(trip, parameters), request, partial(self._solved, trip, parameters),
+            parameters.queue_size, background,
         )
         if all(each.solve is not solve for each in self._pending):
             self._pending.append(_Pending(trip, parameters, solve))
@@ -227,9 +219,7 @@ class PlanCache:
 
 def _distance(one: Trip, other: Trip) -> float:
     """Return the distance of the starts or of the goals of two trips [m], the larger one."""
-    return max(
-        math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy)
-    )
+    return max(math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy))
 
 
 def _tolerance(parameters: NodeParameters, spacing: float) -> float:
@@ -242,13 +232,11 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     other, used = pending.trip, pending.parameters
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
-    limits = (each.planning.strategy.time_limit for each in (used, parameters))
     return (
         trip.map.same_ground(other.map)
-        and _same(used, parameters)
-        and len(set(limits)) == 1
+        and _conditions(other, used) == _conditions(trip, parameters)
+        and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
         and other.goal_tolerance == trip.goal_tolerance
-        and _stops(other, used) == _stops(trip, parameters)
         and _distance(other, trip) <= _tolerance(parameters, spacing)
     )
 
@@ -257,41 +245,23 @@ def _goal(trip: Trip) -> tuple[_Position, float]:
     return trip.goal_xy, trip.goal_tolerance
 
 
-def _stops(trip: Trip, parameters: NodeParameters) -> tuple[tuple[_Position, ...], str]:
-    """Return the stops, and how their order is chosen if there is a choice."""
-    return trip.stops_xy, parameters.trip_order if len(trip.stops_xy) > 1 else ''
-
-
-def _same(one: NodeParameters, other: NodeParameters) -> bool:
-    """Whether two sets of parameters lead to the same plan."""
-    return one is other or _options(one) == _options(other)
-
-
-def _options(parameters: NodeParameters) -> tuple[object, ...]:
-    """Return the parameters that a plan depends on, which exclude its time limit."""
-    planning = parameters.planning
-    strategy = replace(planning.strategy, time_limit=math.inf)
-    return parameters.occupancy, replace(planning, strategy=strategy, max_gap=0.0)
+def _conditions(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
+    """Return what a plan depends on, except for its map and ends and the limits of its solve."""
+    strategy = replace(parameters.planning.strategy, time_limit=math.inf)
+    planning = replace(parameters.planning, strategy=strategy, max_gap=0.0)
+    order = parameters.trip_order if len(trip.stops_xy) > 1 else ''
+    return trip.stops_xy, order, parameters.occupancy, planning
 
 
 def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
     """Return the key by which equal solves are shared."""
-    limit = parameters.planning.strategy.time_limit, parameters.max_gap
-    where = trip.map, trip.start_xy, trip.goal_xy, trip.goal_tolerance
-    return *where, *_stops(trip, parameters), *_options(parameters), *limit
+    limits = parameters.planning.strategy.time_limit, parameters.max_gap
+    return trip.map, trip.start_xy, _goal(trip), _conditions(trip, parameters), limits
 
 
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
     return PlanRequest(
-        trip.map.values,
-        trip.map.resolution,
-        trip.map.origin,
-        parameters.occupancy,
-        trip.start_xy,
-        trip.goal_xy,
-        trip.goal_tolerance,
-        parameters.planning,
-        trip.stops_xy,
-        parameters.trip_order,
-        warm,
+        trip.map.values, trip.map.resolution, trip.map.origin, parameters.occupancy,
+        trip.start_xy, trip.goal_xy, trip.goal_tolerance, parameters.planning, trip.stops_xy,
+        parameters.trip_order, warm,
     )

@@ -27,7 +27,7 @@ from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
 from .inputs import Inputs
-from .parameter_changes import declare_parameters
+from .parameter_changes import NodeSettings
 from .publishers import PLAN_TOPICS, STATUS_TOPICS, Publishers
 from .reporter import Reporter
 from .requests import Requests
@@ -53,10 +53,7 @@ class PlannerNode(LifecycleNode):
     Callbacks never wait, so a single-threaded executor is enough and answers soonest. With several
     threads rclpy can raise ``InvalidHandle`` if the node is cleaned up while messages arrive.
 
-    Raises
-    ------
-    InvalidOption, rclpy.exceptions.ParameterException
-        The initial parameters are invalid.
+    Raises InvalidOption or rclpy.exceptions.ParameterException if initial parameters are invalid.
     """
 
     def __init__(self, **node_arguments: Any) -> None:
@@ -66,7 +63,7 @@ class PlannerNode(LifecycleNode):
         with ExitStack() as on_error:
             on_error.enter_context(self._closing)
             self._build()
-            if self._settings.values['autostart']:
+            if self._settings.current.values['autostart']:
                 self._autostart()
             on_error.pop_all()
 
@@ -76,12 +73,9 @@ class PlannerNode(LifecycleNode):
         self._dispatcher: Dispatcher | None = None
         self._inputs: Inputs | None = None
         self._topic_subscriptions: Subscriptions | None = None
-        self._contradiction: InvalidOption | None = None
         self._configure_error: Exception | None = None
-        self._settings = declare_parameters(
-            self, self._reconfigure, self._refuse_contradiction
-        )
-        if self._settings.seed >= 0:
+        self._settings = NodeSettings(self, self._parameters_changed)
+        if self._settings.current.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
                 'be foreseen; only for tests and replay'
@@ -91,21 +85,25 @@ class PlannerNode(LifecycleNode):
             Publishers(self, STATUS_TOPICS),
             self.get_clock(),
             lambda: self._dispatcher is not None and self._dispatcher.solving,
-            self._settings.error_hold,
+            lambda: self._settings.current.error_hold,
         )
         self._error_boundary = ErrorBoundary(
             self.context, self.get_logger(), self._reporter.failed
         )
-        self._reporter.recording(self._settings.recording.enabled)
+        self._reporter.recording(self._settings.current.recording.enabled)
         requests = Requests(
             self, self._error_boundary, lambda: _configured(self._dispatcher),
-            lambda: _configured(self._inputs), lambda: self._settings.robot,
+            lambda: _configured(self._inputs), self._settings,
         )
-        self._closing.callback(ComputePath(self, self._error_boundary, requests).close)
+        action = ComputePath(self, self._error_boundary, requests, self._settings)
+        self._closing.callback(action.close)
         self._closing.callback(lambda: self._configured.close())
         # A steady clock: diagnostics go on while simulated time is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(_REPORT_PERIOD, self._on_timer, clock=steady)
+        self.create_timer(
+            _REPORT_PERIOD, clock=steady,
+            callback=lambda: self._error_boundary.attempt('diagnostics', 'request', self._report),
+        )
 
     def _autostart(self) -> None:
         for transition in (self.trigger_configure, self.trigger_activate):
@@ -119,32 +117,32 @@ class PlannerNode(LifecycleNode):
         )
         if self._configure_error is not None:
             return TransitionCallbackReturn.FAILURE
-        self._reporter.lifecycle('inactive')
+        self._reporter.set(lifecycle='inactive')
         self._report_missing()
         return TransitionCallbackReturn.SUCCESS
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer requests."""
         _configured(self._dispatcher).resume()
-        self._reporter.lifecycle('active')
+        self._reporter.set(lifecycle='active')
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests and cancel solves; plans and inputs are kept."""
         _configured(self._dispatcher).pause()
-        self._reporter.lifecycle('inactive')
+        self._reporter.set(lifecycle='inactive')
         return TransitionCallbackReturn.SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything except the parameters."""
         self._configured.close()
-        self._reporter.lifecycle('unconfigured')
+        self._reporter.unconfigured()
         return TransitionCallbackReturn.SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests for good."""
         self._configured.close()
-        self._reporter.lifecycle('finalized')
+        self._reporter.set(lifecycle='finalized')
         return TransitionCallbackReturn.SUCCESS
 
     def _configure(self) -> None:
@@ -160,8 +158,6 @@ class PlannerNode(LifecycleNode):
                 self.get_clock(), self.get_logger(),
             )
             made.callback(self._dispatcher.close)
-            if self._contradiction is not None:
-                self._dispatcher.refuse(self._contradiction)
             self._topic_subscriptions = Subscriptions(
                 self, self._inputs, self._error_boundary, self._report_missing,
                 self._map_accepted,
@@ -190,36 +186,25 @@ class PlannerNode(LifecycleNode):
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
         self._closing.close()
 
-    def _reconfigure(self, parameters: NodeParameters) -> None:
-        before, self._settings = self._settings, parameters
-        self._reporter.error_hold = parameters.error_hold
-        self._reporter.warn('parameters', '')
-        self._contradiction = None
-        if self._dispatcher is not None:
-            self._dispatcher.reconfigure(parameters)
-        if parameters.recording != before.recording:
-            self._reporter.recording(parameters.recording.enabled)
+    def _parameters_changed(self, before: NodeParameters) -> None:
+        now, contradiction = self._settings.current, self._settings.contradiction
+        self._reporter.warn('parameters', '' if contradiction is None else (
+            f'parameters contradict each other, and requests are refused: {contradiction}'
+        ))
+        if self._dispatcher is not None and before.publish_path and not now.publish_path:
+            self._dispatcher.withdraw_path()
+        if now.recording != before.recording:
+            self._reporter.recording(now.recording.enabled)
         self._report_missing()
-
-    def _refuse_contradiction(self, error: InvalidOption) -> None:
-        self._contradiction = error
-        if self._dispatcher is not None:
-            self._dispatcher.refuse(error)
-        self._reporter.warn(
-            'parameters', f'parameters contradict each other, and requests are refused: {error}'
-        )
 
     def _report_missing(self) -> None:
         if self._inputs is not None:
-            self._reporter.inputs(self._inputs.missing(self._settings.robot))
+            self._reporter.set(missing=self._inputs.missing(self._settings.current.robot))
 
     def _map_accepted(self) -> None:
-        self._reporter.map_accepted()
+        self._reporter.succeeded('map')
         self._report_missing()
         _configured(self._dispatcher).map_changed()
-
-    def _on_timer(self) -> None:
-        self._error_boundary.attempt('diagnostics', 'request', self._report)
 
     def _report(self) -> None:
         listening = self._topic_subscriptions
@@ -228,7 +213,7 @@ class PlannerNode(LifecycleNode):
 
 
 def _configured(part: _Part | None) -> _Part:
-    """Return a part of a configured node; raises NotActive if the node is not configured."""
+    """Return a part of a configured node; raises NotActive without one."""
     if part is None:
         raise NotActive(
             'the node is not configured: nobody departs before it is configured and activated '

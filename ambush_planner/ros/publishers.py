@@ -15,25 +15,21 @@ from visualization_msgs.msg import MarkerArray
 from ..recordings import RecordedMessage, type_name
 from .qos import DIAGNOSTICS, LATCHED
 
+Topics = Mapping[str, tuple[type, QoSProfile]]
+MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
-PLAN_TOPICS = {
+PLAN_TOPICS: Topics = {
     'path': (PathMessage, LATCHED),
-    'edge_probabilities': (MarkerArray, LATCHED),
-    'mean_direction': (MarkerArray, LATCHED),
-    'ambush_sites': (MarkerArray, LATCHED),
-    'network': (MarkerArray, LATCHED),
-    'stops': (MarkerArray, LATCHED),
+    **dict.fromkeys(MARKERS, (MarkerArray, LATCHED)),
 }
 # Topics that exist in all states of the node.
-STATUS_TOPICS = {
-    '/diagnostics': (DiagnosticArray, DIAGNOSTICS),
-}
+STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
 
 class Publishers:
     """Publishes on ``topics``, and returns each message as a recording keeps it."""
 
-    def __init__(self, node: Node, topics: Mapping[str, tuple[type, QoSProfile]]) -> None:
+    def __init__(self, node: Node, topics: Topics) -> None:
         self._node, self._topics = node, topics
         self._publishers = {
             topic: node.create_publisher(kind, topic, qos)

@@ -27,15 +27,9 @@ _PATIENCE = 2.0
 class Recordings:
     """Writes departures one after the other, each as its own parameters say.
 
-    Parameters
-    ----------
-    options
-        Those that the node starts with; temporary files in their folder are removed.
-    done
-        Called for each departure once it is written or given up, with its recording options and
-        the error or None.
-    warn
-        Called with a line for each temporary file that was removed.
+    At the start, temporary files in the folder of ``options`` are removed, and ``warn`` called for
+    each. Once a departure is written or given up, ``done`` gets its recording options, and the
+    error or None.
     """
 
     def __init__(
@@ -69,16 +63,15 @@ class Recordings:
         if not options.enabled:
             return
         with self._condition:
-            given_up = self._full and self._stuck
-            if not given_up:
+            if not (self._full and self._stuck):
                 self._unwritten.append(departure)
                 self._condition.notify_all()
-        if given_up:
-            self._done(options, RecordingFailed(
-                Path(options.directory),
-                f'{_MOST_WAITING} departures wait for the disk, which does not answer; departure '
-                f'{departure.number} is not recorded',
-            ))
+                return
+        self._done(options, RecordingFailed(
+            Path(options.directory),
+            f'{_MOST_WAITING} departures wait for the disk, which does not answer; departure '
+            f'{departure.number} is not recorded',
+        ))
 
     def hurry(self) -> None:
         """Stop all waiting for room, for good: the node shuts down."""
@@ -103,18 +96,16 @@ class Recordings:
             with suppress(RecordingFailed):  # the first departure will report it
                 for path in remove_abandoned(Path(self._options.directory).expanduser()):
                     self._warn(f'recording: removed {path}, which was not finished')
-        while (departure := self._next()) is not None:
-            self._write(departure)
+        while True:
+            with self._condition:
+                self._condition.wait_for(lambda: self._unwritten or self._closing)
+                if not self._unwritten:
+                    return
+            self._write(self._unwritten[0])
             with self._condition:
                 self._unwritten.popleft()
                 self._stuck = False
                 self._condition.notify_all()
-            del departure  # it holds its plan, which may be large
-
-    def _next(self) -> Departure | None:
-        with self._condition:
-            self._condition.wait_for(lambda: self._unwritten or self._closing)
-            return self._unwritten[0] if self._unwritten else None
 
     def _write(self, departure: Departure) -> None:
         error: AmbushPlannerError | None = None
@@ -136,7 +127,6 @@ class Recordings:
             self._recorder = Recorder(Path(options.directory), options.compression)
             self._options = options
         self._recorder.record_departure(
-            recorded_messages(departure),
-            metadata_entries(departure),
+            recorded_messages(departure), metadata_entries(departure),
             attachments(departure, self._strategies[plan]),
         )

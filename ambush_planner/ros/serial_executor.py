@@ -10,27 +10,28 @@ from typing import Any, TypeVar
 _Result = TypeVar('_Result')
 
 
-def completed(work: Callable[[], _Result]) -> Future[_Result]:
-    """Do ``work`` now and return a future that has its result or its error."""
-    future: Future[_Result] = Future()
+def started(work: Callable[[], Future[_Result]]) -> Future[_Result]:
+    """Start work; an error becomes the exception of the future."""
     try:
-        future.set_result(work())
+        return work()
     except Exception as error:
-        future.set_exception(error)
+        failed: Future[_Result] = Future()
+        failed.set_exception(error)
+        return failed
+
+
+def completed(result: _Result) -> Future[_Result]:
+    """Return a future that is done."""
+    future: Future[_Result] = Future()
+    future.set_result(result)
     return future
 
 
 class SerialExecutor:
     """Runs pieces of work in order in a thread called ``name``.
 
-    Parameters
-    ----------
-    before_each
-        Called before each piece of work.
-    on_error
-        Called with an error of work that has no future.
-    closed_error
-        Makes the error that refuses work after ``close``.
+    Each is preceded by a call of ``before_each``. ``on_error`` gets errors of work that has no
+    future; ``closed_error`` makes the error that refuses work after ``close``.
     """
 
     def __init__(
@@ -44,18 +45,25 @@ class SerialExecutor:
     def submit(self, work: Callable[[], None], future: Future[Any] | None = None) -> None:
         """Queue work that sets ``future``; an error becomes its exception, unless cancelled."""
 
+        def fail(error: Exception) -> None:
+            if future is None:
+                self._on_error(error)
+                return
+            with suppress(InvalidStateError):  # it has been cancelled
+                future.set_exception(error)
+
         def attempt() -> None:
             try:
                 self._before_each()
                 work()
             except Exception as error:
-                self._fail(future, error)
+                fail(error)
 
         try:
             self._thread.submit(attempt)
         except RuntimeError:  # the thread has ended
             if future is not None:
-                self._fail(future, self._closed_error())
+                fail(self._closed_error())
 
     def finish(self) -> None:
         """Wait until all work submitted so far is done."""
@@ -64,10 +72,3 @@ class SerialExecutor:
     def close(self) -> None:
         """Refuse further work, and wait until all submitted work is done."""
         self._thread.shutdown()
-
-    def _fail(self, future: Future[Any] | None, error: Exception) -> None:
-        if future is None:
-            self._on_error(error)
-            return
-        with suppress(InvalidStateError):  # it has been cancelled
-            future.set_exception(error)

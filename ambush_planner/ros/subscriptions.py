@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 from geometry_msgs.msg import PoseArray, PoseStamped, PoseWithCovarianceStamped
 from nav_msgs.msg import OccupancyGrid
@@ -32,12 +33,8 @@ class Subscriptions:
     """
 
     def __init__(
-        self,
-        node: Node,
-        inputs: Inputs,
-        error_boundary: ErrorBoundary,
-        pose_accepted: Callable[[], None],
-        map_accepted: Callable[[], None],
+        self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
+        pose_accepted: Callable[[], None], map_accepted: Callable[[], None],
     ) -> None:
         self._node, self._error_boundary = node, error_boundary
         self._subscriptions: list[Subscription] = []
@@ -52,25 +49,22 @@ class Subscriptions:
             inputs.update_map(received.message)
             map_accepted()
 
-        def pose_setter(
-            set_pose: Callable[[ReceivedMessage], None]
-        ) -> Callable[[ReceivedMessage], None]:
-            def accept_pose(received: ReceivedMessage) -> None:
-                set_pose(received)
-                pose_accepted()
+        def accept(role: str, received: ReceivedMessage | None) -> None:
+            setattr(inputs, role, received)
+            pose_accepted()
 
-            return accept_pose
-
-        set_start = pose_setter(inputs.set_start)
         self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, accept_map)
         if (update_type := installed_type('map_msgs.msg', 'OccupancyGridUpdate')) is not None:
             self._subscribe(update_type, 'alpha_map_updates', UPDATES, update_map)
-        self._subscribe(PoseStamped, 'start_pose', LATEST, set_start)
-        self._subscribe(PoseStamped, 'goal_pose', LATEST, pose_setter(inputs.set_goal))
-        self._subscribe(PoseArray, 'via_poses', LATEST, pose_setter(inputs.set_via))
+        self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
+        self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
+        self._subscribe(
+            PoseArray, 'via_poses', LATEST,
+            lambda received: accept('via', received if received.message.poses else None),
+        )
         self._subscribe(
             PoseWithCovarianceStamped, 'initialpose', LATEST,
-            lambda received: set_start(_without_covariance(received)),
+            lambda received: accept('start', _without_covariance(received)),
         )
 
     def volatile_map_warning(self) -> str:
@@ -101,10 +95,11 @@ class Subscriptions:
             f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
             f'{new.frame[:80]!r}'
         )
+        logger = self._node.get_logger()
         if before is not None and new.same_ground(before):  # a costmap, published every second
-            self._node.get_logger().info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
+            logger.info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
         else:
-            self._node.get_logger().info(text)
+            logger.info(text)
 
     def _subscribe(
         self, kind: type, topic: str, qos: QoSProfile, use: Callable[[ReceivedMessage], None]

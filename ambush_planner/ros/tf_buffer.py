@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import NamedTuple
@@ -23,8 +22,6 @@ from ..arrays import FloatArray
 HISTORY_NS = 10_000_000_000
 # Tolerance of a quaternion's squared norm, as in tf2.
 _UNIT_TOLERANCE = 1e-2
-# Maximum length of a chain; a longer one is a loop.
-_LONGEST_CHAIN = 1000
 
 
 class TransformUnknown(Exception):
@@ -62,6 +59,15 @@ class StampedTransform(NamedTuple):
         """The motion that takes coordinates in ``child`` to coordinates in ``parent``."""
         return Rigid(np.array(self.translation), Rotation.from_quat(self.quaternion))
 
+    @property
+    def is_valid(self) -> bool:
+        """Whether the frames are two and the numbers are a rigid motion."""
+        norm = math.fsum(part * part for part in self.quaternion)
+        return (
+            '' not in (self.parent, self.child) and self.parent != self.child
+            and all(map(math.isfinite, self.translation)) and abs(norm - 1.0) <= _UNIT_TOLERANCE
+        )
+
 
 class Found(NamedTuple):
     """A transform that was looked up, and its time; None if all its links are static."""
@@ -70,7 +76,7 @@ class Found(NamedTuple):
     stamp_ns: int | None
 
 
-@dataclass
+@dataclass(eq=False)
 class _Link:
     """The pose of a frame in its parent: one static transform, or some with ascending times."""
 
@@ -82,10 +88,11 @@ class _Link:
     def latest_ns(self) -> int:
         return self.transforms[-1].stamp_ns
 
-    def at(self, stamp_ns: int | None) -> Rigid:
+    def at(self, stamp_ns: int) -> Rigid:
+        """Return the motion to the parent at a time, which a static link ignores."""
         if self.static:
             return self.transforms[0].rigid
-        if stamp_ns is None or not self.transforms[0].stamp_ns <= stamp_ns <= self.latest_ns:
+        if not self.transforms[0].stamp_ns <= stamp_ns <= self.latest_ns:
             raise TransformUnknown('its times do not overlap with those of the other frames')
         k = self._index(stamp_ns)
         after = self.transforms[k]
@@ -93,18 +100,19 @@ class _Link:
             return after.rigid
         before = self.transforms[k - 1]
         share = (stamp_ns - before.stamp_ns) / (after.stamp_ns - before.stamp_ns)
-        return _between(before.rigid, after.rigid, share)
+        one, other = before.rigid, after.rigid
+        turns = Slerp([0.0, 1.0], Rotation.concatenate([one.rotation, other.rotation]))
+        shift = one.translation + share * (other.translation - one.translation)
+        return Rigid(shift, turns(share))
 
     def add(self, transform: StampedTransform) -> None:
         if self.static:
             self.transforms = [transform]
             return
-        if self.transforms and transform.stamp_ns < self.latest_ns - HISTORY_NS:
-            return
         k = self._index(transform.stamp_ns)
-        if k < len(self.transforms) and self.transforms[k].stamp_ns == transform.stamp_ns:
-            return  # the first transform of a time is kept, as in tf2
-        self.transforms.insert(k, transform)
+        # The first transform of a time is kept, as in tf2.
+        if k == len(self.transforms) or self.transforms[k].stamp_ns != transform.stamp_ns:
+            self.transforms.insert(k, transform)
         del self.transforms[:self._index(self.latest_ns - HISTORY_NS)]
 
     def _index(self, stamp_ns: int) -> int:
@@ -121,7 +129,8 @@ class TransformBuffer:
     def add(self, transform: StampedTransform, static: bool) -> None:
         """Add a transform; an invalid one is ignored, as by tf2."""
         parent, child = transform.parent.lstrip('/'), transform.child.lstrip('/')
-        if not parent or not child or parent == child or not _is_valid(transform):
+        transform = transform._replace(parent=parent, child=child)
+        if not transform.is_valid:
             return
         with self._lock:
             link = self._links.get(child)
@@ -137,62 +146,38 @@ class TransformBuffer:
     def lookup(self, target: str, source: str, stamp_ns: int | None = None) -> Found:
         """Return the motion from ``source`` to ``target``, by default at the latest common time.
 
-        Raises
-        ------
-        TransformUnknown
-            A frame does not exist, or the two frames are not connected at one time.
+        Raises TransformUnknown if a frame does not exist, or the two frames are not connected at
+        one time.
         """
         with self._lock:
-            up, down = self._chains(source, target)
+            up, down = self._to_root(source), self._to_root(target)
+            # Links above the nearest common ancestor do not matter.
+            while up and down and up[-1] is down[-1]:
+                up.pop()
+                down.pop()
+            ends = (up[-1].parent if up else source), (down[-1].parent if down else target)
+            if ends[0] != ends[1]:
+                raise TransformUnknown(f'{source!r} and {target!r} are not in one tree')
             moving = [link for link in (*up, *down) if not link.static]
             if stamp_ns is None:
-                stamp_ns = min((link.latest_ns for link in moving), default=None)
+                stamp_ns = min((link.latest_ns for link in moving), default=0)
             rigid = _along(down, stamp_ns).inverse() @ _along(up, stamp_ns)
         return Found(rigid, stamp_ns if moving else None)
 
-    def _chains(self, source: str, target: str) -> tuple[list[_Link], list[_Link]]:
-        """Return the links from each frame up to their nearest common ancestor."""
-        for name in (source, target):
-            if not self._exists(name):
-                raise TransformUnknown(f'the frame {name!r} does not exist')
-        ups = list(self._ancestors(source))
-        names = [source, *(link.parent for link in ups)]
-        downs: list[_Link] = []
-        frame = target
-        for link in (*self._ancestors(target), None):
-            if frame in names:
-                return ups[:names.index(frame)], downs
-            if link is not None:
-                downs.append(link)
-                frame = link.parent
-        raise TransformUnknown(f'{source!r} and {target!r} are not in one tree')
-
-    def _exists(self, name: str) -> bool:
-        return name in self._links or any(link.parent == name for link in self._links.values())
-
-    def _ancestors(self, name: str) -> Iterator[_Link]:
-        for _ in range(_LONGEST_CHAIN):
-            link = self._links.get(name)
-            if link is None:
-                return
-            yield link
+    def _to_root(self, name: str) -> list[_Link]:
+        """Return the links from a frame up to the root of its tree."""
+        if name not in self._links and all(link.parent != name for link in self._links.values()):
+            raise TransformUnknown(f'the frame {name!r} does not exist')
+        chain: list[_Link] = []
+        while (link := self._links.get(name)) is not None:
+            chain.append(link)
+            if len(chain) > len(self._links):
+                raise TransformUnknown('the frames form a loop')
             name = link.parent
-        raise TransformUnknown('the frames form a loop')
+        return chain
 
 
-def _between(one: Rigid, other: Rigid, share: float) -> Rigid:
-    """Return the motion at ``share`` (0..1) of the way from one to the other."""
-    turns = Slerp([0.0, 1.0], Rotation.concatenate([one.rotation, other.rotation]))
-    shift = one.translation + share * (other.translation - one.translation)
-    return Rigid(shift, turns(share))
-
-
-def _is_valid(transform: StampedTransform) -> bool:
-    norm = math.fsum(part * part for part in transform.quaternion)
-    return all(map(math.isfinite, transform.translation)) and abs(norm - 1.0) <= _UNIT_TOLERANCE
-
-
-def _along(chain: list[_Link], stamp_ns: int | None) -> Rigid:
+def _along(chain: list[_Link], stamp_ns: int) -> Rigid:
     """Return the motion from the first frame of a chain to the parent of its last link."""
     motion = Rigid(np.zeros(3), Rotation.identity())
     for link in chain:

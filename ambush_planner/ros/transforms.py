@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
-from rclpy.clock import JumpHandle, JumpThreshold
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
@@ -37,12 +37,9 @@ class FrameTransforms:
     """
 
     def __init__(self, node: Node) -> None:
-        self._clock = node.get_clock()
-        self._buffer = TransformBuffer()
+        self._clock, self._buffer = node.get_clock(), TransformBuffer()
         tf_message = installed_type('tf2_msgs.msg', 'TFMessage')
-        self._listener = (
-            None if tf_message is None else _TfListener(node, self._buffer, tf_message)
-        )
+        self._listener = _TfListener(node, self._buffer, tf_message) if tf_message else None
 
     def close(self) -> None:
         """Stop listening."""
@@ -56,13 +53,8 @@ class FrameTransforms:
         where the robot is now. The result has the stamp of the transform, or none if that is
         static. Never waits for a transform.
 
-        Raises
-        ------
-        FrameMismatch
-            The pose has no frame, or no transform to ``frame`` is known, or it is older than
-            ``max_age`` [s].
-        InvalidPose
-            The pose needs a transform and is not a valid pose.
+        Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
+        is older than ``max_age`` [s], and InvalidPose if a pose to transform is not a valid one.
         """
         given = pose.header.frame_id
         if given and given == frame:
@@ -84,19 +76,15 @@ class FrameTransforms:
             raise FrameMismatch(
                 f'{problem}, or publish the transform between the two on /tf: {error}'
             ) from error
-        self._check_age(found, name, shown, frame, max_age)
-        return _transformed(pose, found, frame)
-
-    def _check_age(self, found: Found, name: str, given: str, frame: str, max_age: float) -> None:
-        if found.stamp_ns is None:
-            return
-        age = (self._clock.now().nanoseconds - found.stamp_ns) / 1e9
+        now = self._clock.now().nanoseconds
+        age = 0.0 if found.stamp_ns is None else (now - found.stamp_ns) / 1e9
         if age > max_age:
             raise FrameMismatch(
-                f'{name}: the transform from {given!r} to {frame!r} is {age:.3g} s old, more than '
+                f'{name}: the transform from {shown!r} to {frame!r} is {age:.3g} s old, more than '
                 f'transform.max_age, {max_age:g} s; check that /tf is still published, with stamps '
                 "of this node's clock"
             )
+        return _transformed(pose, found, frame)
 
 
 class _TfListener:
@@ -108,10 +96,20 @@ class _TfListener:
 
     def __init__(self, node: Node, buffer: TransformBuffer, tf_message: type) -> None:
         self._buffer, self._logger = buffer, node.get_logger()
-        self._jumps = _clear_when_time_jumps_back(buffer, node)
-        self._node = _hidden_node(node)
+        # When a simulation or a bag restarts, old transforms would stay the latest ones.
+        self._jumps = node.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True
+            ),
+            post_callback=lambda _: buffer.clear(),
+        )
+        self._node = Node(
+            f'_{node.get_name()}_tf', context=node.context, namespace=node.get_namespace(),
+            # Command line arguments belong to the planner's node, which resolves the names.
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+            parameter_overrides=[Parameter('use_sim_time', value=False)],
+        )
         for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-            # The name is resolved by the planner's node, with its remappings.
             name, receive = node.resolve_topic_name(topic), partial(self._receive, static)
             self._node.create_subscription(tf_message, name, receive, qos)
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -149,30 +147,6 @@ class _TfListener:
                 each.header.frame_id, each.child_frame_id,
                 stamp.sec * 1_000_000_000 + stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w),
             ), static)
-
-
-def _hidden_node(node: Node) -> Node:
-    """Return a node in the namespace of ``node``, without services."""
-    return Node(
-        f'_{node.get_name()}_tf',
-        context=node.context,
-        namespace=node.get_namespace(),
-        # Command line arguments belong to the planner's node, which resolves the names.
-        use_global_arguments=False,
-        enable_rosout=False,
-        start_parameter_services=False,
-        parameter_overrides=[Parameter('use_sim_time', value=False)],
-    )
-
-
-def _clear_when_time_jumps_back(buffer: TransformBuffer, node: Node) -> JumpHandle:
-    """Clear the buffer when a simulation or a bag restarts, or its old transforms stay latest."""
-    threshold = JumpThreshold(
-        min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True
-    )
-    return node.get_clock().create_jump_callback(
-        threshold, post_callback=lambda _: buffer.clear()
-    )
 
 
 def _transformed(pose: PoseStamped, found: Found, frame: str) -> PoseStamped:

@@ -67,12 +67,8 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
 
 
 def limit_to_map(
-    corridors: CorridorWidths,
-    uv: FloatArray,
-    pairs: IndexArray,
-    risk_map: RiskMap,
-    clearance: float,
-    clear_of_edge: bool,
+    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
+    clearance: float, clear_of_edge: bool,
 ) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from obstacles and, if asked, the map's edge."""
     margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * risk_map.resolution
@@ -84,12 +80,8 @@ def limit_to_map(
 
 
 def limit_to_cells(
-    corridors: CorridorWidths,
-    uv: FloatArray,
-    pairs: IndexArray,
-    centres: FloatArray,
-    clearance: float,
-    resolution: float,
+    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, centres: FloatArray,
+    clearance: float, resolution: float,
 ) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from cells with ``centres`` (C, 2).
 
@@ -116,11 +108,6 @@ def _local_coordinates(vector: FloatArray, direction: FloatArray) -> tuple[Float
     along = (vector * direction).sum(axis=-1)
     aside = direction[..., 0] * vector[..., 1] - direction[..., 1] * vector[..., 0]
     return along, aside
-
-
-def _outward_directions(direction: FloatArray) -> list[tuple[int, FloatArray]]:
-    """For both ends of pairs, the direction out of the strip."""
-    return [(0, -direction), (1, direction)]
 
 
 def rim_cells(risk_map: RiskMap) -> FloatArray:
@@ -185,7 +172,8 @@ def _quarter_limits(
     limits = np.full(beyond.shape, np.inf)
     radius = np.zeros(len(uv))
     np.maximum.at(radius, pairs, beyond.max(axis=2))
-    for end, ahead in _outward_directions(_frame(uv, pairs)[1]):
+    direction = _frame(uv, pairs)[1]
+    for end, ahead in enumerate((-direction, direction)):  # out of the strip
         pair, to = cells.near(uv, radius + margin + cells.resolution, pairs[:, end])
         along, aside = _local_coordinates(to, ahead[pair, None])
         for side in (0, 1):
@@ -237,7 +225,7 @@ def _map_edge_limits(
         for gap, sign in gaps:
             width = _distance_until_used(gap.min(axis=1), sign * aside)
             strips[:, side] = np.minimum(strips[:, side], width)
-            for end, ahead in _outward_directions(direction):
+            for end, ahead in enumerate((-direction, direction)):
                 out = sign * np.stack((ahead, aside))
                 # A quarter contains the outward normal if both of its sides lead outward.
                 speed = np.where((out > 0.0).all(axis=0), 1.0, out.max(axis=0))

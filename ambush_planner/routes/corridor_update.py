@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, IndexArray
 from ..maps.risk_map import RiskMap, to_map_axes
 from .corridor_geometry import CorridorWidths, largest_widths, limit_to_cells, limit_to_map
 from .corridors import Corridors
@@ -32,28 +32,22 @@ def with_new_obstacles(
         Distance to keep from obstacles, and cell size [m].
     """
     ends = corridors.uv[corridors.links]
-    wide = np.maximum(corridors.left, corridors.right)
+    wide = corridors.widths.max(axis=1)
     length = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
     reach = np.hypot(length / 2 + wide, wide) + clearance + 2.0 * resolution
     middles = ends.mean(axis=1)
     gaps, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
     near = np.flatnonzero(gaps <= reach)
-    widths = np.stack((corridors.left[near], corridors.right[near]), axis=1)
     narrowed = limit_to_cells(
-        CorridorWidths(widths, corridors.beyond[near]),
+        CorridorWidths(corridors.widths[near], corridors.beyond[near]),
         corridors.uv, corridors.links[near], cells, clearance, resolution,
     )
     return _with_widths(corridors, near, narrowed)
 
 
 def with_moved_end(
-    corridors: Corridors,
-    node: int,
-    place: tuple[float, float],
-    around: RiskMap,
-    corner: FloatArray,
-    clearance: float = 0.0,
-    tube: float | None = None,
+    corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
+    corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
     clear_of_edge: bool = True,
 ) -> Corridors:
     """Update the corridors after the source or target ``node`` moved slightly.
@@ -76,22 +70,13 @@ def with_moved_end(
     local_uv, pairs = uv[nodes] - corner, np.searchsorted(nodes, links[at])
     measured = largest_widths(local_uv, pairs, tube)
     measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
-    return _with_widths(replace(corridors, uv=frozen_array(uv, np.float64)), at, measured)
+    return _with_widths(replace(corridors, uv=uv), at, measured)
 
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:
     """Replace the widths of some links (K,)."""
-    left, right, beyond, shortcut = (
-        each.copy()
-        for each in (corridors.left, corridors.right, corridors.beyond, corridors.shortcut)
-    )
-    left[links], right[links] = measured.widths.T
-    beyond[links] = measured.beyond
+    widths, beyond = corridors.widths.copy(), corridors.beyond.copy()
+    widths[links], beyond[links] = measured.widths, measured.beyond
+    shortcut = corridors.shortcut.copy()
     shortcut[links] &= measured.widths.min(axis=1) > 0.0  # without width it may touch an obstacle
-    return replace(
-        corridors,
-        shortcut=frozen_array(shortcut, np.bool_),
-        left=frozen_array(left, np.float64),
-        right=frozen_array(right, np.float64),
-        beyond=frozen_array(beyond, np.float64),
-    )
+    return replace(corridors, shortcut=shortcut, widths=widths, beyond=beyond)

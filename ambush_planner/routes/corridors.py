@@ -1,6 +1,6 @@
 """Corridors: how far the driven path may leave the drawn route.
 
-Along each edge lie two *strips*, rectangles of its length and of the widths ``left`` and ``right``.
+Along each edge lie two *strips*, rectangles of its length and of the ``widths`` left and right.
 Where a route turns, its strips separate on the outer side; the gap is filled by *quarters* of discs
 around the node, between the end of a strip and the extension of the edge. Strips and quarters keep
 the clearance from obstacles, and either
@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
+from ..arrays import BoolArray, FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
@@ -48,8 +48,8 @@ class Corridors:
         The network's places in map axes [m].
     links : (L, 2) int
         Tails and heads of the edges, and of shortcuts without a tube; in both directions, sorted.
-    left, right : (L,) float
-        Widths of each link's strips [m].
+    widths : (L, 2) float
+        Widths of each link's left and right strips [m].
     beyond : (L, 2, 2) float
         Radii of the left and right quarters beyond tail and head [m], at most the strip's width.
     shortcut : (L,) bool
@@ -60,8 +60,7 @@ class Corridors:
     origin: tuple[float, float, float]
     uv: FloatArray
     links: IndexArray
-    left: FloatArray
-    right: FloatArray
+    widths: FloatArray
     beyond: FloatArray
     shortcut: BoolArray
     _keys: IndexArray
@@ -100,10 +99,7 @@ class Corridors:
 
 
 def make_corridors(
-    network: Network,
-    risk_map: RiskMap,
-    clearance: float = 0.0,
-    tube: float | None = None,
+    network: Network, risk_map: RiskMap, clearance: float = 0.0, tube: float | None = None,
     clear_of_edge: bool = True,
 ) -> Corridors:
     """Measure the strips and quarters of a network on its map.
@@ -134,15 +130,8 @@ def make_corridors(
     beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
     return Corridors(
-        network,
-        risk_map.origin,
-        frozen_array(uv, np.float64),
-        frozen_array(links, np.int64),
-        frozen_array(widths[:, 0], np.float64),
-        frozen_array(widths[:, 1], np.float64),
-        frozen_array(beyond, np.float64),
-        frozen_array(np.full(len(links), tube is None), np.bool_),
-        frozen_array(_keys(links, len(uv)), np.int64),
+        network, risk_map.origin, uv, links, widths, beyond, np.full(len(links), tube is None),
+        _keys(links, len(uv)),
     )
 
 

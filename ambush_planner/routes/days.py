@@ -64,44 +64,23 @@ class DayEffect:
 
 
 def sample_departures(
-    strategy: Strategy,
-    n: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
+    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5,
     tries: int = MOST_TRIES,
 ) -> list[IndexArray]:
     """Draw the routes of ``n`` convoys of one day: node indices (K,) each.
 
-    Parameters
-    ----------
-    strategy
-        Distribution of each single route.
-    n
-        Number of convoys.
-    rng
-        Random source.
-    distinct
-        Size of the middle section, as a share of the way, in which routes share no node; 0: no
-        constraint, 1: routes meet only at their ends.
-    tries
-        Number of days drawn before giving up.
+    ``distinct`` is the size of the middle section, as a share of the way, in which routes share no
+    node; with 0 they may share any, with 1 they meet only at their ends. After ``tries`` days, it
+    gives up.
 
-    Raises
-    ------
-    NotDistinct
-        No such day was drawn; states how many convoys can have distinct routes.
-    InvalidOption
-        ``n``, ``distinct`` or ``tries`` is out of range, or the strategy has stops.
+    Raises NotDistinct, which states how many convoys can have distinct routes, if no such day was
+    drawn; InvalidOption if an option is out of range or the strategy has stops.
     """
     return draw_days(strategy, n, 1, rng, distinct, tries)[0][0]
 
 
 def draw_days(
-    strategy: Strategy,
-    n: int,
-    count: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
+    strategy: Strategy, n: int, count: int, rng: np.random.Generator, distinct: float = 0.5,
     tries: int = MOST_TRIES,
 ) -> tuple[list[list[IndexArray]], float]:
     """Draw ``count`` days as ``sample_departures`` does; also return the share that was distinct.
@@ -126,11 +105,7 @@ def draw_days(
 
 
 def day_effect(
-    strategy: Strategy,
-    n: int,
-    rng: np.random.Generator,
-    distinct: float = 0.5,
-    days: int = 1000,
+    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5, days: int = 1000,
     tries: int = MOST_TRIES,
 ) -> DayEffect:
     """Estimate how the distribution of a day's convoys differs from the strategy.
@@ -162,11 +137,8 @@ def day_effect(
         off = cost - losses[worst] * chance
         error = float(np.sqrt(off @ off * len(off) / (len(off) - 1)) / chance.sum())
     return DayEffect(
-        share * float(chance.sum()) / days,
-        frozen_array(visits, np.float64),
-        float(np.abs(visits - strategy.visit_probability).max()),
-        entry_value(game, p),
-        error,
+        share * float(chance.sum()) / days, frozen_array(visits, np.float64),
+        float(np.abs(visits - strategy.visit_probability).max()), entry_value(game, p), error,
     )
 
 

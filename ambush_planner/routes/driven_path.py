@@ -214,9 +214,7 @@ def _rounded(
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], before, inner - 1))
         cut = np.fmin(cut, _distance_to_portals(portals, points[1:-1], after, inner + 1))
     tangent = np.maximum(np.tan(np.abs(turn) / 2), 1e-12)
-    turn, cut, tangent = (
-        padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent)
-    )
+    turn, cut, tangent = (padded(np.where(within, each, 0.0)) for each in (turn, cut, tangent))
     cut = _fit_between_corners(cut, tangent, length)
     return _Lines(points, turn, np.where(np.abs(turn) > 1e-9, 0.999 * cut, 0.0), bounds)
 

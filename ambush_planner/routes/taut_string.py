@@ -68,7 +68,7 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     limit = ALONG * np.minimum(length[:-1], length[1:]) / np.maximum(along, 1e-9)
     before, after = links[:-1], links[1:]
     inner, outer = [], []
-    for side, width in enumerate((corridors.left, corridors.right)):
+    for side, width in enumerate(corridors.widths.T):
         inner.append(np.minimum(np.minimum(width[before], width[after]) / off, limit))
         quarter = np.minimum(corridors.beyond[before, 1, side], corridors.beyond[after, 0, side])
         # A line from a portal's outer end to the next portal must enter the strip where it meets

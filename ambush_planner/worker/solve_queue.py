@@ -66,11 +66,7 @@ class SolveQueue(Generic[_Result]):
             return self._running is not None or bool(self._waiting)
 
     def submit(
-        self,
-        key: Hashable,
-        request: PlanRequest,
-        finish: Callable[[Plan], _Result],
-        size: int,
+        self, key: Hashable, request: PlanRequest, finish: Callable[[Plan], _Result], size: int,
         background: bool = False,
     ) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
