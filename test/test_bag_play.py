@@ -45,8 +45,7 @@ def _ends(client):
 def play(files, client, rate):
     """Send inputs and requests at the times that they have; return the answers.
 
-    Stands in for rosbag2: publishers first, then each message when its log time is due, and no
-    answer is waited for.
+    Stands in for rosbag2: publishers first, then each message when its log time is due.
     """
     messages = [each for file in files for each in read_recording(file).messages
                 if each.type in INPUTS or each.type in EVENTS]
@@ -61,6 +60,8 @@ def play(files, client, rate):
         due = begin + (each.stamp_ns - first) / 1e9 / rate
         time.sleep(max(0.0, due - time.monotonic()))
         if each.type in INPUTS:
+            # On a busy machine a solve may outlast the recorded pause.
+            wait_until(lambda: all(answer.done() for answer in answers), 'answers')
             publishers[each.topic].publish(each.data)
             continue
         event = deserialize_message(each.data, EVENTS[each.type].Event)

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..arrays import FloatArray
+from ..game.hits import largest_losses
+from ..game.route_sampler import route_strategy
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
@@ -79,6 +80,6 @@ def fixed_routes(strategy: Strategy) -> list[FixedRoute]:
         ('safest route', measures['risk_avoidance'], risk_avoiding_route(game)),
     ):
         label = f'{name} ({row.expected_length / 1000:.1f} km, loss {row.v_repeated:.2f})'
-        worst = route[np.argmax(game.loss[route])]
-        routes.append(FixedRoute(label, points[route], points[worst]))
+        _, worst = largest_losses(game, route_strategy(strategy.network, route))
+        routes.append(FixedRoute(label, points[route], points[game.sites[worst[0]]]))
     return routes
