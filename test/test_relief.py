@@ -25,11 +25,7 @@ def plane(rows, columns, north, east):
 def test_resampling_preserves_a_plane():
     raster = Raster(10.0 * plane(30, 40, 1.0, 0.0) + 20.0 * plane(30, 40, 0.0, 1.0), 10.0, 20.0)
     result = elevation_from_raster(raster, 8.0)
-    assert result.heights.shape == (37, 100)
-    inner = (slice(1, -1), slice(2, -2))
-    np.testing.assert_allclose(
-        result.heights[inner], 8.0 * plane(37, 100, 1.0, 1.0)[inner], rtol=1e-6
-    )
+    np.testing.assert_allclose(result.heights, 8.0 * plane(37, 100, 1.0, 1.0), rtol=1e-6)
 
 
 def test_square_cells_are_not_resampled():
@@ -49,6 +45,22 @@ def test_unknown_heights_spread_only_to_interpolated_cells():
     heights[10, 10] = np.nan
     unknown = np.isnan(elevation_from_raster(Raster(heights, 10.0, 10.0), 5.0).heights)
     assert unknown[20:22, 20:22].all() and not unknown[:18].any() and not unknown[:, 24:].any()
+
+
+def test_a_sample_at_a_known_cells_centre_is_known():
+    """Cells of 10 m sampled every 30 m: each sample is the centre of one raster cell."""
+    heights = plane(30, 30, 2.0, 3.0)
+    expected = heights[1::3, 1::3].copy()
+    heights[1::3, 2::3] = heights[2::3, 1::3] = heights[0::3] = np.nan
+    np.testing.assert_array_equal(
+        elevation_from_raster(Raster(heights, 10.0, 10.0), 30.0).heights, np.float32(expected)
+    )
+
+
+def test_a_slope_reaches_the_border_of_finer_cells():
+    raster = Raster(30.0 * plane(6, 7, 0.2, 0.1), 30.0, 30.0)
+    result = slope(elevation_from_raster(raster, 1.0))
+    np.testing.assert_allclose(result, np.hypot(0.2, 0.1), atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ HeightArray = npt.NDArray[np.float32]
 
 # Largest grid [cells]; a larger one would not fit in memory and suggests a wrong resolution.
 MAX_CELLS = 100_000_000
+# Smaller interpolation weights are rounding of a sample's position.
+_LEAST_WEIGHT = 1e-6
 
 
 class InvalidTerrain(AmbushPlannerError, ValueError):
@@ -75,8 +77,9 @@ class Raster:
 def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     """Resample heights to square cells of ``resolution`` [m]; 0: the raster's shorter step.
 
-    Interpolates bilinearly between cell centres. Both grids share the lower left corner, and only
-    whole cells are kept. A cell is unknown if any height it is interpolated from is unknown.
+    Interpolates bilinearly between cell centres and extrapolates linearly beyond the outermost
+    ones, so that planes keep their slope up to the border. Both grids share the lower left corner,
+    and only whole cells are kept. A cell is unknown if any height it is computed from is unknown.
 
     Raises InvalidTerrain if the resolution leaves fewer than 2 x 2 cells or more than
     ``MAX_CELLS``.
@@ -85,8 +88,16 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     row, column = _positions(raster, resolution)
     if _is_same_grid(raster, row, column):
         return Elevation(raster.values.astype(np.float32), resolution, raster.place)
-    positions = np.meshgrid(row, column, indexing='ij')
-    heights = map_coordinates(raster.values, positions, order=1, mode='nearest', output=np.float32)
+    # The odd reflection extrapolates linearly by one cell.
+    values = np.pad(raster.values, 1, 'reflect', reflect_type='odd')
+    positions = np.meshgrid(row + 1.0, column + 1.0, indexing='ij')
+    unknown = np.isnan(values)
+    heights = map_coordinates(
+        np.where(unknown, 0.0, values), positions, order=1, mode='nearest', output=np.float32
+    )
+    if unknown.any():
+        share = map_coordinates(unknown.astype(np.float32), positions, order=1, mode='nearest')
+        heights[share > _LEAST_WEIGHT] = np.nan
     return Elevation(heights, resolution, raster.place)
 
 
