@@ -180,6 +180,19 @@ def test_a_moving_transform_that_is_too_old_is_an_error_with_its_age(tf):
     tf.frames.to_frame(pose(0.0, 0.0, frame='depot'), 'start', 'map', 2.0)
 
 
+def test_a_moving_transform_from_the_future_is_an_error_beyond_the_maximum_age(tf):
+    """Localisation post-dates map -> odom by about a second, which is fine."""
+    now = tf.listener.get_clock().now().nanoseconds // 10**9
+    given = pose(0.0, 0.0, frame='base_link')
+    tf.send(transform('map', 'base_link', 1.0, sec=now + 2))
+    tf.wait_for(given, (1.0, 0.0))
+    tf.frames.to_frame(given, 'start', 'map', 2.0)
+    tf.send(transform('map', 'base_link', 2.0, sec=now + 100))
+    tf.wait_for(given, (2.0, 0.0))
+    with pytest.raises(FrameMismatch, match=r'is stamped (100|9\d\.?\d?) s ahead of now, more than'):
+        tf.frames.to_frame(given, 'start', 'map', 2.0)
+
+
 class Robot:
     """Publishes the pose of base_link on the map."""
 

@@ -54,7 +54,7 @@ class FrameTransforms:
         static. Never waits for a transform.
 
         Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
-        is older than ``max_age`` [s], and InvalidPose if a pose to transform is not a valid one.
+        is older than ``max_age`` [s] or stamped further ahead of now, and InvalidPose if a pose to transform is not a valid one.
         """
         given = pose.header.frame_id
         if given and given == frame:
@@ -79,12 +79,16 @@ class FrameTransforms:
         now = self._clock.now().nanoseconds
         age = 0.0 if found.stamp_ns is None else (now - found.stamp_ns) / 1e9
         if age > max_age:
-            raise FrameMismatch(
-                f'{name}: the transform from {shown!r} to {frame!r} is {age:.3g} s old, more than '
-                f'transform.max_age, {max_age:g} s; check that /tf is still published, with stamps '
-                "of this node's clock"
-            )
-        return _transformed(pose, found, frame)
+            problem, check = f'{age:.3g} s old', 'is still published'
+        elif -age > max_age:  # localisation post-dates map -> odom, but only by about a second
+            problem, check = f'stamped {-age:.3g} s ahead of now', 'is published'
+        else:
+            return _transformed(pose, found, frame)
+        raise FrameMismatch(
+            f'{name}: the transform from {shown!r} to {frame!r} is {problem}, more than '
+            f'transform.max_age, {max_age:g} s; check that /tf {check}, with stamps of this '
+            "node's clock"
+        )
 
 
 class _TfListener:
