@@ -183,6 +183,16 @@ def test_reports_that_distinct_days_are_too_rare():
     assert sorted(route[2] for route in routes) == [2, 5, 8, 11, 14, 17]
 
 
+def test_no_effect_is_estimated_if_distinct_days_are_too_rare():
+    """Of n convoys on n ways of equal chance, n! / n^n are distinct: 3.6e-4 of 10, 5.4e-5 of 12."""
+    rng, options = np.random.default_rng(1), StrategyOptions(max_detour=6.0)
+    strategy = solve(corridors(*[1.0] * 10), options=options)
+    assert day_effect(strategy, 10, rng, days=20).share == pytest.approx(3.6e-4, rel=0.5)
+    told = r'12 routes .* middle 50 % .* probability [3-8]\.?\d?e-05, too rarely .* is 0\.0001'
+    with pytest.raises(NotDistinct, match=told):
+        day_effect(solve(corridors(*[1.0] * 12), options=options), 12, rng, days=20)
+
+
 def test_rejects_bad_options():
     strategy = solve(corridors(1.0, 2.0))
     rng = np.random.default_rng(1)

@@ -189,7 +189,7 @@ def test_a_moving_transform_from_the_future_is_an_error_beyond_the_maximum_age(t
     tf.frames.to_frame(given, 'start', 'map', 2.0)
     tf.send(transform('map', 'base_link', 2.0, sec=now + 100))
     tf.wait_for(given, (2.0, 0.0))
-    with pytest.raises(FrameMismatch, match=r'is stamped (100|9\d\.?\d?) s ahead of now, more than'):
+    with pytest.raises(FrameMismatch, match=r'stamped (100|9\d\.?\d?) s ahead of now, more'):
         tf.frames.to_frame(given, 'start', 'map', 2.0)
 
 

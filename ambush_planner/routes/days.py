@@ -35,6 +35,8 @@ _FEASIBILITY_CHECK = 1000
 _ROUTES_AT_ONCE = 20_000
 # Numbers in memory at a time.
 _NUMBERS = 2_000_000
+# Smallest share of distinct days of which an effect is estimated; that of rarer ones is noise.
+LEAST_SHARE = 1e-4
 # Minimum number of groups of days from which standard errors are estimated.
 _GROUPS = 20
 
@@ -111,7 +113,8 @@ def day_effect(
     """Estimate how the distribution of a day's convoys differs from the strategy.
 
     Averages the exact distribution of one more convoy over ``days`` drawn days of n - 1 convoys.
-    Raises as ``sample_departures``, and InvalidOption if the strategy has cycles.
+    Raises as ``sample_departures``; NotDistinct if the share is below ``LEAST_SHARE``, and
+    InvalidOption if the strategy has cycles.
     """
     check_whole('n', n, 1)
     check_whole('days', days, _GROUPS)
@@ -126,6 +129,13 @@ def day_effect(
     chance, flow = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
     if not chance.sum() > 0.0:
         raise middle.not_distinct(n, 0, days)
+    share *= float(chance.sum()) / days
+    if share < LEAST_SHARE:
+        raise NotDistinct(
+            f'{n} routes are distinct over the middle {100.0 * distinct:g} % of the way with '
+            f'probability {share:.2g}, too rarely to estimate the effect (the least is '
+            f'{LEAST_SHARE:g}); plan fewer convoys or reduce the distinct share'
+        )
     p = flow.sum(axis=0) / chance.sum()
     game = strategy.game
     visits, losses = game.visits(p), game.site_losses(p)
@@ -137,7 +147,7 @@ def day_effect(
         off = cost - losses[worst] * chance
         error = float(np.sqrt(off @ off * len(off) / (len(off) - 1)) / chance.sum())
     return DayEffect(
-        share * float(chance.sum()) / days, frozen_array(visits, np.float64),
+        share, frozen_array(visits, np.float64),
         float(np.abs(visits - strategy.visit_probability).max()), entry_value(game, p), error,
     )
 
