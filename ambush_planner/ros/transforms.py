@@ -54,7 +54,8 @@ class FrameTransforms:
         static. Never waits for a transform.
 
         Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
-        is older than ``max_age`` [s] or stamped further ahead of now, and InvalidPose if a pose to transform is not a valid one.
+        is older than ``max_age`` [s] or stamped further ahead of now, and InvalidPose if a pose to
+        transform is not a valid one.
         """
         given = pose.header.frame_id
         if given and given == frame:
