@@ -168,3 +168,13 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
     assert second.ends == ((1.6, 5.4), (8.5, 5.6))
     wanted[0, :2] = [100, 90]
     assert np.array_equal(second.newest.values, wanted)
+
+
+def test_a_costmap_has_obstacles_from_99_on():
+    values = FLAT.copy()
+    values[4:16, 8:12] = 99
+    for preset, crosses in (('alpha', True), ('costmap', False)):
+        with stage(parameters={'map.preset': preset}) as running:
+            running.give(risk_grid(values))
+            answer = running.client.get_plan(START, pose(5.0, 5.5))
+            assert bool(answer.poses) == crosses
