@@ -18,8 +18,8 @@ from .error_codes import OK_CODE, code_of
 
 _DIFFERENT = f'different_paths_of_{DRAWN}'
 _STRATEGY_NUMBERS = (
-    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap', 'expected_length',
-    'shortest_length',
+    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
+    'expected_length', 'shortest_length',
 )
 
 
