@@ -59,7 +59,11 @@ def changed(values, cells, new):
 def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing):
     """Even if nodes lie on the borders of cells and the map is rotated."""
     made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing)
-    assert ground.assess(on) == Assessment(made.strategy.value, made.strategy.lower_bound)
+    strategy = made.strategy
+    assert ground.assess(on) == Assessment(
+        strategy.value, strategy.lower_bound, 1.0, strategy.expected_length, strategy.length_budget
+    )
+    assert not ground.assess(on).is_over_budget
     again = ground.assess(grid(on.values.copy(), on.origin))
     assert again.value == pytest.approx(made.strategy.value, rel=1e-12)
     assert again.lower_bound == pytest.approx(made.strategy.lower_bound, rel=1e-9)
@@ -99,6 +103,9 @@ def test_value_and_clear_share_are_those_of_drawing_until_a_route_is_clear(where
         visits = np.bincount(np.concatenate(kept), minlength=len(made.network.points)) / len(kept)
         loss = made.network.alpha * visits
         assert loss.max() == pytest.approx(assessment.value, rel=0.35)
+        length = np.mean([np.hypot(*np.diff(made.network.points[route], axis=0).T).sum()
+                          for route in kept])
+        assert length == pytest.approx(assessment.expected_length, rel=0.05)
         assert assessment.allows_departure(np.inf, 0.0)
 
 
@@ -119,6 +126,20 @@ def test_value_and_bound_are_those_of_the_game_on_the_new_map(where, value):
     assert assessment.clear_share == pytest.approx(1.0, abs=ROUNDING)
     again = Network(network.points, alpha, network.edges, network.source, network.target)
     assert solve(again).value >= assessment.lower_bound - 1e-9
+
+
+def test_the_clear_routes_can_exceed_the_length_budget():
+    """A wall across the middle leaves only routes that go around it."""
+    made, on, ground = rough_plan(0.0)
+    values = on.values.copy()
+    values[6:17, 11] = 100
+    assessment = ground.assess(grid(values))
+    assert 0.0 < assessment.clear_share < 1.0 and assessment.is_over_budget
+    assert assessment.length_budget == made.strategy.length_budget
+    assert assessment.expected_length > 1.01 * assessment.length_budget
+    values[:, 11] = 100
+    closed = ground.assess(grid(values))
+    assert closed.expected_length == np.inf and not closed.is_over_budget
 
 
 def test_higher_losses_make_a_strategy_stale_by_the_rise_of_its_value():

@@ -21,6 +21,7 @@ from ros_harness import (
 )
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
+from ambush_planner.planning.changed_ground import Assessment
 from ambush_planner.recordings import Recorder
 from ambush_planner.ros import plan_cache, recordings
 from ambush_planner.ros.diagnostics import Status, status_to_ros
@@ -136,6 +137,16 @@ def test_the_level_is_that_of_the_worst(errors, level, code):
     (reported,) = status_to_ros(status, 'name', pose(0, 0).header.stamp).status
     assert reported.level == level
     assert {each.key: each.value for each in reported.values}['code'] == code
+
+
+@pytest.mark.parametrize('stale', ['', 'the map has changed'])
+def test_clear_routes_that_exceed_the_length_budget_are_a_warning(stale):
+    assessment = Assessment(2.0, 1.0, 0.5, expected_length=150.0, length_budget=120.0)
+    status = Status(assessment=assessment, stale=stale)
+    (reported,) = status_to_ros(status, 'name', pose(0, 0).header.stamp).status
+    assert reported.level == DiagnosticStatus.WARN and stale in reported.message
+    assert 'mean length of 150 m, 1.25 times the budget of 120 m' in reported.message
+    assert {each.key: each.value for each in reported.values}['current_length'] == '150'
 
 
 def test_ground_that_changes_too_fast_is_reported(monkeypatch):

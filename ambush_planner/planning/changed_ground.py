@@ -11,6 +11,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
+from ..game.certificate import Certificate
 from ..game.revaluation import revalue
 from ..maps.obstacles import ObstacleField
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
@@ -31,6 +32,8 @@ _MOST_DRAWS = 300
 _MOST_BLOCKED = 0.01
 # Nobody departs before the next solve if a smaller share of the routes is clear.
 _LEAST_CLEAR = 0.1
+# Relative overrun of the length budget that is a solver's rounding.
+_LENGTH_TOLERANCE = 1e-6
 _TOUCH = 1e-6  # distance at which cells count as touched [cells]
 _MARGIN = 2  # width of the border around the part of the map that is tested [cells]
 
@@ -42,11 +45,15 @@ class Assessment:
     The bound holds for the strategy's own network: ground that has become free counts after the
     next solve. ``clear_share`` is the probability that a route meets no new obstacle and no place
     that must not be entered; if it is below 1, the value is that of drawing until a route is clear.
+    ``expected_length`` [m] is the mean over the clear routes (inf if none is), ``length_budget``
+    what ``max_detour`` allows.
     """
 
     value: float
     lower_bound: float
     clear_share: float = 1.0
+    expected_length: float = math.inf
+    length_budget: float = math.inf
 
     @property
     def gap(self) -> float:
@@ -57,6 +64,11 @@ class Assessment:
     def is_blocked(self) -> bool:
         """Whether too many routes are blocked: most strategies use all ground a little."""
         return self.clear_share < 1.0 - _MOST_BLOCKED
+
+    @property
+    def is_over_budget(self) -> bool:
+        """Whether the clear routes are longer on average than the length budget allows."""
+        return self.length_budget * (1.0 + _LENGTH_TOLERANCE) < self.expected_length < math.inf
 
     def is_stale(self, original_value: float, tolerance: float) -> bool:
         """Whether to solve again; ``original_value`` is that on the strategy's own map."""
@@ -183,7 +195,8 @@ class ChangedGround:
         network, strategy = self._plan.network, self._plan.strategy
         lost = np.zeros(len(network.edges), dtype=bool)
         if newest is self._planned_on:
-            same = Assessment(strategy.value, strategy.lower_bound)
+            own = Certificate(strategy.value, strategy.lower_bound)
+            same = self._assessment(own, 1.0, strategy.edge_probability)
             return _Comparison(newest, same, np.empty((0, 2)), lost, frozenset())
         cells, alpha = self._new_obstacles(newest), self._losses(newest, self._cells)
         centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
@@ -198,9 +211,22 @@ class ChangedGround:
                 self._conditioned = ConditionedStrategy(strategy)
             clear_share, p = self._conditioned.avoiding(lost)
         known = revalue(strategy, self._plan.options.game, alpha, p)
-        assessment = Assessment(known.value, known.bound, clear_share)
+        assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return _Comparison(newest, assessment, centres, lost, pairs)
+
+    def _assessment(
+        self, certificate: Certificate, clear_share: float, p: FloatArray
+    ) -> Assessment:
+        """Return the assessment of drawing clear routes, which use the edges with p (M,)."""
+        plan = self._plan
+        return Assessment(
+            certificate.value,
+            certificate.bound,
+            clear_share,
+            float(p @ plan.network.lengths) if p.any() else math.inf,
+            plan.options.strategy.max_detour * plan.strategy.shortest_length,
+        )
 
     def _reach(self, newest: OccupancyMap) -> float:
         """Return the distance from a cell's centre beyond which nothing meets the cell [m]."""

@@ -87,6 +87,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         **_strategy_values(status.plan),
         'current_value': f'{now.value:.9g}' if now else '',
         'current_gap': f'{now.gap:.9g}' if now else '',
+        'current_length': f'{now.expected_length:.9g}' if now else '',
         'stale': ('yes' if status.stale else 'no') if now else '',
         'departures': str(status.departures),
         'departure_id': status.departure_id,
@@ -110,10 +111,10 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     waiting = (f'waiting for {", ".join(status.missing)}',) if status.missing else ()
     if status.warnings or waiting:
         return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
+    changed = '; '.join(filter(None, (status.stale, _length_warning(status.assessment))))
     warning = (
-        status.stale or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
-        or _tight_turns_warning(status.tight_turns)
-        or _bottleneck_warning(status.plan)
+        changed or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
+        or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan)
     )
     if warning:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
@@ -139,6 +140,17 @@ def _counting_gap_warning(plan: Plan | None) -> str:
     return (
         f'routes come back into the reach of an ambush, and no strategy was found closer to the '
         f'bound: the value is {plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
+    )
+
+
+def _length_warning(assessment: Assessment | None) -> str:
+    """Return a warning if the routes that are still clear are longer than the budget allows."""
+    if assessment is None or not assessment.is_over_budget:
+        return ''
+    length, budget = assessment.expected_length, assessment.length_budget
+    return (
+        f'the routes that are clear on the current map have a mean length of {length:.4g} m, '
+        f'{length / budget:.3g} times the budget of {budget:.4g} m (strategy.max_detour)'
     )
 
 
