@@ -59,11 +59,9 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     """Draw losses in grey, the least one white, and obstacles in black."""
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
-    image = axes.imshow(
-        np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-        origin='lower', extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
-        interpolation='nearest', zorder=0,
-    )
+    image = axes.imshow(np.ma.masked_array(risk_map.alpha, risk_map.obstacles), origin='lower',
+                        extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
+                        interpolation='nearest', zorder=0)
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     return image
 
@@ -74,10 +72,9 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
 
-def draw_segments(
-    axes: Axes, segments: FloatArray, probability: npt.ArrayLike, scale: Normalize | None = None,
-    widths: tuple[float, float] = (0.5, 3.0),
-) -> LineCollection:
+def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
+                  scale: Normalize | None = None,
+                  widths: tuple[float, float] = (0.5, 3.0)) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
@@ -98,9 +95,8 @@ def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) 
                  color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5)
 
 
-def draw_ends(
-    axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike, stops: npt.ArrayLike = ()
-) -> None:
+def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike,
+              stops: npt.ArrayLike = ()) -> None:
     """Mark the start with a square, the goal with a star, stops with diamonds, with names."""
     marks = [(start, 's', 90, 'start'), (goal, '*', 260, 'goal')]
     marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]

@@ -70,9 +70,8 @@ class RiskMap:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
         if self.obstacles.all():
             return np.zeros_like(self.alpha)
-        nearest = distance_transform_edt(
-            self.obstacles, return_distances=False, return_indices=True
-        )
+        nearest = distance_transform_edt(self.obstacles, return_distances=False,
+                                         return_indices=True)
         return np.asarray(self.alpha[tuple(nearest)])
 
     def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:

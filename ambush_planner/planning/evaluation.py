@@ -70,7 +70,5 @@ def _meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = upper_bound(game, p)
-    return Measures(
-        planner, float(p @ game.network.lengths), _meeting_probability(game, p, q),
-        1.0 if worst > 0.0 else 0.0, worst,
-    )
+    return Measures(planner, float(p @ game.network.lengths), _meeting_probability(game, p, q),
+                    1.0 if worst > 0.0 else 0.0, worst)

@@ -50,11 +50,9 @@ class Section:
         first = self.departures[0]
         one, two = first.trip, other.trip
         far = math.dist(one.start_xy, one.goal_xy) * SAME_TRIP
-        return (
-            other.risk_map is first.risk_map
-            and math.dist(one.start_xy, two.start_xy) <= far
-            and math.dist(one.goal_xy, two.goal_xy) <= far
-        )
+        return (other.risk_map is first.risk_map
+                and math.dist(one.start_xy, two.start_xy) <= far
+                and math.dist(one.goal_xy, two.goal_xy) <= far)
 
 
 def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
