@@ -58,9 +58,7 @@ class Scene:
 
 def scene_of(risk_map: RiskMap, **more: Any) -> Scene:
     """Return the scene of a map, which may be rotated; ``more`` are other fields of Scene."""
-    width, height = risk_map.size
-    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = risk_map.bounds
     return Scene(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), **more)
 
 

@@ -66,6 +66,13 @@ class RiskMap:
         rows, columns = self.alpha.shape
         return columns * self.resolution, rows * self.resolution
 
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest world coordinates (2,) of the map [m]."""
+        width, height = self.size
+        corners = self.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+        return corners.min(axis=0), corners.max(axis=0)
+
     def nearest_free_alpha(self) -> FloatArray:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
         if self.obstacles.all():

@@ -93,8 +93,7 @@ def remove_abandoned(directory: Path) -> list[Path]:
     Files younger than a minute stay, since another node may be writing them.
     """
     with recording_to(directory):
-        found = [path
-                 for path in directory.glob(f'{SESSION_PREFIX}*/*{TEMPORARY}')
+        found = [path for path in directory.glob(f'{SESSION_PREFIX}*/*{TEMPORARY}')
                  if time.time() - path.lstat().st_mtime > _ABANDONED]
         for path in found:
             path.unlink()
