@@ -82,6 +82,5 @@ class SolverFailed(AmbushPlannerError):
 
 def shown(name: Path | str) -> str:
     """Return a file name for a terminal, with control characters and invalid bytes escaped."""
-    return ''.join(
-        each if each.isprintable() else each.encode('unicode_escape').decode() for each in str(name)
-    )
+    return ''.join(each if each.isprintable() else each.encode('unicode_escape').decode()
+                   for each in str(name))

@@ -9,9 +9,8 @@ import numpy as np
 from .errors import InvalidOption
 
 
-def check_at_least(
-    name: str, value: object, least: float, unit: str = '', finite: bool = True
-) -> None:
+def check_at_least(name: str, value: object, least: float, unit: str = '',
+                   finite: bool = True) -> None:
     """Check that ``value`` is a number >= ``least``, finite unless ``finite`` is false."""
     number = isinstance(value, int | float | np.integer | np.floating)
     if not number or isinstance(value, bool):

@@ -16,7 +16,7 @@ from scenarios import Scenario, terrain
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
 from ambush_planner.commands.figures import (
-    draw_ambush_sites,
+    AMBUSHER,
     draw_ends,
     draw_risk_map,
     draw_secured,
@@ -72,7 +72,10 @@ def picture(risk_map: RiskMap, trip: Plan) -> Figure:
     frame(left, risk_map, f'One strategy over {network.legs} legs: mean loss {strategy.value:.2f}')
     frame(right, risk_map, f'{SHOWN} departures')
     draw_segments(left, network.points[network.edges], strategy.edge_probability)
-    draw_ambush_sites(left, network, strategy.ambush_probability)
+    q = strategy.ambush_probability
+    sites = np.flatnonzero((q > 0.0) & (q >= 1e-3 * q.max()))
+    left.scatter(*network.points[sites].T, s=20.0 + 110.0 * q[sites] / q.max(),
+                 color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5)
     paths = departure_paths(trip, SHOWN, 100.0, np.random.default_rng(1))
     for path, colour in zip(paths, COLOURS, strict=True):
         right.plot(*path[:, :2].T, color=colour, linewidth=1.4, zorder=4)

@@ -79,13 +79,3 @@ def test_binned_directions_are_weighted_means():
     np.testing.assert_allclose(share, [1.0, 0.5])
     places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
-
-
-def test_markers_show_ambush_sites_by_probability(axes, small_plan):
-    q = small_plan.strategy.ambush_probability
-    figures.draw_ambush_sites(axes, small_plan.network, q)
-    (markers,) = axes.collections
-    assert len(markers.get_offsets()) == (q > 1e-3 * q.max()).sum() > 0
-    sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
-    np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
-                                  np.argsort(shown, kind='stable'))

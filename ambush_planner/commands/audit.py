@@ -48,9 +48,8 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def read_all(
-    place: Path, console: cli.Console
-) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
+def read_all(place: Path,
+             console: cli.Console) -> tuple[list[RecordedDeparture], list[UnreadableRecording]]:
     """Return the departures below ``place`` in order of time, and errors of unreadable files."""
     errors: list[UnreadableRecording] = []
     return read_departures(console.progress(recordings_in(place), 'read'), errors.append), errors
@@ -73,11 +72,9 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         findings.append('some stretches are driven far more or less often than published '
                         f'(p = {result.p_value:.3g})')
     low, high = result.observer_range
-    notes = [
-        'An observer who learns as he goes would have caused a mean loss of '
-        f'{result.observer_loss:.4g} against the published value {result.value:.4g}. For '
-        f'departures drawn as published it is {low:.4g} to {high:.4g} in 9 of 10 cases.'
-    ]
+    notes = ['An observer who learns as he goes would have caused a mean loss of '
+             f'{result.observer_loss:.4g} against the published value {result.value:.4g}. For '
+             f'departures drawn as published it is {low:.4g} to {high:.4g} in 9 of 10 cases.']
     if not findings:
         notes.insert(0, 'Nothing suspicious: the stretches are driven as often as published '
                      f'(p = {result.p_value:.3g}). Few departures show only gross deviations.')

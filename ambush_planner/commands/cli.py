@@ -115,10 +115,8 @@ def command(parser: Callable[[], argparse.ArgumentParser], work: Work) -> Callab
     return partial(_run, parser, work)
 
 
-def _run(
-    make_parser: Callable[[], argparse.ArgumentParser], work: Work,
-    arguments: Sequence[str] | None = None,
-) -> int:
+def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
+         arguments: Sequence[str] | None = None) -> int:
     """Parse the arguments, do the work, report errors, and return the exit code."""
     parser = make_parser()
     _complete(parser)
@@ -165,10 +163,8 @@ def resource(name: str) -> str:
 
 
 def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog=program, description=description, epilog=epilog,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = argparse.ArgumentParser(prog=program, description=description, epilog=epilog,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--version', action='version',
                         version=f'ambush_planner {version("ambush_planner")}')
     return parser

@@ -84,16 +84,14 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     console.line(table(strategy, paths, seconds, total))
     console.line(f'\n{cli.place(folder)}: report.html, routes.png, frontier.png, '
                  'frontier.csv, node.log and the recordings')
-    console.result = {
-        'folder': cli.place(folder), 'departures': options.departures, 'value': strategy.value,
-        'lower_bound': strategy.lower_bound, 'seconds': round(total, 1),
-    }
+    console.result = {'folder': cli.place(folder), 'departures': options.departures,
+                      'value': strategy.value, 'lower_bound': strategy.lower_bound,
+                      'seconds': round(total, 1)}
     return cli.Exit.HOLDS
 
 
-def _departures(
-    folder: Path, count: int, say: Callable[[str], None]
-) -> tuple[list[FloatArray], list[float]]:
+def _departures(folder: Path, count: int,
+                say: Callable[[str], None]) -> tuple[list[FloatArray], list[float]]:
     """Return the paths (L, 3) of departures, and the time that each took [s]."""
     from .demo_client import DemoClient
 
@@ -126,9 +124,8 @@ def _departures(
     return paths, seconds
 
 
-def table(
-    strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float], total: float
-) -> str:
+def table(strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float],
+          total: float) -> str:
     """Return the numbers of the strategy and of the departures, for a terminal."""
     first, *later = seconds
     further = f', {1000 * float(np.median(later)):.0f} ms for a further one' if later else ''

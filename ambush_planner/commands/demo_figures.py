@@ -31,10 +31,8 @@ class FixedRoute:
     worst_place: FloatArray
 
 
-def routes_figure(
-    risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray],
-    fixed: Sequence[FixedRoute], secured_radius: float,
-) -> Figure:
+def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray],
+                  fixed: Sequence[FixedRoute], secured_radius: float) -> Figure:
     """Draw the routes (K, 2) of departures on the left and the fixed routes on the right."""
     figure = Figure(figsize=(15.0, 9.6), layout='compressed')
     # The legend is below the panels.

@@ -27,7 +27,6 @@ def load_ground() -> TerrainMap:
         sample = dict(file)
     # ymin and ymax are swapped in the file; their mean is correct.
     latitude = float(sample['ymin'] + sample['ymax']) / 2
-    raster = raster_in_degrees(
-        sample['elevation'], float(sample['dy']), float(sample['dx']), latitude
-    )
+    raster = raster_in_degrees(sample['elevation'], float(sample['dy']), float(sample['dx']),
+                               latitude)
     return terrain_map(elevation_from_raster(raster, RESOLUTION), OPTIONS)

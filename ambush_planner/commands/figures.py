@@ -24,7 +24,6 @@ from matplotlib.transforms import Affine2D
 
 from ..arrays import FloatArray
 from ..maps.risk_map import RiskMap
-from ..network.network import Network
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'
@@ -43,11 +42,9 @@ HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
 
 def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
     """Give the axes the map's extent, equal scales, and ticks in km (m for maps under 2 km)."""
-    width, height = risk_map.size
-    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
-    (left, bottom), (right, top) = corners.min(axis=0), corners.max(axis=0)
+    (left, bottom), (right, top) = risk_map.bounds
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
-    unit, scale = ('km', 1000.0) if max(width, height) >= 2000.0 else ('m', 1.0)
+    unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
@@ -59,11 +56,9 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     """Draw losses in grey, the least one white, and obstacles in black."""
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
-    image = axes.imshow(
-        np.ma.masked_array(risk_map.alpha, risk_map.obstacles),
-        origin='lower', extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
-        interpolation='nearest', zorder=0,
-    )
+    image = axes.imshow(np.ma.masked_array(risk_map.alpha, risk_map.obstacles), origin='lower',
+                        extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
+                        interpolation='nearest', zorder=0)
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     return image
 
@@ -74,10 +69,9 @@ def probability_scale(probability: npt.ArrayLike) -> LogNorm:
     return LogNorm(LEAST_PROBABILITY, max(largest, 2.0 * LEAST_PROBABILITY), clip=True)
 
 
-def draw_segments(
-    axes: Axes, segments: FloatArray, probability: npt.ArrayLike, scale: Normalize | None = None,
-    widths: tuple[float, float] = (0.5, 3.0),
-) -> LineCollection:
+def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
+                  scale: Normalize | None = None,
+                  widths: tuple[float, float] = (0.5, 3.0)) -> LineCollection:
     """Draw segments (K, 2, 2); likelier ones are darker, wider and on top."""
     p = np.asarray(probability, dtype=np.float64)
     scale = scale or probability_scale(p)
@@ -90,17 +84,8 @@ def draw_segments(
     return lines
 
 
-def draw_ambush_sites(axes: Axes, network: Network, probability: npt.ArrayLike) -> None:
-    """Mark where the ambusher waits; the markers' area grows with the probability."""
-    q = np.asarray(probability, dtype=np.float64)
-    sites = np.flatnonzero((q > 0.0) & (q >= 1e-3 * q.max(initial=0.0)))
-    axes.scatter(*network.points[sites].T, s=20.0 + 110.0 * q[sites] / q.max(initial=0.0),
-                 color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5)
-
-
-def draw_ends(
-    axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike, stops: npt.ArrayLike = ()
-) -> None:
+def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike,
+              stops: npt.ArrayLike = ()) -> None:
     """Mark the start with a square, the goal with a star, stops with diamonds, with names."""
     marks = [(start, 's', 90, 'start'), (goal, '*', 260, 'goal')]
     marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]

@@ -55,15 +55,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if output.suffix == '.png':
         raise InvalidOption(f'{output}: the picture has this name; choose TABLE.csv')
     risk_map = read_risk_map(arguments.map, options.map)
-    network = build_network(
-        risk_map, tuple(arguments.start), tuple(arguments.goal), options.network
-    )
+    network = build_network(risk_map, tuple(arguments.start), tuple(arguments.goal),
+                            options.network)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
-    rows = frontier(
-        network, options.game, detours, slacks, options.strategy,
-        lambda _: show(next(solved) / (len(detours) + len(slacks))),
-    )
+    rows = frontier(network, options.game, detours, slacks, options.strategy,
+                    lambda _: show(next(solved) / (len(detours) + len(slacks))))
     write_frontier(output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
     console.line(f'\n{cli.place(output)}, {output.with_suffix(".png").name}: '
@@ -72,18 +69,15 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     return cli.Exit.FINDING if any(row.error for row in rows) else cli.Exit.HOLDS
 
 
-def write_frontier(
-    path: Path, rows: Sequence[FrontierRow], max_detour: float, risk_slack: float
-) -> None:
+def write_frontier(path: Path, rows: Sequence[FrontierRow], max_detour: float,
+                   risk_slack: float) -> None:
     """Write the table (CSV) and the picture (.png) next to it, both with mode 0600."""
     text, png = io.StringIO(), io.BytesIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
     writer.writeheader()
     for row in rows:
-        writer.writerow({
-            name: f'{value:.9g}' if isinstance(value, float) else value
-            for name, value in asdict(row).items()
-        })
+        writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
+                         for name, value in asdict(row).items()})
     frontier_figure(rows, max_detour, risk_slack).savefig(png, format='png')
     picture = path.with_suffix('.png').name
     cli.write_private(path.parent, {path.name: text.getvalue().encode(), picture: png.getvalue()})

@@ -56,9 +56,8 @@ def options_from(assignments: Sequence[str]) -> SolveOptions:
             raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
         group, option = name.split('.')
         changes[group][option] = _value(name, text, type(getattr(options[group], option)))
-    return SolveOptions(**{
-        group: dataclasses.replace(part, **changes[group]) for group, part in options.items()
-    })
+    return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
+                           for group, part in options.items()})
 
 
 def _value(name: str, text: str, kind: type) -> Any:
@@ -85,9 +84,8 @@ def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
         with np.load(path) as file:
             content = dict(file)
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
-        return RiskMap(
-            content['alpha'], content['obstacles'], float(content['resolution']), (x, y, yaw)
-        )
+        return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
+                       (x, y, yaw))
     except KeyError as error:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:

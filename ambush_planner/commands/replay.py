@@ -28,10 +28,9 @@ Remapping and node options follow --ros-args at the end, as for any ROS executab
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 """ + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
-INPUT_TYPES = frozenset({
-    'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',
-    'geometry_msgs/msg/PoseWithCovarianceStamped', 'geometry_msgs/msg/PoseArray',
-})
+INPUT_TYPES = frozenset({'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',
+                         'geometry_msgs/msg/PoseWithCovarianceStamped',
+                         'geometry_msgs/msg/PoseArray'})
 # Longest wait for listeners [s]; discovery takes up to 3.3 s, and a planner may just be starting.
 _DISCOVERY, _DISCOVERY_OF_INPUTS = 3.5, 10.0
 # A listener that was discovered discovers the publisher a little later [s].
@@ -150,9 +149,8 @@ class _Replay:
                 f'nothing is recorded on {", ".join(sorted(missing))}, only on {", ".join(topics)}'
             )
         self._publishers = {
-            channel: node.create_publisher(
-                _message_class(channel.type), channel.topic, qos_from_yaml(channel.qos)
-            )
+            channel: node.create_publisher(_message_class(channel.type), channel.topic,
+                                           qos_from_yaml(channel.qos))
             for channel in sorted(known)
             if channel.topic in (self._options.topics or topics)
             and (channel.type in INPUT_TYPES or not self._options.inputs_only)

@@ -35,9 +35,8 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def write_report(
-    place: Path, output: Path, verify: bool, console: cli.Console
-) -> tuple[cli.Exit, list[Section]]:
+def write_report(place: Path, output: Path, verify: bool,
+                 console: cli.Console) -> tuple[cli.Exit, list[Section]]:
     """Write the page of the recordings in a file or folder; return the exit code and sections."""
     departures, unreadable = read_all(place, console)
     for error in unreadable:

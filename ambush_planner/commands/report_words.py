@@ -122,10 +122,8 @@ def settings(section: Section) -> list[tuple[str, str]]:
         values = {'frame of the map': each.frame, **each.parameters.values}
         for name, value in values.items():
             found.setdefault(name, set()).add(str(value))
-    return [
-        (name, values.pop() if len(values) == 1 else 'differs between departures')
-        for name, values in sorted(found.items()) if name != 'seed'
-    ]
+    return [(name, values.pop() if len(values) == 1 else 'differs between departures')
+            for name, values in sorted(found.items()) if name != 'seed']
 
 
 def _routes(strategy: Strategy) -> str:

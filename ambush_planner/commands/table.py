@@ -54,20 +54,16 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
     pairs = list(product(read_places(arguments.depots), read_places(arguments.customers)))
     risk_map = read_risk_map(arguments.map, options.map)
-    problems = [
-        Problem(risk_map, start, goal, options.network, options.game, options.strategy)
-        for (_, start), (_, goal) in pairs
-    ]
+    problems = [Problem(risk_map, start, goal, options.network, options.game, options.strategy)
+                for (_, start), (_, goal) in pairs]
     show, solved = console.bar('pairs solved'), count(1)
     # On Ctrl-C, this process cancels the other pairs and waits for those that are being solved.
     with ProcessPoolExecutor(
         arguments.jobs, multiprocessing.get_context('spawn'), signal.signal,
         (signal.SIGINT, signal.SIG_IGN),
     ) as pool:
-        results = solve_many(
-            problems, pool, answer=_numbers, in_flight=2 * arguments.jobs,
-            on_result=lambda _: show(next(solved) / len(pairs)),
-        )
+        results = solve_many(problems, pool, answer=_numbers, in_flight=2 * arguments.jobs,
+                             on_result=lambda _: show(next(solved) / len(pairs)))
     text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, restval='', lineterminator='\n')
     writer.writeheader()
@@ -79,9 +75,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     failed = sum(result.error is not None for result in results)
     console.line(f'{cli.place(output)}: {cli.count(len(pairs), "pair")}, '
                  f'{failed} without a strategy, in {seconds} s')
-    console.result = {
-        'table': cli.place(output), 'pairs': len(pairs), 'failed': failed, 'seconds': seconds,
-    }
+    console.result = {'table': cli.place(output), 'pairs': len(pairs), 'failed': failed,
+                      'seconds': seconds}
     return cli.Exit.FINDING if failed else cli.Exit.HOLDS
 
 

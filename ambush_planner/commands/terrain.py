@@ -64,9 +64,8 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     views = ViewOptions(arguments.weapon_range, arguments.vehicle_height, arguments.person_height)
-    options = TerrainOptions(
-        views, arguments.slope_limit, tuple(arguments.weights), arguments.road_factor
-    )
+    options = TerrainOptions(views, arguments.slope_limit, tuple(arguments.weights),
+                             arguments.road_factor)
     elevation = elevation_from_raster(read_raster(arguments.elevation), arguments.resolution)
     roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
     ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))

@@ -61,9 +61,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         console.line(f'{len(failing)} of {departures}: not consistent')
     else:
         console.line(f'{departures}: {"each holds, but not together" if findings else "all hold"}')
-    console.result = {
-        'departures': [*map(_as_json, verdicts)], 'findings': findings, 'notes': notes,
-    }
+    console.result = {'departures': [*map(_as_json, verdicts)], 'findings': findings,
+                      'notes': notes}
     if findings or any(verdict.readable for verdict in failing):
         return cli.Exit.FINDING
     return cli.Exit.UNREADABLE if failing else cli.Exit.HOLDS

@@ -39,9 +39,7 @@ from file): the whole map in view, lines of visible width, start and goal tools,
 _RVIZ_VIEW, _PANEL_ASPECT = (900, 700), 1.2
 # Widths and arrow sizes as shares of the map's larger side.
 _LINE = 0.008
-_ARROW = {
-    'Shaft Length': 0.05, 'Shaft Radius': 0.005, 'Head Length': 0.025, 'Head Radius': 0.0125,
-}
+_ARROW = {'Shaft Length': 0.05, 'Shaft Radius': 0.005, 'Head Length': 0.025, 'Head Radius': 0.0125}
 # Maximum height of the path in RViz [m], whose camera is at 500 m.
 _HIGHEST = 200.0
 _UPDATES = '_updates'
@@ -60,9 +58,7 @@ class Scene:
 
 def scene_of(risk_map: RiskMap, **more: Any) -> Scene:
     """Return the scene of a map, which may be rotated; ``more`` are other fields of Scene."""
-    width, height = risk_map.size
-    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low, high = risk_map.bounds
     return Scene(tuple(((low + high) / 2).tolist()), tuple((high - low).tolist()), **more)
 
 
@@ -92,10 +88,9 @@ def foxglove_text(scene: Scene) -> str:
     panel['followTf'] = scene.frame
     # The visible height of the panel equals the camera's distance.
     distance = 1.1 * max(scene.size[1], scene.size[0] / _PANEL_ASPECT)
-    panel['cameraState'].update({
-        'distance': _short(distance), 'targetOffset': [*map(_short, scene.centre), 0],
-        'near': _short(0.01 * distance), 'far': _short(10.0 * distance),
-    })
+    panel['cameraState'].update({'distance': _short(distance),
+                                 'targetOffset': [*map(_short, scene.centre), 0],
+                                 'near': _short(0.01 * distance), 'far': _short(10.0 * distance)})
     line, arrow = (_short(share * max(scene.size)) for share in (_LINE, _ARROW['Shaft Length']))
     for topic in panel['topics'].values():
         if 'lineWidth' in topic:
@@ -124,9 +119,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     written = [cli.place(folder / name) for name in files]
     for file in written:
         console.line(file)
-    console.result = {
-        'files': written, 'frame': scene.frame, 'centre': scene.centre, 'size': scene.size,
-    }
+    console.result = {'files': written, 'frame': scene.frame, 'centre': scene.centre,
+                      'size': scene.size}
     return cli.Exit.HOLDS
 
 
@@ -136,11 +130,9 @@ def _scene(source: Path, namespace: str) -> Scene:
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
     path = recordings_in(source)[-1]
     departure = read_departure(path)
-    return scene_of(
-        departure.risk_map, frame=departure.frame,
-        topics=topics | _recorded_topics(read_recording(path)),
-        node=departure.call['service'].rpartition('/')[0],
-    )
+    return scene_of(departure.risk_map, frame=departure.frame,
+                    topics=topics | _recorded_topics(read_recording(path)),
+                    node=departure.call['service'].rpartition('/')[0])
 
 
 def _recorded_topics(file: RecordingFile) -> dict[str, str]:

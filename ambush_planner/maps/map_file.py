@@ -87,9 +87,8 @@ def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[
     return numbers
 
 
-def _cells(
-    path: Path, light: FloatArray, opaque: BoolArray, mode: str, fields: dict[str, Any]
-) -> npt.NDArray[np.int8]:
+def _cells(path: Path, light: FloatArray, opaque: BoolArray, mode: str,
+           fields: dict[str, Any]) -> npt.NDArray[np.int8]:
     """Convert lightness 0..1 to values -1..100 as map_server does."""
     if mode == 'raw':
         value = np.rint(light * 255.0)

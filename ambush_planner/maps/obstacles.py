@@ -74,9 +74,8 @@ class ObstacleField:
         counts: FloatArray = sums[r1, c1] - sums[r0, c1] - sums[r1, c0] + sums[r0, c0]
         return counts
 
-    def _hits(
-        self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray, reach: float
-    ) -> BoolArray:
+    def _hits(self, a: FloatArray, b: FloatArray, low: IndexArray, high: IndexArray,
+              reach: float) -> BoolArray:
         """Test each segment against every obstacle cell of its box, in chunks."""
         hit = np.zeros(len(a), dtype=bool)
         sizes = np.prod(high - low + 1, axis=1)
@@ -92,9 +91,8 @@ class ObstacleField:
             start = stop
         return hit
 
-    def _pairs(
-        self, low: IndexArray, high: IndexArray, sizes: IndexArray
-    ) -> tuple[IndexArray, IndexArray]:
+    def _pairs(self, low: IndexArray, high: IndexArray,
+               sizes: IndexArray) -> tuple[IndexArray, IndexArray]:
         """List each segment with every obstacle cell (column, row) in its box."""
         segment = np.repeat(np.arange(len(low)), sizes)
         offset = np.arange(len(segment)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
@@ -151,10 +149,8 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
     return best
 
 
-def nearest_free_cell(
-    risk_map: RiskMap, xy: tuple[float, float], tolerance: float, clearance: float,
-    clear_of_edge: bool = True,
-) -> tuple[float, float]:
+def nearest_free_cell(risk_map: RiskMap, xy: tuple[float, float], tolerance: float,
+                      clearance: float, clear_of_edge: bool = True) -> tuple[float, float]:
     """Return ``xy`` if it is clear, else the centre of the nearest clear cell [m].
 
     Returns ``xy`` unchanged if no clear cell lies within ``tolerance`` [m], or if it is off the

@@ -49,10 +49,8 @@ class OccupancyOptions:
                     'losses'
                 )
         if not 0.0 <= self.alpha_min <= self.alpha_max:
-            raise InvalidOption(
-                '0 <= alpha_min <= alpha_max must hold, '
-                f'got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}'
-            )
+            raise InvalidOption('0 <= alpha_min <= alpha_max must hold, '
+                                f'got alpha_min {self.alpha_min} and alpha_max {self.alpha_max}')
         if not 1 <= self.obstacle_threshold <= 101:
             raise InvalidOption(
                 'obstacle_threshold must be in 1..101 (101: no value is an obstacle), '
@@ -60,10 +58,9 @@ class OccupancyOptions:
             )
 
 
-def risk_map_from_occupancy(
-    values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    options: OccupancyOptions | None = None,
-) -> RiskMap:
+def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
+                            origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+                            options: OccupancyOptions | None = None) -> RiskMap:
     """Convert an occupancy grid (H, W) of values -1..100 to a risk map.
 
     Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
@@ -82,9 +79,8 @@ def risk_map_from_occupancy(
     return RiskMap(alpha, obstacles, resolution, origin)
 
 
-def check_occupancy(
-    values: npt.NDArray[np.number[Any]], resolution: float, origin: tuple[float, float, float]
-) -> None:
+def check_occupancy(values: npt.NDArray[np.number[Any]], resolution: float,
+                    origin: tuple[float, float, float]) -> None:
     """Check an occupancy grid without the far slower conversion to a risk map.
 
     Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.

@@ -66,13 +66,19 @@ class RiskMap:
         rows, columns = self.alpha.shape
         return columns * self.resolution, rows * self.resolution
 
+    @property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest world coordinates (2,) of the map [m]."""
+        width, height = self.size
+        corners = self.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+        return corners.min(axis=0), corners.max(axis=0)
+
     def nearest_free_alpha(self) -> FloatArray:
         """Loss (H, W) of each cell, or of the nearest free cell in obstacles; 0 if none is free."""
         if self.obstacles.all():
             return np.zeros_like(self.alpha)
-        nearest = distance_transform_edt(
-            self.obstacles, return_distances=False, return_indices=True
-        )
+        nearest = distance_transform_edt(self.obstacles, return_distances=False,
+                                         return_indices=True)
         return np.asarray(self.alpha[tuple(nearest)])
 
     def to_map_axes(self, xy: npt.ArrayLike) -> FloatArray:

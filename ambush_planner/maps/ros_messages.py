@@ -89,8 +89,6 @@ def _pose_fault(pose: Any) -> str | None:
 
 def _tilt_fault(q: Any) -> str | None:
     if q.x * q.x + q.y * q.y > _UNIT_TOLERANCE:
-        return (
-            f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only '
-            'rotation about z is supported'
-        )
+        return (f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only '
+                'rotation about z is supported')
     return None

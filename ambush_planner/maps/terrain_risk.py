@@ -96,10 +96,9 @@ class TerrainMap:
     roads: BoolArray
 
 
-def terrain_map(
-    elevation: Elevation, options: TerrainOptions | None = None, roads: BoolArray | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> TerrainMap:
+def terrain_map(elevation: Elevation, options: TerrainOptions | None = None,
+                roads: BoolArray | None = None,
+                progress: Callable[[float], None] | None = None) -> TerrainMap:
     """Compute the risk map of terrain; ``roads`` (H, W) marks cells that contain a road.
 
     ``progress`` is called with the completed share of the work.
@@ -123,11 +122,9 @@ def terrain_map(
     return TerrainMap(values, elevation.resolution, *layers)
 
 
-def _values(
-    elevation: Elevation,
-    layers: tuple[HeightArray, HeightArray, HeightArray, HeightArray, BoolArray],
-    options: TerrainOptions,
-) -> npt.NDArray[np.int8]:
+def _values(elevation: Elevation,
+            layers: tuple[HeightArray, HeightArray, HeightArray, HeightArray, BoolArray],
+            options: TerrainOptions) -> npt.NDArray[np.int8]:
     """Compute cell values by the formulas in the module docstring."""
     steepness, depth, exposure, approach, roads = layers
     reach = options.view.weapon_range

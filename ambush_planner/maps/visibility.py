@@ -103,10 +103,8 @@ class Sample:
     weight: int
 
 
-def viewshed(
-    elevation: Elevation, options: ViewOptions | None = None,
-    progress: Callable[[float], None] | None = None,
-) -> Views:
+def viewshed(elevation: Elevation, options: ViewOptions | None = None,
+             progress: Callable[[float], None] | None = None) -> Views:
     """Compute the visibility of all cells, on all processors available to this process.
 
     ``progress`` is called with the completed share of the work.
@@ -123,9 +121,8 @@ def viewshed(
 
     def work(tile: tuple[slice, slice]) -> None:
         rows, columns = tile
-        window = padded[
-            rows.start : rows.stop + 2 * reach, columns.start : columns.stop + 2 * reach
-        ]
+        window = padded[rows.start : rows.stop + 2 * reach,
+                        columns.start : columns.stop + 2 * reach]
         cells = _Tile(window, reach, elevation.resolution, options)
         for ray in rays:
             cells.follow(ray)
@@ -196,9 +193,8 @@ def _tiles(shape: tuple[int, ...]) -> Iterator[tuple[slice, slice]]:
 class _Tile:
     """Cells whose rays advance together; ``window`` holds them and ``reach`` cells around them."""
 
-    def __init__(
-        self, window: HeightArray, reach: int, resolution: float, options: ViewOptions
-    ) -> None:
+    def __init__(self, window: HeightArray, reach: int, resolution: float,
+                 options: ViewOptions) -> None:
         self._window = window
         self._all_known = bool(np.isfinite(window).all())
         self._reach = reach

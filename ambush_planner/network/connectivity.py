@@ -45,9 +45,8 @@ def delaunay_pairs(points: FloatArray, mirrored: FloatArray) -> tuple[IndexArray
     return pairs, triangles[(triangles < len(points)).all(axis=1)]
 
 
-def lattice_delaunay_pairs(
-    free: BoolArray, others: FloatArray, method: str
-) -> tuple[IndexArray, IndexArray]:
+def lattice_delaunay_pairs(free: BoolArray, others: FloatArray,
+                           method: str) -> tuple[IndexArray, IndexArray]:
     """Delaunay triangulation of a lattice with gaps and a few additional nodes.
 
     ``free`` (rows, columns) marks the existing lattice nodes, numbered row by row; the ``others``
@@ -143,9 +142,8 @@ def _lattice_triangles(shape: tuple[int, ...], method: str) -> IndexArray:
     return triangles
 
 
-def _circle_contains(
-    places: FloatArray, triangles: IndexArray, others: FloatArray, shape: tuple[int, ...]
-) -> BoolArray:
+def _circle_contains(places: FloatArray, triangles: IndexArray, others: FloatArray,
+                     shape: tuple[int, ...]) -> BoolArray:
     """Return which circumcircles contain one of the others; a lattice's circles are small."""
     around = np.zeros(shape, dtype=bool)
     column, row = np.floor(others).astype(np.int64).T

@@ -31,9 +31,8 @@ from .network import Network
 from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
 from .shortest_paths import reachable_from
 
-METHODS = (
-    'uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay'
-)
+METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
+           'gradient_delaunay')
 
 
 @dataclass(frozen=True)
@@ -114,17 +113,14 @@ class TripGraph:
             if leg + 1 < legs:
                 layers[-1][edges[:, 1] == target, 1] += count
         edges = np.concatenate(layers)
-        return Network(
-            np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs),
-            edges[np.lexsort((edges[:, 1], edges[:, 0]))], visits[0],
-            visits[-1] + (legs - 1) * count, legs=legs,
-        )
+        return Network(np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs),
+                       edges[np.lexsort((edges[:, 1], edges[:, 0]))], visits[0],
+                       visits[-1] + (legs - 1) * count, legs=legs)
 
 
-def build_network(
-    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-    options: NetworkOptions | None = None, stops: Iterable[npt.ArrayLike] = (),
-) -> Network:
+def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+                  options: NetworkOptions | None = None,
+                  stops: Iterable[npt.ArrayLike] = ()) -> Network:
     """Build the network for driving from start to goal via stops; world positions [m].
 
     Start, stops and goal are nodes at exactly the given positions; each replaces its nearest
@@ -142,10 +138,8 @@ def build_network(
     return graph.network(graph.visits)
 
 
-def build_trip_graph(
-    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike, options: NetworkOptions,
-    stops: Iterable[npt.ArrayLike] = (),
-) -> TripGraph:
+def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+                     options: NetworkOptions, stops: Iterable[npt.ArrayLike] = ()) -> TripGraph:
     """Place the nodes and join them; raises as ``build_network``."""
     field = ObstacleField(risk_map, options.clear_of_edge)
     positions = _checked_positions(risk_map, field, [start_xy, *stops, goal_xy], options)
@@ -174,9 +168,8 @@ def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> l
     return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
 
 
-def _add_passage_nodes(
-    space: FreeSpace, start: int, unreachable: list[int]
-) -> tuple[FloatArray, IndexArray]:
+def _add_passage_nodes(space: FreeSpace, start: int,
+                       unreachable: list[int]) -> tuple[FloatArray, IndexArray]:
     """Add nodes in narrow passages on paths over cells from end ``start`` to unreachable ends.
 
     Raises NoRoute if no such path exists or the added nodes do not connect the ends.
@@ -234,9 +227,8 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     return spacing
 
 
-def _checked_positions(
-    risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike], options: NetworkOptions
-) -> list[tuple[float, float]]:
+def _checked_positions(risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike],
+                       options: NetworkOptions) -> list[tuple[float, float]]:
     """Start, stops and goal as positions, checked; start and goal are reported first."""
     last = len(given) - 1
     names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
@@ -249,9 +241,8 @@ def _checked_positions(
     return positions
 
 
-def _check_position(
-    risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str, options: NetworkOptions
-) -> None:
+def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str,
+                    options: NetworkOptions) -> None:
     off_map, blocked = POSITION_ERRORS.get(name, (StopOutsideMap, StopBlocked))
     try:
         position = np.asarray(xy, dtype=np.float64)
@@ -265,10 +256,8 @@ def _check_position(
     uv = risk_map.to_map_axes(position)
     if not risk_map.contains(uv):
         width, height = risk_map.size
-        raise off_map(
-            f'{where} is outside the map, which is {width:g} m x {height:g} m from '
-            f'(x, y, yaw) {risk_map.origin}'
-        )
+        raise off_map(f'{where} is outside the map, which is {width:g} m x {height:g} m from '
+                      f'(x, y, yaw) {risk_map.origin}')
     clearance = options.clearance
     if not field.clear_points(uv[None], clearance)[0]:
         edge = " or of the map's edge" if options.clear_of_edge else ''

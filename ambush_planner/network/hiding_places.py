@@ -10,9 +10,8 @@ from ..maps.risk_map import RiskMap
 from .network import Network
 
 
-def with_hiding_places(
-    network: Network, risk_map: RiskMap, reach: float, spacing: float
-) -> Network:
+def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
+                       spacing: float) -> Network:
     """Append obstacle cells to each layer as nodes without edges.
 
     Includes all cells within ``reach`` [m] of an edge, and some slightly further, thinned to one
@@ -37,7 +36,6 @@ def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Netw
     moved = number + number // network.place_count * len(points)
     layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
     losses = network.alpha.reshape(legs, -1), np.tile(alpha, (legs, 1))
-    return Network(
-        np.concatenate(layers, 1).reshape(-1, 2), np.concatenate(losses, 1).ravel(),
-        moved[network.edges], int(moved[network.source]), int(moved[network.target]), legs=legs,
-    )
+    return Network(np.concatenate(layers, 1).reshape(-1, 2), np.concatenate(losses, 1).ravel(),
+                   moved[network.edges], int(moved[network.source]), int(moved[network.target]),
+                   legs=legs)

@@ -48,9 +48,8 @@ def connect_nodes(space: FreeSpace, extra: FloatArray) -> tuple[FloatArray, Inde
     return uv, without_slivers(uv, pairs[clear], triangles)
 
 
-def _nodes_and_pairs(
-    space: FreeSpace, others: FloatArray
-) -> tuple[FloatArray, IndexArray, IndexArray]:
+def _nodes_and_pairs(space: FreeSpace,
+                     others: FloatArray) -> tuple[FloatArray, IndexArray, IndexArray]:
     """Nodes in map axes, the joined pairs, and the triangles that may be flat.
 
     ``others`` (K, 2), which include the ends, are the last nodes.
@@ -73,9 +72,8 @@ def _nodes_and_pairs(
     return uv, *lattice_delaunay_pairs(free, others / spacing, options.method)
 
 
-def _sampled_nodes_and_pairs(
-    space: FreeSpace, others: FloatArray
-) -> tuple[FloatArray, IndexArray, IndexArray]:
+def _sampled_nodes_and_pairs(space: FreeSpace,
+                             others: FloatArray) -> tuple[FloatArray, IndexArray, IndexArray]:
     options = space.options
     sample = random_points if options.method == 'random_delaunay' else gradient_points
     uv = sample(space.risk_map, space.spacing, options.seed)

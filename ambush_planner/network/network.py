@@ -106,9 +106,8 @@ class Network:
     def stops(self) -> IndexArray:
         """First nodes (legs - 1,) of all legs but the first, in order."""
         count = self.place_count
-        return frozen_array(
-            np.unique(self.heads[self.heads // count != self.tails // count]), np.int64
-        )
+        return frozen_array(np.unique(self.heads[self.heads // count != self.tails // count]),
+                            np.int64)
 
     @cached_property
     def ends(self) -> IndexArray:
@@ -193,7 +192,5 @@ def _edge_array(values: npt.ArrayLike, count: int) -> IndexArray:
 def _refuse_edges(edges: IndexArray, bad: BoolArray, what: str) -> None:
     if bad.any():
         k = int(np.argmax(bad))
-        raise InvalidNetwork(
-            f'edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} '
-            f'({int(bad.sum())} such edges)'
-        )
+        raise InvalidNetwork(f'edges: edge {k} {tuple(int(n) for n in edges[k])} is {what} '
+                             f'({int(bad.sum())} such edges)')

@@ -55,9 +55,8 @@ def all_cells(shape: tuple[int, int]) -> IndexArray:
     return np.stack(np.divmod(np.arange(shape[0] * shape[1]), shape[1]), axis=1)
 
 
-def nearest_cells(
-    shape: tuple[int, int], spacing: float, method: str, uv: FloatArray
-) -> IndexArray:
+def nearest_cells(shape: tuple[int, int], spacing: float, method: str,
+                  uv: FloatArray) -> IndexArray:
     """(row, column) of the lattice node nearest to each position (K, 2) in map axes [m]."""
     around = all_cells((5, 5)) - 2
     near = np.floor(uv[:, ::-1] / spacing).astype(np.int64)[:, None] + around

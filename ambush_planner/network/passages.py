@@ -18,9 +18,8 @@ MAX_NODE_DISTANCE = 1.1
 NARROW_COST = 10.0
 
 
-def widest_cell_path(
-    risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArray, clearance: float
-) -> tuple[FloatArray, FloatArray]:
+def widest_cell_path(risk_map: RiskMap, field: ObstacleField, uv_ends: FloatArray,
+                     clearance: float) -> tuple[FloatArray, FloatArray]:
     """The widest path over cells: centres (K, 2) in map axes and their margins (K,) [m].
 
     Consecutive cells share a side, and their centres keep the clearance; the margin is the distance

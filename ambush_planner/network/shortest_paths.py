@@ -16,9 +16,8 @@ def edge_matrix(edges: IndexArray, weights: FloatArray, count: int) -> csr_matri
 
 def reachable_from(edges: IndexArray, count: int, node: int) -> BoolArray:
     """Which nodes (count,) can be reached from ``node``."""
-    found = breadth_first_order(
-        edge_matrix(edges, np.ones(len(edges)), count), node, return_predecessors=False
-    )
+    found = breadth_first_order(edge_matrix(edges, np.ones(len(edges)), count), node,
+                                return_predecessors=False)
     reached = np.zeros(count, dtype=bool)
     reached[found] = True
     return reached
@@ -35,13 +34,11 @@ def distances_from(edges: IndexArray, weights: FloatArray, count: int, node: int
     return distance
 
 
-def shortest_path(
-    edges: IndexArray, weights: FloatArray, count: int, source: int, target: int
-) -> IndexArray:
+def shortest_path(edges: IndexArray, weights: FloatArray, count: int, source: int,
+                  target: int) -> IndexArray:
     """Nodes (K,) of a path of least weight >= 0 from source to target; empty if there is none."""
-    distance, before = dijkstra(
-        edge_matrix(edges, weights, count), indices=source, return_predecessors=True
-    )
+    distance, before = dijkstra(edge_matrix(edges, weights, count), indices=source,
+                                return_predecessors=True)
     if not np.isfinite(distance[target]):
         return np.empty(0, dtype=np.int64)
     nodes = [target]

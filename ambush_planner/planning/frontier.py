@@ -43,11 +43,9 @@ class FrontierRow:
     error: str = ''
 
 
-def frontier(
-    network: Network, game: GameOptions | None = None, detours: Sequence[float] = DETOURS,
-    slacks: Sequence[float] = SLACKS, options: StrategyOptions | None = None,
-    on_row: Callable[[FrontierRow], None] | None = None,
-) -> tuple[FrontierRow, ...]:
+def frontier(network: Network, game: GameOptions | None = None, detours: Sequence[float] = DETOURS,
+             slacks: Sequence[float] = SLACKS, options: StrategyOptions | None = None,
+             on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
     """Solve for each of ``detours``, then for each of ``slacks``; the other is that of ``options``.
 
     Each solve starts from the previous one, the longest detour first. ``on_row`` is called with
@@ -76,10 +74,8 @@ def frontier(
     return tuple(rows[k] for k in range(len(tasks)))
 
 
-def _row(
-    network: Network, game: GameOptions, swept: str, options: StrategyOptions,
-    warm: Multipliers | None,
-) -> tuple[FrontierRow, Multipliers | None]:
+def _row(network: Network, game: GameOptions, swept: str, options: StrategyOptions,
+         warm: Multipliers | None) -> tuple[FrontierRow, Multipliers | None]:
     row = FrontierRow(swept, options.max_detour, options.risk_slack)
     try:
         strategy = solve(network, game, options, warm=warm)

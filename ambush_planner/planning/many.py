@@ -49,11 +49,10 @@ class Solved:
     error: BaseException | None = None
 
 
-def solve_many(
-    problems: Iterable[Problem], executor: Executor, *,
-    answer: Callable[[Strategy], Any] | None = None,
-    on_result: Callable[[Solved], None] | None = None, in_flight: int = 0,
-) -> list[Solved]:
+def solve_many(problems: Iterable[Problem], executor: Executor, *,
+               answer: Callable[[Strategy], Any] | None = None,
+               on_result: Callable[[Solved], None] | None = None,
+               in_flight: int = 0) -> list[Solved]:
     """Solve problems in parallel; the results have the problems' order.
 
     An error replaces only its own result. If the executor breaks (a process of a pool was killed),
@@ -138,10 +137,8 @@ _maps: dict[bytes, RiskMap] = {}
 _maps_lock = threading.Lock()
 
 
-def _solve(
-    key: bytes, content: bytes | None, rest: tuple[Any, ...],
-    answer: Callable[[Strategy], Any] | None,
-) -> Any:
+def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
+           answer: Callable[[Strategy], Any] | None) -> Any:
     """Solve one problem in the executor's process."""
     with _maps_lock:
         if content is not None:

@@ -129,15 +129,12 @@ def _drive_options(tube: float, turning_radius: float) -> DriveOptions:
         raise InvalidOption(f'route.{error}') from error
 
 
-def _options(
-    kind: Callable[..., _Options], group: str, values: Mapping[str, Any], **others: Any
-) -> _Options:
+def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],
+             **others: Any) -> _Options:
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
-    options = {
-        name.removeprefix(start): values[name]
-        for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS
-    }
+    options = {name.removeprefix(start): values[name]
+               for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS}
     try:
         return kind(**options, **others)
     except InvalidOption as error:

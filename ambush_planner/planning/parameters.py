@@ -14,9 +14,8 @@ from ..network.construction import METHODS, NetworkOptions
 from .plan import DriveOptions
 from .trip import ORDERS
 
-_MAP, _NETWORK, _GAME, _STRATEGY = (
-    OccupancyOptions(), NetworkOptions(), GameOptions(), StrategyOptions()
-)
+_MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
+                                    StrategyOptions())
 # Value of a parameter that the planner chooses itself.
 AUTOMATIC = -1.0
 

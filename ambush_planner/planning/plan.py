@@ -172,39 +172,33 @@ class Route:
     points: FloatArray
 
 
-def solve_on_network(
-    risk_map: RiskMap, network: Network, options: PlanningOptions, warm: WarmStart | None = None
-) -> Strategy:
+def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
+                     warm: WarmStart | None = None) -> Strategy:
     """Solve the game on a network built on the map; raises the errors of ``solve``."""
     network = add_hiding_places(network, risk_map, options)
     start = warm.on(network) if warm else None
     return _solve_within_max_gap(network, options, reach(risk_map, options), start)
 
 
-def make_plan(
-    risk_map: RiskMap, strategy: Strategy, options: PlanningOptions, begin: float
-) -> Plan:
+def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
+              begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
     tube = _tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
-    corridors = make_corridors(
-        strategy.network, risk_map, options.network.clearance, tube, options.network.clear_of_edge
-    )
+    corridors = make_corridors(strategy.network, risk_map, options.network.clearance, tube,
+                               options.network.clear_of_edge)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
         # A fixed seed keeps the count independent of the departures' draws.
         drawn = strategy.sample_routes(DRAWN, np.random.default_rng(0))
         different = different_paths(corridors, drawn)
-    return Plan(
-        strategy.network, strategy, bottleneck, corridors, options, spacing, different,
-        time.monotonic() - begin,
-    )
+    return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
+                time.monotonic() - begin)
 
 
-def _solve_within_max_gap(
-    network: Network, options: PlanningOptions, radius: float, start: Multipliers | None
-) -> Strategy:
+def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: float,
+                          start: Multipliers | None) -> Strategy:
     """The strategy for the reach ``radius`` [m]; at the time limit, one within ``max_gap``."""
     game = replace(options.game, ambush_radius=radius)
     try:
@@ -216,12 +210,10 @@ def _solve_within_max_gap(
         gap = open_gap(strategy, options.strategy)
         if gap <= options.max_gap * strategy.value:
             return strategy
-        raise TimeLimit(
-            f'after {options.strategy.time_limit:g} s the strategy may be '
-            f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
-            f'{options.max_gap:g}; allow more time, or choose a larger spacing',
-            strategy,
-        ) from late
+        raise TimeLimit(f'after {options.strategy.time_limit:g} s the strategy may be '
+                        f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
+                        f'{options.max_gap:g}; allow more time, or choose a larger spacing',
+                        strategy) from late
 
 
 def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
@@ -256,13 +248,11 @@ def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float
 
     Raises InvalidRiskMap if the map is malformed.
     """
-    risk_map = risk_map_from_occupancy(
-        request.values, request.resolution, request.origin, request.occupancy
-    )
+    risk_map = risk_map_from_occupancy(request.values, request.resolution, request.origin,
+                                       request.occupancy)
     network = request.options.network
-    return risk_map, nearest_free_cell(
-        risk_map, request.goal_xy, request.goal_tolerance, network.clearance, network.clear_of_edge
-    )
+    return risk_map, nearest_free_cell(risk_map, request.goal_xy, request.goal_tolerance,
+                                       network.clearance, network.clear_of_edge)
 
 
 def depart(a_plan: Plan, rng: np.random.Generator) -> Route:
@@ -271,9 +261,8 @@ def depart(a_plan: Plan, rng: np.random.Generator) -> Route:
     return Route(frozen_array(nodes, np.int64), frozen_array(a_plan.network.points[nodes], float))
 
 
-def departure_path(
-    a_plan: Plan, route: Route, spacing: float, ends: Ends | None = None
-) -> FloatArray:
+def departure_path(a_plan: Plan, route: Route, spacing: float,
+                   ends: Ends | None = None) -> FloatArray:
     """Poses (L, 3) = (x, y, yaw) of the driven path, at most ``spacing`` [m] apart.
 
     ``ends`` are start and goal [m] if they differ from the route's. Raises InvalidOption if there
@@ -283,9 +272,8 @@ def departure_path(
     return driven_path(a_plan.corridors, route.nodes, spacing, radius, ends)
 
 
-def departure_paths(
-    a_plan: Plan, n: int, spacing: float, rng: np.random.Generator
-) -> list[FloatArray]:
+def departure_paths(a_plan: Plan, n: int, spacing: float,
+                    rng: np.random.Generator) -> list[FloatArray]:
     """Draw ``n`` departures and return their paths, as ``departure_path`` does."""
     routes = a_plan.strategy.sample_routes(n, rng)
     return driven_paths(a_plan.corridors, routes, spacing, a_plan.options.drive.turning_radius)

@@ -47,11 +47,9 @@ ROUNDING = 1e-9
 Position = tuple[float, float]
 
 
-def plan_trip(
-    risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
-    options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-    order: str = 'given', warm: WarmStart | None = None,
-) -> Plan:
+def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+              options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
+              order: str = 'given', warm: WarmStart | None = None) -> Plan:
     """Plan a trip from start to goal by way of stops, all world positions [m].
 
     One strategy covers all legs: a site's losses add up over the legs that it hits, and value,
@@ -73,9 +71,8 @@ def plan_trip(
     options, begin = options or PlanningOptions(), time.monotonic()
     asked = list(stops)
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
-    graph = build_trip_graph(
-        risk_map, start_xy, goal_xy, options.network, [asked[k] for k in place]
-    )
+    graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
+                             [asked[k] for k in place])
     chosen, found = tuple(range(len(asked))), order
     if order == 'given' or len(asked) < 2:
         strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm)
@@ -91,16 +88,12 @@ def plan_from_request(request: PlanRequest) -> Plan:
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, goal_xy = risk_map_and_goal(request)
-    return plan_trip(
-        risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
-        order=request.order, warm=request.warm,
-    )
+    return plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
+                     order=request.order, warm=request.warm)
 
 
-def trip_network(
-    risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
-    visited: Sequence[Position], order: str,
-) -> Network:
+def trip_network(risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
+                 visited: Sequence[Position], order: str) -> Network:
     """The network of a plan whose stops are ``visited`` in this sequence."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
@@ -166,9 +159,8 @@ class _StopOrderSearch:
             return strategy, tuple(orders[0].tolist()), 'heuristic'
         return self._best_order(orders, legs, lengths, limit)
 
-    def _best_order(
-        self, orders: IndexArray, legs: IndexArray, lengths: FloatArray, limit: float
-    ) -> tuple[Strategy, tuple[int, ...], str]:
+    def _best_order(self, orders: IndexArray, legs: IndexArray, lengths: FloatArray,
+                    limit: float) -> tuple[Strategy, tuple[int, ...], str]:
         """Solve the most promising order until no other can be better."""
         slack = self._options.strategy.risk_slack
         network = add_hiding_places(self._network(orders[0]), self._map, self._options)
@@ -193,9 +185,8 @@ class _StopOrderSearch:
                 return *best, 'heuristic'
             if best is None or strategy.value < best[0].value * (1.0 - ROUNDING):
                 best = strategy, tuple(orders[k].tolist())
-            known = self._bound_of(
-                strategy.game, strategy.ambush_probability, strategy.length_price, limit
-            )
+            known = self._bound_of(strategy.game, strategy.ambush_probability,
+                                   strategy.length_price, limit)
             bounds = np.maximum(bounds, known.bounds(legs))
         assert best is not None  # the shortest order fits its budget
         return *best, 'best'
@@ -211,9 +202,8 @@ class _StopOrderSearch:
             raise TimeLimit('the time limit passed before an order of the stops was solved')
         detour = max(limit / length, 1.0)
         options = replace(self._options.strategy, max_detour=detour, time_limit=left)
-        return solve_on_network(
-            self._map, self._network(order), replace(self._options, strategy=options)
-        )
+        return solve_on_network(self._map, self._network(order),
+                                replace(self._options, strategy=options))
 
     def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
         """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""
@@ -225,9 +215,8 @@ class _StopOrderSearch:
             q[: len(cut.q)] = capped_at_one(k * cut.q, k)
             yield self._bound_of(game, q)
 
-    def _bound_of(
-        self, game: Game, q: FloatArray, price: float = 0.0, limit: float = 0.0
-    ) -> _OrderBound:
+    def _bound_of(self, game: Game, q: FloatArray, price: float = 0.0,
+                  limit: float = 0.0) -> _OrderBound:
         network = game.network
         edges = network.places[network.edges]
         # Each place's edges cost the same in all layers, so one copy suffices.

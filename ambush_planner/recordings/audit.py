@@ -99,9 +99,8 @@ class Audit:
         return float(self.observer_losses.mean())
 
 
-def audit(
-    departures: Sequence[Any], rng: np.random.Generator | int = 1, resamples: int = 999
-) -> Audit:
+def audit(departures: Sequence[Any], rng: np.random.Generator | int = 1,
+          resamples: int = 999) -> Audit:
     """Test departures against their strategies, and follow an observer who learns from them.
 
     ``departures`` are in order of time, each with the attributes ``drawn_from`` (Strategy) and
@@ -133,19 +132,14 @@ def audit(
     ambushers = [each.drawn_from.game.ambushers for each in audited]
     caused = _observe(followed, ambushers, loss, row, node)
     low, high = np.quantile(caused[1:].mean(axis=1), (0.05, 0.95))
-    return Audit(
-        departures=n,
-        strategies=len(groups),
-        left_out=len(departures) - n,
-        impossible=impossible,
-        p_value=0.0 if impossible else _p_value(passages, expected, variance),
-        segments=segments,
-        passages=frozen_array(passages[0], np.int64),
-        expected=frozen_array(expected, np.float64),
-        value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
-        observer_losses=frozen_array(caused[0], np.float64),
-        observer_range=(float(low), float(high)),
-    )
+    return Audit(departures=n, strategies=len(groups), left_out=len(departures) - n,
+                 impossible=impossible,
+                 p_value=0.0 if impossible else _p_value(passages, expected, variance),
+                 segments=segments, passages=frozen_array(passages[0], np.int64),
+                 expected=frozen_array(expected, np.float64),
+                 value=float(np.mean([each.drawn_from.value for each in audited[1:]])),
+                 observer_losses=frozen_array(caused[0], np.float64),
+                 observer_range=(float(low), float(high)))
 
 
 class _Group:
@@ -193,9 +187,8 @@ class _Group:
             route, edge = self.sampler.draw_steps(count, rng)
             yield route + (1 + begin) * len(self.members), edge
 
-    def losses(
-        self, route: IndexArray, edge: IndexArray, n: int
-    ) -> tuple[FloatArray, IndexArray, IndexArray]:
+    def losses(self, route: IndexArray, edge: IndexArray,
+               n: int) -> tuple[FloatArray, IndexArray, IndexArray]:
         """Return what waiting costs routes: loss, set * n + departure, and node number."""
         first = int(route.min(initial=0))
         shape = int(route.max(initial=0)) - first + 1, len(self.p)
@@ -226,9 +219,8 @@ def _number_by_position(groups: Sequence[_Group]) -> FloatArray:
     points = np.concatenate([group.network.points for group in groups])
     node = np.unique(np.rint(points / SAME_POSITION) @ [1.0, 1.0j], return_inverse=True)[1]
     first = np.cumsum([0, *(len(group.network.points) for group in groups)])
-    ends = np.concatenate([
-        group.network.edges[group.used] + first[k] for k, group in enumerate(groups)
-    ])
+    ends = np.concatenate([group.network.edges[group.used] + first[k]
+                           for k, group in enumerate(groups)])
     key = node[ends[:, 0]] * len(points) + node[ends[:, 1]]
     _, index, edge = np.unique(key, return_index=True, return_inverse=True)
     parts = np.split(edge, np.cumsum([len(group.used) for group in groups])[:-1])
@@ -258,9 +250,8 @@ def _p_value(passages: npt.NDArray[np.uint16], expected: FloatArray, variance: F
     return float(1 + reached) / (1 + len(drawn))
 
 
-def _observe(
-    sets: int, ambushers: Sequence[int], loss: FloatArray, row: IndexArray, node: IndexArray
-) -> FloatArray:
+def _observe(sets: int, ambushers: Sequence[int], loss: FloatArray, row: IndexArray,
+             node: IndexArray) -> FloatArray:
     """Losses (sets, n - 1) that an observer causes in each set after the first departure.
 
     In row set * n + departure, waiting at the node costs the loss (K,); ``ambushers`` (n,) is the

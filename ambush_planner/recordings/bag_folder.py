@@ -54,10 +54,8 @@ def bag_text(files: Sequence[BagFile]) -> bytes:
             for channel, count in counts.items()
         ],
         'relative_file_paths': [each.name for each in files],
-        'files': [{
-            'path': each.name, **_time_span(each.start_ns, each.end_ns),
-            'message_count': sum(number for _, number in each.counts),
-        } for each in files],
+        'files': [{'path': each.name, **_time_span(each.start_ns, each.end_ns),
+                   'message_count': sum(number for _, number in each.counts)} for each in files],
     }}
     return f'{json.dumps(described, ensure_ascii=False)}\n'.encode()
 
@@ -71,7 +69,5 @@ def _described(channel: Channel) -> dict[str, Any]:
 
 
 def _time_span(start_ns: int, end_ns: int) -> dict[str, Any]:
-    return {
-        'starting_time': {'nanoseconds_since_epoch': start_ns},
-        'duration': {'nanoseconds': end_ns - start_ns},
-    }
+    return {'starting_time': {'nanoseconds_since_epoch': start_ns},
+            'duration': {'nanoseconds': end_ns - start_ns}}

@@ -126,9 +126,8 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     entries = file.entries
     parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters']))
     game, occupancy = parameters.planning.game, parameters.occupancy
-    strategy, stated = _part(
-        file, STRATEGY_FILE, lambda: shared.strategy(file.attachments[STRATEGY_FILE], game)
-    )
+    strategy, stated = _part(file, STRATEGY_FILE,
+                             lambda: shared.strategy(file.attachments[STRATEGY_FILE], game))
     planned_on = _part(file, 'map', lambda: shared.map_in(*file.defined(file.in_role('map'))))
     risk_map = _part(file, 'map', lambda: shared.risk_map(planned_on, occupancy))
     newest, drawn_from = planned_on, strategy
@@ -167,9 +166,8 @@ def _part(file: RecordingFile, name: str, read: Callable[[], _T]) -> _T:
         ) from error
 
 
-def _map(
-    cells: bytes, shape: tuple[int, int], resolution: float, origin: tuple[float, float, float]
-) -> OccupancyMap:
+def _map(cells: bytes, shape: tuple[int, int], resolution: float,
+         origin: tuple[float, float, float]) -> OccupancyMap:
     return OccupancyMap(np.frombuffer(cells, np.int8).reshape(shape), resolution, origin)
 
 
@@ -177,27 +175,22 @@ def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
     return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
 
 
-def ground_of(
-    strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
-    planning: PlanningOptions,
-) -> tuple[Plan, ChangedGround]:
+def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
+              planning: PlanningOptions) -> tuple[Plan, ChangedGround]:
     """Return a recorded strategy as a plan with corridors, and its ground."""
     risk_map, network = _risk_map(planned_on, options), planning.network
     unused: Any = None  # neither routes nor paths depend on the bottleneck
-    plan = Plan(
-        strategy.network, strategy, unused, unused, planning, node_spacing(risk_map, network),
-        None, 0.0,
-    )
+    plan = Plan(strategy.network, strategy, unused, unused, planning,
+                node_spacing(risk_map, network), None, 0.0)
     plan = replace(plan, corridors=make_corridors(
         strategy.network, risk_map, network.clearance, plan.tube, network.clear_of_edge
     ))
     return plan, ChangedGround(plan, planned_on, options)
 
 
-def _conditioned(
-    strategy: Strategy, planned_on: OccupancyMap, changes: bytes, options: OccupancyOptions,
-    planning: PlanningOptions,
-) -> tuple[OccupancyMap, Strategy]:
+def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
+                 options: OccupancyOptions,
+                 planning: PlanningOptions) -> tuple[OccupancyMap, Strategy]:
     """Return the changed map, and the strategy given that its routes are clear there.
 
     A strategy with cycles comes back as it is, since conditioning needs an order of its nodes.
@@ -212,8 +205,6 @@ def _conditioned(
     share, p = ConditionedStrategy(strategy).avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
-    return newest, replace(
-        strategy, edge_probability=frozen_array(p, np.float64),
-        visit_probability=frozen_array(strategy.game.visits(p), np.float64),
-        value=worst_loss(strategy.game, p),
-    )
+    return newest, replace(strategy, edge_probability=frozen_array(p, np.float64),
+                           visit_probability=frozen_array(strategy.game.visits(p), np.float64),
+                           value=worst_loss(strategy.game, p))

@@ -30,18 +30,16 @@ def recordings_in(path: Path | str) -> list[Path]:
             return [path]
         # The names of session folders contain the times at which the sessions began.
         folders = sorted((each for each in path.iterdir() if each.is_dir()), key=_natural_order)
-        found = [
-            file for folder in (path, *folders)
-            for file in sorted(folder.glob('*.mcap'), key=_natural_order)
-        ]
+        found = [file
+                 for folder in (path, *folders)
+                 for file in sorted(folder.glob('*.mcap'), key=_natural_order)]
     if not found:
         raise UnreadableRecording(path, 'there is no .mcap file in this folder; name another one')
     return found
 
 
-def read_departures(
-    paths: Iterable[Path], unreadable: Callable[[UnreadableRecording], None]
-) -> list[RecordedDeparture]:
+def read_departures(paths: Iterable[Path],
+                    unreadable: Callable[[UnreadableRecording], None]) -> list[RecordedDeparture]:
     """Read recordings, the earliest departure first; copies count once.
 
     ``unreadable`` is called with the error of each file that cannot be read.

@@ -51,10 +51,8 @@ class Recorder:
         self._next = 0
         self._lock = Lock()
 
-    def record_departure(
-        self, messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
-        attachments: Mapping[str, bytes],
-    ) -> Path:
+    def record_departure(self, messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
+                         attachments: Mapping[str, bytes]) -> Path:
         """Write one departure to a file of its own, list it in metadata.yaml, and return its path.
 
         Messages come in any order, ``entries`` are those of the metadata record. RecordingFailed:
@@ -95,10 +93,8 @@ def remove_abandoned(directory: Path) -> list[Path]:
     Files younger than a minute stay, since another node may be writing them.
     """
     with recording_to(directory):
-        found = [
-            path for path in directory.glob(f'{SESSION_PREFIX}*/*{TEMPORARY}')
-            if time.time() - path.lstat().st_mtime > _ABANDONED
-        ]
+        found = [path for path in directory.glob(f'{SESSION_PREFIX}*/*{TEMPORARY}')
+                 if time.time() - path.lstat().st_mtime > _ABANDONED]
         for path in found:
             path.unlink()
     return found

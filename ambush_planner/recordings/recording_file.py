@@ -61,17 +61,13 @@ class RecordingFile:
         return self.definitions[message.type], message.type, message.data
 
 
-def encode(
-    messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
-    attachments: Mapping[str, bytes], compression: str,
-) -> bytes:
+def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
+           attachments: Mapping[str, bytes], compression: str) -> bytes:
     """Return the bytes of a whole file; ``messages`` are in the order of time."""
     stream = BytesIO()
     # The checksum of the data section covers metadata and attachments; chunks have their own.
-    writer = Writer(
-        stream, chunk_size=_CHUNK_SIZE, compression=COMPRESSIONS[compression],
-        enable_data_crcs=True,
-    )
+    writer = Writer(stream, chunk_size=_CHUNK_SIZE, compression=COMPRESSIONS[compression],
+                    enable_data_crcs=True)
     writer.start(profile='ros2')
     texts = {name: json.dumps(value) for name, value in entries.items()}
     writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
@@ -141,19 +137,17 @@ def decode(definition: str, kind: str, data: bytes) -> Any:
     return _decoder(definition, kind)(data)
 
 
-def _contents(
-    path: Path, found: Sequence[records.McapRecord], entries: Mapping[str, Any]
-) -> RecordingFile:
+def _contents(path: Path, found: Sequence[records.McapRecord],
+              entries: Mapping[str, Any]) -> RecordingFile:
     schemas = {each.id: each for each in found if isinstance(each, records.Schema)}
     channels = {each.id: each for each in found if isinstance(each, records.Channel)}
     messages = []
     for each in found:
         if isinstance(each, records.Message):
             channel = channels[each.channel_id]
-            messages.append(RecordedMessage(
-                channel.topic, schemas[channel.schema_id].name, each.data,
-                channel.metadata['offered_qos_profiles'], each.log_time,
-            ))
+            messages.append(RecordedMessage(channel.topic, schemas[channel.schema_id].name,
+                                            each.data, channel.metadata['offered_qos_profiles'],
+                                            each.log_time))
     return RecordingFile(
         path, tuple(sorted(messages, key=lambda each: each.stamp_ns)), entries,
         {each.name: each.data for each in found if isinstance(each, records.Attachment)},

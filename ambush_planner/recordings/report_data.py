@@ -50,11 +50,9 @@ class Section:
         first = self.departures[0]
         one, two = first.trip, other.trip
         far = math.dist(one.start_xy, one.goal_xy) * SAME_TRIP
-        return (
-            other.risk_map is first.risk_map
-            and math.dist(one.start_xy, two.start_xy) <= far
-            and math.dist(one.goal_xy, two.goal_xy) <= far
-        )
+        return (other.risk_map is first.risk_map
+                and math.dist(one.start_xy, two.start_xy) <= far
+                and math.dist(one.goal_xy, two.goal_xy) <= far)
 
 
 def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
@@ -79,14 +77,13 @@ def map_data(section: Section) -> dict[str, Any]:
     cells, levels, cell = map_cells(risk_map)
     used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
     corner = np.array(risk_map.origin[:2])
-    width, height = risk_map.size
-    corners = risk_map.to_world([(0.0, 0.0), (width, 0.0), (width, height), (0.0, height)])
+    low, high = risk_map.bounds
     routes = [each.strategy.network.points[each.route] - corner for each in section.departures]
     ends = [network.source, network.target, *network.stops]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
-        'box': [*(corners.min(0) - corner).tolist(), *(corners.max(0) - corner).tolist()],
+        'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
         'reach': game.ambush_radius, 'held': max(secured, game.ambush_radius),
         'value': strategy.value,

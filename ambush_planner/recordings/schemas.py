@@ -66,13 +66,11 @@ def _event_idl(name: str, used: list[str]) -> str:
     service = name.removesuffix(_EVENT)
     package, kind, short_name = service.split('/')
     scoped = f'{package}::{kind}::{short_name}'
-    event = (
-        f'module {package} {{\n  module {kind} {{\n    struct {short_name}{_EVENT} {{\n'
-        '      service_msgs::msg::ServiceEventInfo info;\n'
-        f'      sequence<{scoped}_Request, 1> request;\n'
-        f'      sequence<{scoped}_Response, 1> response;\n'
-        '    };\n  };\n};\n'
-    )
+    event = (f'module {package} {{\n  module {kind} {{\n    struct {short_name}{_EVENT} {{\n'
+             '      service_msgs::msg::ServiceEventInfo info;\n'
+             f'      sequence<{scoped}_Request, 1> request;\n'
+             f'      sequence<{scoped}_Response, 1> response;\n'
+             '    };\n  };\n};\n')
     parts = {name: event}
     for type_ in (service, *used):
         if not type_.startswith(f'{service}_'):

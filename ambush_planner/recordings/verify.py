@@ -100,10 +100,8 @@ class Verifier:
     def _problems(self, departure: RecordedDeparture) -> list[str]:
         strategy, planning = departure.strategy, departure.parameters.planning
         problems = [
-            *self._network_problems(
-                strategy, departure.risk_map, planning, departure.trip,
-                departure.parameters.trip_order,
-            ),
+            *self._network_problems(strategy, departure.risk_map, planning, departure.trip,
+                                    departure.parameters.trip_order),
             *certificate_problems(strategy, departure.stated, planning),
             *source_problems(departure),
         ]
@@ -116,16 +114,14 @@ class Verifier:
     def _draw_problems(self, departure: RecordedDeparture) -> list[str]:
         """Draw route and path again as the node does."""
         parameters, newest = departure.parameters, departure.newest
-        plan, ground = self._ground(
-            departure.strategy, departure.planned_on, parameters.occupancy, parameters.planning
-        )
+        plan, ground = self._ground(departure.strategy, departure.planned_on, parameters.occupancy,
+                                    parameters.planning)
         drawn = ground.draw(np.random.default_rng(departure.route_entropy_source), newest)
         if drawn is None or not np.array_equal(drawn.nodes, departure.route):
             return ['route: it is not the one that the recorded entropy draws']
-        rows = departure_path(
-            ground.fitted(newest, departure.ends), Route(drawn.nodes, drawn.points),
-            parameters.path_spacing or plan.spacing, departure.ends,
-        )
+        rows = departure_path(ground.fitted(newest, departure.ends),
+                              Route(drawn.nodes, drawn.points),
+                              parameters.path_spacing or plan.spacing, departure.ends)
         poses = departure.path_poses
         if poses.shape != rows.shape or not (
             np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)
@@ -137,10 +133,8 @@ class Verifier:
         return []
 
 
-def network_problems(
-    strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions, trip: RecordedTrip,
-    order: str,
-) -> list[str]:
+def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOptions,
+                     trip: RecordedTrip, order: str) -> list[str]:
     """Build the network again and compare it bit for bit; then compare the game's budgets."""
     recorded = strategy.network
     laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
@@ -165,9 +159,8 @@ def network_problems(
     return problems
 
 
-def certificate_problems(
-    strategy: Strategy, stated: Mapping[str, float], planning: PlanningOptions
-) -> list[str]:
+def certificate_problems(strategy: Strategy, stated: Mapping[str, float],
+                         planning: PlanningOptions) -> list[str]:
     """Check what the planner promises of every strategy, from its probabilities alone."""
     problems = []
     # The route entropy is a difference of two numbers of the edge entropy's size.

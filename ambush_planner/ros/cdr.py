@@ -52,10 +52,8 @@ def path_bytes(path: PathMessage) -> bytes:
     All stamped poses after the first have the same bytes except for their last seven numbers: they
     share a frame, and each begins and ends aligned to 8 bytes.
     """
-    none, one, two = (
-        serialize_message(PathMessage(header=path.header, poses=path.poses[:count]))
-        for count in range(3)
-    )
+    none, one, two = (serialize_message(PathMessage(header=path.header, poses=path.poses[:count]))
+                      for count in range(3))
     numbers = np.array([
         (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
         for p, q in ((each.pose.position, each.pose.orientation) for each in path.poses[1:])

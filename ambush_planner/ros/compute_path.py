@@ -37,9 +37,8 @@ class ComputePath:
     solves of others alone.
     """
 
-    def __init__(
-        self, node: Node, error_boundary: ErrorBoundary, requests: Requests, settings: NodeSettings
-    ) -> None:
+    def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
+                 settings: NodeSettings) -> None:
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
         self._settings = settings
         self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
@@ -60,9 +59,7 @@ class ComputePath:
             self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
-        departure = started(
-            lambda: self._requests.start_plan(self._plan_request(handle.request))
-        )
+        departure = started(lambda: self._requests.start_plan(self._plan_request(handle.request)))
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 

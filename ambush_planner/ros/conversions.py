@@ -26,15 +26,12 @@ _new: Any = object.__new__
 def pose_to_ros(x: float, y: float, yaw: float = 0.0) -> Pose:
     """Return the pose at (x, y) [m] with heading yaw [rad]."""
     half = 0.5 * float(yaw)
-    return Pose(
-        position=Point(x=float(x), y=float(y)),
-        orientation=Quaternion(z=math.sin(half), w=math.cos(half)),
-    )
+    return Pose(position=Point(x=float(x), y=float(y)),
+                orientation=Quaternion(z=math.sin(half), w=math.cos(half)))
 
 
-def occupancy_to_ros(
-    values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float], header: Header
-) -> OccupancyGrid:
+def occupancy_to_ros(values: npt.ArrayLike, resolution: float, origin: tuple[float, float, float],
+                     header: Header) -> OccupancyGrid:
     """Return the grid of cell values (H, W), -1..100, row 0 the lowest; origin (x, y, yaw)."""
     cells = np.ascontiguousarray(values, dtype=np.int8)
     message = OccupancyGrid(header=header, data=array.array('b', cells.tobytes()))

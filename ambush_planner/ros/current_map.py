@@ -52,11 +52,9 @@ class CurrentMap(OccupancyMap):
 
     def same_ground(self, other: CurrentMap) -> bool:
         """Whether each cell covers the same ground on both maps."""
-        return (
-            self.values.shape == other.values.shape
-            and (self.frame, self.resolution, self.origin)
-            == (other.frame, other.resolution, other.origin)
-        )
+        return (self.values.shape == other.values.shape
+                and (self.frame, self.resolution, self.origin)
+                == (other.frame, other.resolution, other.origin))
 
     def same_map(self, other: CurrentMap) -> bool:
         """Whether two maps differ at most in their time stamps."""
@@ -94,15 +92,11 @@ def _update_fault(present: CurrentMap, update: Any) -> str:
     (height, width), frame = present.values.shape, update.header.frame_id
     rows, columns, x, y = update.height, update.width, update.x, update.y
     if len(update.data) != rows * columns:
-        return (
-            f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
-            f'{rows * columns}'
-        )
+        return (f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
+                f'{rows * columns}')
     if frame != present.frame:
         return f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
     if x < 0 or y < 0 or x + columns > width or y + rows > height:
-        return (
-            f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
-            f'{width} x {height}'
-        )
+        return (f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
+                f'{width} x {height}')
     return ''

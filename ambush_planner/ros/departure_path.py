@@ -22,9 +22,8 @@ def route_entropy_source(seed: int, departure: int) -> list[int]:
     return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
-def draw_path(
-    cached: CachedPlan, trip: Trip, source: list[int], spacing: float
-) -> tuple[Route, FloatArray] | None:
+def draw_path(cached: CachedPlan, trip: Trip, source: list[int],
+              spacing: float) -> tuple[Route, FloatArray] | None:
     """Draw a route that is clear on the trip's map, and its path (L, 3) = (x, y, yaw) [m, m, rad].
 
     ``source`` seeds the random generator. Poses are at most ``spacing`` [m] apart; 0: as far as the

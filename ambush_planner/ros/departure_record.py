@@ -77,13 +77,10 @@ def recorded_messages(departure: Departure) -> list[RecordedMessage]:
     trip, begin = departure.trip, departure.begin_ns
     planned_on = departure.held.trip.map.received
     before = max(0, begin - _INPUTS_LEAD)
-    inputs = [
-        _received(each, before) for each in (planned_on, trip.start, trip.goal, trip.via) if each
-    ]
-    published = [
-        replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
-        for each in (*departure.others, departure.published)
-    ]
+    inputs = [_received(each, before)
+              for each in (planned_on, trip.start, trip.goal, trip.via) if each]
+    published = [replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
+                 for each in (*departure.others, departure.published)]
     if not departure.parameters.recording.service_events:
         return [*inputs, *published]
     asked, sent = ServiceEventInfo.REQUEST_RECEIVED, ServiceEventInfo.RESPONSE_SENT
@@ -136,10 +133,8 @@ def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:
 
 def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any]) -> RecordedMessage:
     """Return the message that service introspection would publish, which rosbag2 plays."""
-    info = ServiceEventInfo(
-        event_type=what, stamp=Time(nanoseconds=stamp_ns).to_msg(),
-        sequence_number=departure.number,
-    )
+    info = ServiceEventInfo(event_type=what, stamp=Time(nanoseconds=stamp_ns).to_msg(),
+                            sequence_number=departure.number)
     kind = departure.call.kind.Event
     data = serialize_message(kind(info=info, **content))
     topic = f'{departure.call.name}/_service_event'
@@ -149,10 +144,9 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any])
 @cache
 def software_versions() -> Mapping[str, str]:
     """The versions of the planner and of the software that it computes with."""
-    return MappingProxyType({
-        'ambush_planner': _version_of('ambush_planner'), 'python': platform.python_version(),
-        'numpy': np.__version__, 'scipy': scipy.__version__, 'rclpy': _version_of('rclpy'),
-    })
+    return MappingProxyType({'ambush_planner': _version_of('ambush_planner'),
+                             'python': platform.python_version(), 'numpy': np.__version__,
+                             'scipy': scipy.__version__, 'rclpy': _version_of('rclpy')})
 
 
 def _version_of(package: str) -> str:

@@ -65,20 +65,16 @@ class Dispatcher:
     Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
     """
 
-    def __init__(
-        self, settings: NodeSettings, inputs: Inputs, publishers: Publishers, reporter: Reporter,
-        clock: Clock, logger: RcutilsLogger,
-    ) -> None:
+    def __init__(self, settings: NodeSettings, inputs: Inputs, publishers: Publishers,
+                 reporter: Reporter, clock: Clock, logger: RcutilsLogger) -> None:
         self._settings, self._inputs, self._publishers = settings, inputs, publishers
         self._reporter, self._clock, self._logger = reporter, clock, logger
         self._plans = PlanCache(logger)
-        self._departures = SerialExecutor(
-            'departures', reporter.set, lambda error: reporter.failed('request', error),
-            _shutting_down,
-        )
-        self._displayed = DisplayedPlan(
-            self._plans, inputs, publishers, reporter, clock, self._departures
-        )
+        self._departures = SerialExecutor('departures', reporter.set,
+                                          lambda error: reporter.failed('request', error),
+                                          _shutting_down)
+        self._displayed = DisplayedPlan(self._plans, inputs, publishers, reporter, clock,
+                                        self._departures)
         self._count = 0
         self._shutdown_began: float | None = None
         self._paused = True
@@ -196,9 +192,8 @@ class Dispatcher:
             )
         self._when_solved(solve, lambda cached: self._try(pending, cached), pending.departure)
 
-    def _when_solved(
-        self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None], result: Future[Any]
-    ) -> None:
+    def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
+                     result: Future[Any]) -> None:
         """Use the plan on the departures thread; an error becomes the exception of ``result``."""
         self._reporter.set()
         solve.add_done_callback(

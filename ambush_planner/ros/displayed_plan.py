@@ -27,10 +27,8 @@ class DisplayedPlan:
     ``cached``, None before the first one; ``markers`` are those published for it.
     """
 
-    def __init__(
-        self, plans: PlanCache, inputs: Inputs, publishers: Publishers, reporter: Reporter,
-        clock: Clock, departures: SerialExecutor,
-    ) -> None:
+    def __init__(self, plans: PlanCache, inputs: Inputs, publishers: Publishers, reporter: Reporter,
+                 clock: Clock, departures: SerialExecutor) -> None:
         self._plans, self._inputs, self._publishers = plans, inputs, publishers
         self._reporter, self._clock, self._departures = reporter, clock, departures
         self.cached: CachedPlan | None = None
@@ -48,9 +46,8 @@ class DisplayedPlan:
             'ambush_sites': markers.ambush_sites(strategy, header),
             'stops': markers.stops(plan.network, header),
         }
-        self.markers = tuple(
-            self._publishers.publish(topic, message) for topic, message in messages.items()
-        )
+        self.markers = tuple(self._publishers.publish(topic, message)
+                             for topic, message in messages.items())
         self.cached = cached
         newest = self._inputs.current_map()
         same = newest.same_ground(cached.trip.map)
@@ -103,6 +100,4 @@ class DisplayedPlan:
         solve = self._plans.solve(trip, cached.parameters, background=True)
         self._latest_resolve = solve
         self._reporter.set()
-        solve.add_done_callback(
-            lambda done: self._departures.submit(lambda: show_result(done))
-        )
+        solve.add_done_callback(lambda done: self._departures.submit(lambda: show_result(done)))

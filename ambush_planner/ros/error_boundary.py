@@ -19,14 +19,12 @@ _Result = TypeVar('_Result')
 class ErrorBoundary:
     """Logs each error once and passes it to ``report`` with what it concerns."""
 
-    def __init__(
-        self, context: Context, logger: RcutilsLogger, report: Callable[[str, Exception], None]
-    ) -> None:
+    def __init__(self, context: Context, logger: RcutilsLogger,
+                 report: Callable[[str, Exception], None]) -> None:
         self._context, self._logger, self._report = context, logger, report
 
-    def attempt(
-        self, what: str, concern: str, action: Callable[[], _Result]
-    ) -> tuple[_Result | None, Exception | None]:
+    def attempt(self, what: str, concern: str,
+                action: Callable[[], _Result]) -> tuple[_Result | None, Exception | None]:
         """Return (result, None) or (None, error)."""
         try:
             return action(), None
@@ -48,9 +46,8 @@ def protect_services(node: Node) -> None:
     They raise, for instance, at a parameter value of an unknown type, and at a transition that the
     node's state does not have.
     """
-    def answer_anyway(
-        name: str, callback: Callable[[Any, Any], Any], request: Any, response: Any
-    ) -> Any:
+    def answer_anyway(name: str, callback: Callable[[Any, Any], Any], request: Any,
+                      response: Any) -> Any:
         try:
             return callback(request, response)
         except Exception as error:

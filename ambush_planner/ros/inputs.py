@@ -96,10 +96,8 @@ class Inputs:
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        inputs = {
-            'alpha_map': self._map, 'start_pose': self.start or robot.frame,
-            'goal_pose': self.goal,
-        }
+        inputs = {'alpha_map': self._map, 'start_pose': self.start or robot.frame,
+                  'goal_pose': self.goal}
         return tuple(name for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:
@@ -134,26 +132,22 @@ class Inputs:
         goal_pose = self._transforms.to_frame(
             request.goal.message, 'goal', present.frame, robot.max_age
         )
-        return Trip(
-            map=present, start=start, goal=request.goal, start_pose=start_pose,
-            goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
-            goal_xy=position_from_ros(goal_pose, 'goal'), goal_tolerance=request.goal_tolerance,
-            via=request.via,
-            stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
-        )
+        return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
+                    goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
+                    goal_xy=position_from_ros(goal_pose, 'goal'),
+                    goal_tolerance=request.goal_tolerance, via=request.via,
+                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age))
 
-    def _located_start(
-        self, start: ReceivedMessage | None, robot: RobotOptions, frame: str
-    ) -> tuple[ReceivedMessage, PoseStamped]:
+    def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
+                       frame: str) -> tuple[ReceivedMessage, PoseStamped]:
         """Return the start to record, and its pose in the map's frame."""
         if start is not None and (start.message.header.frame_id or not robot.frame):
             return start, self._transforms.to_frame(start.message, 'start', frame, robot.max_age)
         pose = self._transforms.to_frame(robot_pose(robot), 'start', frame, robot.max_age)
         return ReceivedMessage(self._start_topic, type_name(pose), pose, LATEST), pose
 
-    def _located_stops(
-        self, via: ReceivedMessage | None, frame: str, max_age: float
-    ) -> tuple[tuple[float, float], ...]:
+    def _located_stops(self, via: ReceivedMessage | None, frame: str,
+                       max_age: float) -> tuple[tuple[float, float], ...]:
         """Return the positions of the stops [m] in the map's frame."""
         if via is None:
             return ()
@@ -161,14 +155,10 @@ class Inputs:
             raise InvalidPose(
                 f'via_poses: {len(via.message.poses)} stops, but at most {MOST_STOPS} are allowed'
             )
-        stops = {
-            f'stop {number}': PoseStamped(header=via.message.header, pose=pose)
-            for number, pose in enumerate(via.message.poses, start=1)
-        }
-        return tuple(
-            position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
-            for name, given in stops.items()
-        )
+        stops = {f'stop {number}': PoseStamped(header=via.message.header, pose=pose)
+                 for number, pose in enumerate(via.message.poses, start=1)}
+        return tuple(position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
+                     for name, given in stops.items())
 
     def _replace_map(self, new: CurrentMap) -> CurrentMap:
         if self._map is None or not self._map.same_map(new):

@@ -67,10 +67,8 @@ class NodeSettings:
 
 def _warn_of_unknown(node: Node) -> None:
     """Warn of initial values for unknown parameters; one file may serve several nodes."""
-    unknown = sorted(
-        name for name in node._parameter_overrides
-        if not node.has_parameter(name) and not name.startswith('qos_overrides.')
-    )
+    unknown = sorted(name for name in node._parameter_overrides
+                     if not node.has_parameter(name) and not name.startswith('qos_overrides.'))
     if unknown:
         node.get_logger().warning(
             f'{", ".join(unknown)}: no such parameter, ignored; ros2 param list shows all'
@@ -94,9 +92,8 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
     ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
     for name, value in ours.items():
         if PARAMETERS[name].fixed and value != node.get_parameter(name).value:
-            return SetParametersResult(
-                successful=False, reason=f'{name} is read-only: it is read at the start'
-            )
+            return SetParametersResult(successful=False,
+                                       reason=f'{name} is read-only: it is read at the start')
     try:
         _check_possible(ours)
     except InvalidOption as error:

@@ -58,11 +58,9 @@ class CachedPlan:
 
     def answers(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether the plan is for exactly this trip, perhaps on another map."""
-        return (
-            self.trip.start_xy == trip.start_xy
-            and _goal(self.trip) == _goal(trip)
-            and self._is_for(trip, parameters)
-        )
+        return (self.trip.start_xy == trip.start_xy
+                and _goal(self.trip) == _goal(trip)
+                and self._is_for(trip, parameters))
 
     def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
         return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
@@ -141,9 +139,8 @@ class PlanCache:
                     return self._submit(each.trip, each.parameters, background=False)
             return self._submit(trip, parameters, background=False)
 
-    def solve(
-        self, trip: Trip, parameters: NodeParameters, *, background: bool = False
-    ) -> Future[CachedPlan]:
+    def solve(self, trip: Trip, parameters: NodeParameters, *,
+              background: bool = False) -> Future[CachedPlan]:
         """Solve for exactly this trip; raises as ``plan_for`` does.
 
         A ``background`` solve gives way to solves that somebody waits for, and to the next
@@ -173,14 +170,12 @@ class PlanCache:
         """Cancel all solves and end the worker process."""
         self._queue.close()
 
-    def _submit(
-        self, trip: Trip, parameters: NodeParameters, background: bool
-    ) -> Future[CachedPlan]:
+    def _submit(self, trip: Trip, parameters: NodeParameters,
+                background: bool) -> Future[CachedPlan]:
         request = _request(trip, parameters, self._warm_start(trip, parameters))
-        solve = self._queue.submit(
-            _key(trip, parameters), request, partial(self._solved, trip, parameters),
-            parameters.queue_size, background,
-        )
+        solve = self._queue.submit(_key(trip, parameters), request,
+                                   partial(self._solved, trip, parameters), parameters.queue_size,
+                                   background)
         if all(each.solve is not solve for each in self._pending):
             self._pending.append(_Pending(trip, parameters, solve))
             solve.add_done_callback(self._remove_pending)
@@ -201,10 +196,8 @@ class PlanCache:
         cached = CachedPlan(plan, trip, parameters, ground)
         with self._lock:
             self._keep(cached)
-        self._logger.info(
-            f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
-            f'{len(plan.network.points)} nodes'
-        )
+        self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
+                          f'{len(plan.network.points)} nodes')
         return cached
 
     def _remove_pending(self, solve: Future[CachedPlan]) -> None:
@@ -232,13 +225,11 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     other, used = pending.trip, pending.parameters
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
-    return (
-        trip.map.same_ground(other.map)
-        and _conditions(other, used) == _conditions(trip, parameters)
-        and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
-        and other.goal_tolerance == trip.goal_tolerance
-        and _distance(other, trip) <= _tolerance(parameters, spacing)
-    )
+    return (trip.map.same_ground(other.map)
+            and _conditions(other, used) == _conditions(trip, parameters)
+            and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
+            and other.goal_tolerance == trip.goal_tolerance
+            and _distance(other, trip) <= _tolerance(parameters, spacing))
 
 
 def _goal(trip: Trip) -> tuple[_Position, float]:
@@ -260,8 +251,6 @@ def _key(trip: Trip, parameters: NodeParameters) -> tuple[object, ...]:
 
 
 def _request(trip: Trip, parameters: NodeParameters, warm: WarmStart | None) -> PlanRequest:
-    return PlanRequest(
-        trip.map.values, trip.map.resolution, trip.map.origin, parameters.occupancy,
-        trip.start_xy, trip.goal_xy, trip.goal_tolerance, parameters.planning, trip.stops_xy,
-        parameters.trip_order, warm,
-    )
+    return PlanRequest(trip.map.values, trip.map.resolution, trip.map.origin, parameters.occupancy,
+                       trip.start_xy, trip.goal_xy, trip.goal_tolerance, parameters.planning,
+                       trip.stops_xy, parameters.trip_order, warm)

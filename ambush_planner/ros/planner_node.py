@@ -80,21 +80,16 @@ class PlannerNode(LifecycleNode):
                 'the parameter seed is fixed: the sequence of routes is always the same and can '
                 'be foreseen; only for tests and replay'
             )
-        self._reporter = Reporter(
-            self.get_fully_qualified_name().lstrip('/'),
-            Publishers(self, STATUS_TOPICS),
-            self.get_clock(),
-            lambda: self._dispatcher is not None and self._dispatcher.solving,
-            lambda: self._settings.current.error_hold,
-        )
+        self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
+                                  Publishers(self, STATUS_TOPICS), self.get_clock(),
+                                  lambda: self._dispatcher is not None and self._dispatcher.solving,
+                                  lambda: self._settings.current.error_hold)
         self._error_boundary = ErrorBoundary(
             self.context, self.get_logger(), self._reporter.failed
         )
         self._reporter.recording(self._settings.current.recording.enabled)
-        requests = Requests(
-            self, self._error_boundary, lambda: _configured(self._dispatcher),
-            lambda: _configured(self._inputs), self._settings,
-        )
+        requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
+                            lambda: _configured(self._inputs), self._settings)
         action = ComputePath(self, self._error_boundary, requests, self._settings)
         self._closing.callback(action.close)
         self._closing.callback(lambda: self._configured.close())
@@ -153,10 +148,8 @@ class PlannerNode(LifecycleNode):
             transforms = FrameTransforms(self)
             made.callback(transforms.close)
             self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'))
-            self._dispatcher = Dispatcher(
-                self._settings, self._inputs, publishers, self._reporter,
-                self.get_clock(), self.get_logger(),
-            )
+            self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, self._reporter,
+                                          self.get_clock(), self.get_logger())
             made.callback(self._dispatcher.close)
             self._topic_subscriptions = Subscriptions(
                 self, self._inputs, self._error_boundary, self._report_missing,

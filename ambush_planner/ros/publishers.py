@@ -18,10 +18,8 @@ from .qos import DIAGNOSTICS, LATCHED
 Topics = Mapping[str, tuple[type, QoSProfile]]
 MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
-PLAN_TOPICS: Topics = {
-    'path': (PathMessage, LATCHED),
-    **dict.fromkeys(MARKERS, (MarkerArray, LATCHED)),
-}
+PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED),
+                       **dict.fromkeys(MARKERS, (MarkerArray, LATCHED))}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
@@ -31,10 +29,8 @@ class Publishers:
 
     def __init__(self, node: Node, topics: Topics) -> None:
         self._node, self._topics = node, topics
-        self._publishers = {
-            topic: node.create_publisher(kind, topic, qos)
-            for topic, (kind, qos) in topics.items()
-        }
+        self._publishers = {topic: node.create_publisher(kind, topic, qos)
+                            for topic, (kind, qos) in topics.items()}
 
     def publish(self, topic: str, message: Any) -> RecordedMessage:
         """Publish a message, or its serialised bytes, on one of ``topics``."""

@@ -32,12 +32,9 @@ class Recordings:
     error or None.
     """
 
-    def __init__(
-        self,
-        options: RecordingOptions,
-        done: Callable[[RecordingOptions, AmbushPlannerError | None], None],
-        warn: Callable[[str], object],
-    ) -> None:
+    def __init__(self, options: RecordingOptions,
+                 done: Callable[[RecordingOptions, AmbushPlannerError | None], None],
+                 warn: Callable[[str], object]) -> None:
         self._options, self._done, self._warn = options, done, warn
         self._recorder: Recorder | None = None
         self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
@@ -52,9 +49,8 @@ class Recordings:
     def wait_for_room(self) -> None:
         """Wait for room in the queue, but not for a stuck disk; call before a departure."""
         with self._condition:
-            room = self._condition.wait_for(
-                lambda: not self._full or self._hurry or self._stuck, _PATIENCE
-            )
+            room = self._condition.wait_for(lambda: not self._full or self._hurry or self._stuck,
+                                            _PATIENCE)
             self._stuck = self._stuck or not room
 
     def record(self, departure: Departure) -> None:
@@ -126,7 +122,5 @@ class Recordings:
         if self._recorder is None or options != self._options:
             self._recorder = Recorder(Path(options.directory), options.compression)
             self._options = options
-        self._recorder.record_departure(
-            recorded_messages(departure), metadata_entries(departure),
-            attachments(departure, self._strategies[plan]),
-        )
+        self._recorder.record_departure(recorded_messages(departure), metadata_entries(departure),
+                                        attachments(departure, self._strategies[plan]))

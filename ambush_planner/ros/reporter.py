@@ -22,10 +22,8 @@ class Reporter:
     ``error_hold()`` [s]; all else is reported as long as it lasts.
     """
 
-    def __init__(
-        self, name: str, publishers: Publishers, clock: Clock, is_solving: Callable[[], bool],
-        error_hold: Callable[[], float],
-    ) -> None:
+    def __init__(self, name: str, publishers: Publishers, clock: Clock,
+                 is_solving: Callable[[], bool], error_hold: Callable[[], float]) -> None:
         self._name, self._publishers, self._clock = name, publishers, clock
         self._is_solving, self._error_hold = is_solving, error_hold
         self._failed_at = 0.0
@@ -73,29 +71,24 @@ class Reporter:
 
         self._change(change)
 
-    def departed(
-        self, number: int, departure_id: str, tight_turns: int
-    ) -> tuple[RecordedMessage, str]:
+    def departed(self, number: int, departure_id: str,
+                 tight_turns: int) -> tuple[RecordedMessage, str]:
         """Report a departure; return the report, and what is wrong with the recording, if anything.
 
         Both come from one status, so the answer and the recorded diagnostics agree.
         """
         with self._lock:
-            self._status = replace(
-                self._status.without_problem('request'), departures=number,
-                departure_id=departure_id, tight_turns=tight_turns,
-            )
+            self._status = replace(self._status.without_problem('request'), departures=number,
+                                   departure_id=departure_id, tight_turns=tight_turns)
             problem = self._status.problems.get('recording')
             return self.report(), problem.message if problem else ''
 
     def recording(self, enabled: bool, error: Exception | None = None) -> None:
         """Report whether departures are recorded, and the error of the last recording."""
         state = 'failed' if error else 'on' if enabled else 'off'
-        self._change(lambda status: replace(
-            status.with_problem('recording', error) if error
-            else status.without_problem('recording'),
-            recording=state,
-        ))
+        self._change(lambda status: replace(status.with_problem('recording', error) if error
+                                            else status.without_problem('recording'),
+                                            recording=state))
 
     def _change(self, change: Callable[[Status], Status]) -> None:
         """Change the status, and publish it if it differs."""

@@ -36,26 +36,19 @@ class Requests:
     configured node, or raise NotActive.
     """
 
-    def __init__(
-        self, node: Node, error_boundary: ErrorBoundary, dispatcher: Callable[[], Dispatcher],
-        inputs: Callable[[], Inputs], settings: NodeSettings,
-    ) -> None:
+    def __init__(self, node: Node, error_boundary: ErrorBoundary,
+                 dispatcher: Callable[[], Dispatcher], inputs: Callable[[], Inputs],
+                 settings: NodeSettings) -> None:
         self._node, self._error_boundary, self._settings = node, error_boundary, settings
         self._dispatcher, self._inputs = dispatcher, inputs
         planning = MutuallyExclusiveCallbackGroup()
-        self._serve(
-            Trigger, '~/new_route', self._start_new_route, self._new_route_response, planning,
-            self.answered,
-        )
+        self._serve(Trigger, '~/new_route', self._start_new_route, self._new_route_response,
+                    planning, self.answered)
         self._serve(GetPlan, '~/get_plan', self.start_plan, plan_response, planning, self.answered)
-        self._serve(
-            Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest_trip()),
-            _replan_response, planning,
-        )
-        self._serve(
-            Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
-            _cancel_response, MutuallyExclusiveCallbackGroup(),
-        )
+        self._serve(Trigger, '~/replan', lambda _: self._dispatcher().replan(self._latest_trip()),
+                    _replan_response, planning)
+        self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
+                    _cancel_response, MutuallyExclusiveCallbackGroup())
 
     def start_plan(self, request: GetPlan.Request) -> Future[Departure]:
         """Start a departure between the poses of a request."""
@@ -67,23 +60,16 @@ class Requests:
             ReceivedMessage(self._node.resolve_topic_name(topic), type_name(pose), pose, LATEST)
             for topic, pose in (('start_pose', request.start), ('goal_pose', request.goal))
         )
-        return self._depart(
-            GetPlan, '~/get_plan', request, TripRequest(start, goal, request.tolerance)
-        )
+        return self._depart(GetPlan, '~/get_plan', request,
+                            TripRequest(start, goal, request.tolerance))
 
     def answered(self, departure: Departure, response: Any) -> None:
         """Log and record a departure that has been answered."""
         self._dispatcher().answered(departure, response)
 
-    def _serve(
-        self,
-        kind: Any,
-        name: str,
-        start: Callable[[Any], Future[_Result]],
-        to_response: Callable[[_Result], Any],
-        group: CallbackGroup,
-        answered: Callable[[_Result, Any], None] = lambda result, response: None,
-    ) -> None:
+    def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
+               to_response: Callable[[_Result], Any], group: CallbackGroup,
+               answered: Callable[[_Result, Any], None] = lambda result, response: None) -> None:
         """Serve work that ``start`` starts; the thread that finishes it sends the answer.
 
         In rclpy a callback has to return the response: one that waits for it blocks a thread of
@@ -115,9 +101,8 @@ class Requests:
     def _start_new_route(self, request: Trigger.Request) -> Future[Departure]:
         return self._depart(Trigger, '~/new_route', request, self._latest_trip())
 
-    def _depart(
-        self, kind: Any, service: str, request: Any, trip: TripRequest
-    ) -> Future[Departure]:
+    def _depart(self, kind: Any, service: str, request: Any,
+                trip: TripRequest) -> Future[Departure]:
         call = ServiceCall(kind, self._node.resolve_service_name(service), request)
         return self._dispatcher().depart(call, trip)
 
@@ -138,10 +123,8 @@ def plan_response(departure: Departure) -> GetPlan.Response:
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:
-    return _success(
-        f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
-        f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes'
-    )
+    return _success(f'solved in {plan.seconds:.3f} s: value {plan.strategy.value:.6g}, gap '
+                    f'{plan.strategy.gap:.3g}, {len(plan.network.points)} nodes')
 
 
 def _cancel_response(count: int) -> Trigger.Response:

@@ -34,10 +34,9 @@ class SerialExecutor:
     future; ``closed_error`` makes the error that refuses work after ``close``.
     """
 
-    def __init__(
-        self, name: str, before_each: Callable[[], None], on_error: Callable[[Exception], None],
-        closed_error: Callable[[], Exception],
-    ) -> None:
+    def __init__(self, name: str, before_each: Callable[[], None],
+                 on_error: Callable[[Exception], None],
+                 closed_error: Callable[[], Exception]) -> None:
         self._before_each, self._on_error = before_each, on_error
         self._closed_error = closed_error
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)

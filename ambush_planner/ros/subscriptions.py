@@ -32,10 +32,8 @@ class Subscriptions:
     each map and each update of one.
     """
 
-    def __init__(
-        self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
-        pose_accepted: Callable[[], None], map_accepted: Callable[[], None],
-    ) -> None:
+    def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
+                 pose_accepted: Callable[[], None], map_accepted: Callable[[], None]) -> None:
         self._node, self._error_boundary = node, error_boundary
         self._subscriptions: list[Subscription] = []
         self._map_topic = node.resolve_topic_name('alpha_map')
@@ -62,18 +60,14 @@ class Subscriptions:
             PoseArray, 'via_poses', LATEST,
             lambda received: accept('via', received if received.message.poses else None),
         )
-        self._subscribe(
-            PoseWithCovarianceStamped, 'initialpose', LATEST,
-            lambda received: accept('start', _without_covariance(received)),
-        )
+        self._subscribe(PoseWithCovarianceStamped, 'initialpose', LATEST,
+                        lambda received: accept('start', _without_covariance(received)))
 
     def volatile_map_warning(self) -> str:
         """Return a warning if a map is published without the durability asked for, else ''."""
-        volatile = sorted({
-            f'{each.node_namespace.rstrip("/")}/{each.node_name}'
-            for each in self._node.get_publishers_info_by_topic(self._map_topic)
-            if each.qos_profile.durability == DurabilityPolicy.VOLATILE
-        })
+        volatile = sorted({f'{each.node_namespace.rstrip("/")}/{each.node_name}'
+                           for each in self._node.get_publishers_info_by_topic(self._map_topic)
+                           if each.qos_profile.durability == DurabilityPolicy.VOLATILE})
         if not volatile:
             return ''
         return (
@@ -91,26 +85,22 @@ class Subscriptions:
         if new is before:
             return
         height, width = new.values.shape
-        text = (
-            f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
-            f'{new.frame[:80]!r}'
-        )
+        text = (f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
+                f'{new.frame[:80]!r}')
         logger = self._node.get_logger()
         if before is not None and new.same_ground(before):  # a costmap, published every second
             logger.info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
         else:
             logger.info(text)
 
-    def _subscribe(
-        self, kind: type, topic: str, qos: QoSProfile, use: Callable[[ReceivedMessage], None]
-    ) -> None:
+    def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
+                   use: Callable[[ReceivedMessage], None]) -> None:
         name = self._node.resolve_topic_name(topic)
         concern = 'map' if topic.startswith('alpha_map') else 'request'
 
         def receive(data: bytes) -> None:
-            self._error_boundary.attempt(
-                name, concern, lambda: use(_deserialised(kind, name, data, qos))
-            )
+            self._error_boundary.attempt(name, concern,
+                                         lambda: use(_deserialised(kind, name, data, qos)))
 
         # Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
         self._subscriptions.append(

@@ -66,23 +66,18 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
     return CorridorWidths(NODE_SHARE * widths, NODE_SHARE * beyond)
 
 
-def limit_to_map(
-    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
-    clearance: float, clear_of_edge: bool,
-) -> CorridorWidths:
+def limit_to_map(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, risk_map: RiskMap,
+                 clearance: float, clear_of_edge: bool) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from obstacles and, if asked, the map's edge."""
     margin = (clearance if clear_of_edge else 0.0) + OBSTACLE_MARGIN * risk_map.resolution
     strips, quarters = _map_edge_limits(uv, pairs, np.array(risk_map.size), margin)
-    inside = CorridorWidths(
-        np.minimum(corridors.widths, strips), np.minimum(corridors.beyond, quarters)
-    )
+    inside = CorridorWidths(np.minimum(corridors.widths, strips),
+                            np.minimum(corridors.beyond, quarters))
     return limit_to_cells(inside, uv, pairs, rim_cells(risk_map), clearance, risk_map.resolution)
 
 
-def limit_to_cells(
-    corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray, centres: FloatArray,
-    clearance: float, resolution: float,
-) -> CorridorWidths:
+def limit_to_cells(corridors: CorridorWidths, uv: FloatArray, pairs: IndexArray,
+                   centres: FloatArray, clearance: float, resolution: float) -> CorridorWidths:
     """Narrow corridors to keep the clearance [m] from cells with ``centres`` (C, 2).
 
     Quarters become no wider than their strips.
@@ -126,9 +121,8 @@ class _CellIndex:
         self._tree = cKDTree(centres) if len(centres) else None
         self._corners = CORNERS * resolution
 
-    def near(
-        self, places: FloatArray, radius: FloatArray, of: IndexArray
-    ) -> tuple[IndexArray, FloatArray]:
+    def near(self, places: FloatArray, radius: FloatArray,
+             of: IndexArray) -> tuple[IndexArray, FloatArray]:
         """Find the cells within a radius (K,) of places (K, 2), for each place ``of`` (P,).
 
         Returns indices (C,) into ``of``, and the offsets (C, 4, 2) of the cells' corners from the
@@ -146,9 +140,8 @@ class _CellIndex:
         return whose, corners - places[of][whose][:, None]
 
 
-def _strip_limits(
-    uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: FloatArray, margin: float
-) -> FloatArray:
+def _strip_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, widths: FloatArray,
+                  margin: float) -> FloatArray:
     """Widths (P, 2) at which the strips come within ``margin`` of an obstacle cell."""
     limits = np.full(widths.shape, np.inf)
     _, direction, length = _frame(uv, pairs)
@@ -165,9 +158,8 @@ def _strip_limits(
     return limits
 
 
-def _quarter_limits(
-    uv: FloatArray, pairs: IndexArray, cells: _CellIndex, beyond: FloatArray, margin: float
-) -> FloatArray:
+def _quarter_limits(uv: FloatArray, pairs: IndexArray, cells: _CellIndex, beyond: FloatArray,
+                    margin: float) -> FloatArray:
     """Radii (P, 2, 2) at which the quarters come within ``margin`` of an obstacle cell."""
     limits = np.full(beyond.shape, np.inf)
     radius = np.zeros(len(uv))
@@ -213,9 +205,8 @@ def _share_inside(offsets: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
     return first, last
 
 
-def _map_edge_limits(
-    uv: FloatArray, pairs: IndexArray, size: FloatArray, margin: float
-) -> tuple[FloatArray, FloatArray]:
+def _map_edge_limits(uv: FloatArray, pairs: IndexArray, size: FloatArray,
+                     margin: float) -> tuple[FloatArray, FloatArray]:
     """Widths (P, 2) and radii (P, 2, 2) at which corridors come within ``margin`` of the edge."""
     direction = _frame(uv, pairs)[1]
     leftward = np.stack((-direction[:, 1], direction[:, 0]), axis=1)

@@ -19,9 +19,8 @@ from .corridors import Corridors
 SEARCH_RADIUS = 3.0
 
 
-def with_new_obstacles(
-    corridors: Corridors, cells: FloatArray, clearance: float, resolution: float
-) -> Corridors:
+def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float,
+                       resolution: float) -> Corridors:
     """Narrow the corridors to keep clear of new obstacles.
 
     Parameters
@@ -38,18 +37,14 @@ def with_new_obstacles(
     middles = ends.mean(axis=1)
     gaps, _ = cKDTree(cells).query(middles, distance_upper_bound=float(reach.max()))
     near = np.flatnonzero(gaps <= reach)
-    narrowed = limit_to_cells(
-        CorridorWidths(corridors.widths[near], corridors.beyond[near]),
-        corridors.uv, corridors.links[near], cells, clearance, resolution,
-    )
+    narrowed = limit_to_cells(CorridorWidths(corridors.widths[near], corridors.beyond[near]),
+                              corridors.uv, corridors.links[near], cells, clearance, resolution)
     return _with_widths(corridors, near, narrowed)
 
 
-def with_moved_end(
-    corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
-    corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
-    clear_of_edge: bool = True,
-) -> Corridors:
+def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
+                   corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
+                   clear_of_edge: bool = True) -> Corridors:
     """Update the corridors after the source or target ``node`` moved slightly.
 
     Parameters

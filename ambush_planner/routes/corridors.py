@@ -98,10 +98,8 @@ class Corridors:
         return route[kept[::-1]]
 
 
-def make_corridors(
-    network: Network, risk_map: RiskMap, clearance: float = 0.0, tube: float | None = None,
-    clear_of_edge: bool = True,
-) -> Corridors:
+def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
+                   tube: float | None = None, clear_of_edge: bool = True) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
@@ -129,10 +127,8 @@ def make_corridors(
     widths = np.concatenate((measured.widths, measured.widths[:, ::-1]))[order]
     beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
-    return Corridors(
-        network, risk_map.origin, uv, links, widths, beyond, np.full(len(links), tube is None),
-        _keys(links, len(uv)),
-    )
+    return Corridors(network, risk_map.origin, uv, links, widths, beyond,
+                     np.full(len(links), tube is None), _keys(links, len(uv)))
 
 
 def _keys(links: IndexArray, count: int) -> IndexArray:
@@ -140,9 +136,8 @@ def _keys(links: IndexArray, count: int) -> IndexArray:
     return keys
 
 
-def _with_shortcuts(
-    uv: FloatArray, edges: IndexArray, field: ObstacleField, clearance: float
-) -> tuple[IndexArray, CorridorWidths]:
+def _with_shortcuts(uv: FloatArray, edges: IndexArray, field: ObstacleField,
+                    clearance: float) -> tuple[IndexArray, CorridorWidths]:
     """Add the shortcuts that keep clear of obstacles and of all other nodes to the edges."""
     more = _shortcuts(uv, edges)
     more = more[field.clear_segments(uv[more[:, 0]], uv[more[:, 1]], clearance)]

@@ -60,10 +60,8 @@ class _Lines:
         return radii
 
 
-def driven_path(
-    corridors: Corridors, route: IndexArray, spacing: float, turning_radius: float = 0.0,
-    ends: Ends | None = None,
-) -> FloatArray:
+def driven_path(corridors: Corridors, route: IndexArray, spacing: float,
+                turning_radius: float = 0.0, ends: Ends | None = None) -> FloatArray:
     """World poses (L, 3) = (x, y, yaw) of the path to drive for a drawn route.
 
     The path begins and ends exactly at the route's ends. Poses are at most ``spacing`` [m] apart;
@@ -85,10 +83,8 @@ def driven_path(
     return driven_paths(corridors, [route], spacing, turning_radius, ends)[0]
 
 
-def driven_paths(
-    corridors: Corridors, routes: list[IndexArray], spacing: float, turning_radius: float = 0.0,
-    ends: Ends | None = None,
-) -> list[FloatArray]:
+def driven_paths(corridors: Corridors, routes: list[IndexArray], spacing: float,
+                 turning_radius: float = 0.0, ends: Ends | None = None) -> list[FloatArray]:
     """``driven_path`` of each route, several times faster than one by one."""
     paths = []
     for few in range(0, len(routes), AT_ONCE):
@@ -119,9 +115,8 @@ def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
     return [places[first : last + 1] for first, last in pairwise(at)]
 
 
-def _driven_legs(
-    corridors: Corridors, legs: list[_Leg], spacing: float, turning_radius: float
-) -> list[FloatArray]:
+def _driven_legs(corridors: Corridors, legs: list[_Leg], spacing: float,
+                 turning_radius: float) -> list[FloatArray]:
     """Poses (L, 3) along each leg."""
     portals = portals_along(corridors, [corridors.shortened(places) for places, _ in legs])
     uv, yaw, bounds = _poses(_smooth(portals, turning_radius), spacing)
@@ -158,10 +153,8 @@ def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
     others share a path: those whose path runs straight through portals at different nodes.
     """
     once = {route.tobytes(): route for route in routes}.values()
-    return len({
-        tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
-        for route in once
-    })
+    return len({tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
+                for route in once})
 
 
 def _smooth(portals: Portals, turning_radius: float) -> _Lines:
@@ -192,9 +185,8 @@ def _smooth(portals: Portals, turning_radius: float) -> _Lines:
     return _Lines(points, turn, cut, np.cumsum([0, *(len(each[0]) for each in best)]))
 
 
-def _rounded(
-    portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexArray, margin: FloatArray
-) -> _Lines:
+def _rounded(portals: Portals, at: IndexArray, side: IndexArray, bounds: IndexArray,
+             margin: FloatArray) -> _Lines:
     """Round the corners as widely as segments, portals and margins allow.
 
     The corners are on the sides ``side`` (C,) of the portals ``at`` (C,), as ``taut_strings``
@@ -247,9 +239,8 @@ def _fit_between_corners(cut: FloatArray, tangent: FloatArray, length: FloatArra
     return cut
 
 
-def _distance_to_portals(
-    portals: Portals, points: FloatArray, direction: FloatArray, portal: IndexArray
-) -> FloatArray:
+def _distance_to_portals(portals: Portals, points: FloatArray, direction: FloatArray,
+                         portal: IndexArray) -> FloatArray:
     """Distance (C,) from points along directions to the lines of portals; nan at route ends."""
     line = portals.leftward[portal]
     found: FloatArray = np.abs(cross(portals.nodes[portal] - points, line) / cross(direction, line))

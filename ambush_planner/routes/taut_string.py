@@ -78,19 +78,14 @@ def portals_along(corridors: Corridors, routes: list[IndexArray]) -> Portals:
     turn = cross(unit[:-1], unit[1:])
     within = joined[:-1] & joined[1:]
     usable = within & (size > 1e-6)
-    return Portals(
-        nodes,
-        padded(leftward * within[:, None]),
-        padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
-        padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
-        padded(np.minimum(length[:-1], length[1:])),
-        bounds,
-    )
+    return Portals(nodes, padded(leftward * within[:, None]),
+                   padded(np.where(turn >= 0, inner[0], outer[0]) * usable),
+                   padded(np.where(turn <= 0, inner[1], outer[1]) * usable),
+                   padded(np.minimum(length[:-1], length[1:])), bounds)
 
 
-def taut_strings(
-    portals: Portals, margin: FloatArray, routes: Iterable[int]
-) -> list[list[tuple[int, int]]]:
+def taut_strings(portals: Portals, margin: FloatArray,
+                 routes: Iterable[int]) -> list[list[tuple[int, int]]]:
     """Corners of the shortest line of each of ``routes``, ``margin`` (K,) [m] inside the portals.
 
     A corner is (portal, side): side 1 is the left end, -1 the right end, 0 an end of the route.
@@ -104,9 +99,8 @@ def taut_strings(
     return [_taut_string(steps, *bounds[each : each + 2]) for each in routes]
 
 
-def _taut_string(
-    steps: list[tuple[int, float, float]], first: int, end: int
-) -> list[tuple[int, int]]:
+def _taut_string(steps: list[tuple[int, float, float]], first: int,
+                 end: int) -> list[tuple[int, int]]:
     """Corners of the line through the portals from ``first`` to before ``end``.
 
     ``steps`` are (side, x, y) of the ends of all portals, in the order in which they are advanced.

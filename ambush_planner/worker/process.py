@@ -41,10 +41,8 @@ class WorkerProcess:
 
     def _start(self, connection: socket.socket) -> subprocess.Popen[bytes]:
         # The worker imports the same modules as this process.
-        start = (
-            f'import sys; sys.path[:] = {sys.path!r}; '
-            'from ambush_planner.worker.child import main; main()'
-        )
+        start = (f'import sys; sys.path[:] = {sys.path!r}; '
+                 'from ambush_planner.worker.child import main; main()')
         return subprocess.Popen(
             [sys.executable, '-c', start, str(connection.fileno())],
             pass_fds=[connection.fileno()],

@@ -65,10 +65,8 @@ class SolveQueue(Generic[_Result]):
         with self._condition:
             return self._running is not None or bool(self._waiting)
 
-    def submit(
-        self, key: Hashable, request: PlanRequest, finish: Callable[[Plan], _Result], size: int,
-        background: bool = False,
-    ) -> Future[_Result]:
+    def submit(self, key: Hashable, request: PlanRequest, finish: Callable[[Plan], _Result],
+               size: int, background: bool = False) -> Future[_Result]:
         """Queue a solve, or share the outcome of one with the same key.
 
         The future raises the errors of ``WorkerProcess.solve``, or SolveCancelled.
