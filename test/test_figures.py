@@ -60,16 +60,6 @@ def test_obstacles_are_masked(axes):
     np.testing.assert_array_equal(image.get_array().mask, obstacles)
 
 
-def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
-    network = small_plan.network
-    p = np.zeros(len(network.edges))
-    p[:4] = 0.2, 0.9, 0.5 * figures.LEAST_PROBABILITY, 0.1
-    lines = figures.draw_segments(axes, network.points[network.edges], p)
-    assert lines.get_array().tolist() == [0.1, 0.2, 0.9]
-    assert (np.diff(lines.get_linewidths()) > 0.0).all()
-    np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
-
-
 def test_binned_directions_are_weighted_means():
     points = np.array([[0.1, 0.1], [0.9, 0.1], [2.5, 0.5], [5.5, 5.5]])
     direction = np.array([[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [1.0, 0.0]])
@@ -79,13 +69,3 @@ def test_binned_directions_are_weighted_means():
     np.testing.assert_allclose(share, [1.0, 0.5])
     places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
-
-
-def test_markers_show_ambush_sites_by_probability(axes, small_plan):
-    q = small_plan.strategy.ambush_probability
-    figures.draw_ambush_sites(axes, small_plan.network, q)
-    (markers,) = axes.collections
-    assert len(markers.get_offsets()) == (q > 1e-3 * q.max()).sum() > 0
-    sizes, shown = markers.get_sizes(), q[q > 1e-3 * q.max()]
-    np.testing.assert_array_equal(np.argsort(sizes, kind='stable'),
-                                  np.argsort(shown, kind='stable'))
