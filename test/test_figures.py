@@ -11,24 +11,7 @@ from matplotlib.figure import Figure
 
 from ambush_planner.commands import figures
 from ambush_planner.maps.risk_map import RiskMap
-from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions
-from ambush_planner.planning.trip import plan_trip
 from paper.figures import binned_directions
-
-
-@pytest.fixture(scope='module')
-def small_map():
-    row, column = np.mgrid[:20, :24]
-    alpha = 1.0 + 0.2 * row + 0.1 * column
-    obstacles = (abs(row - 10) < 3) & (abs(column - 12) < 3)
-    return RiskMap(alpha, obstacles, 5.0)
-
-
-@pytest.fixture(scope='module')
-def small_plan(small_map):
-    options = PlanningOptions(NetworkOptions(spacing=10.0))
-    return plan_trip(small_map, (12.0, 52.0), (108.0, 48.0), options)
 
 
 @pytest.fixture
