@@ -108,11 +108,6 @@ def test_bad_values_are_refused_with_the_reason(node, values, words):
     assert [node.get_parameter(name).value for name in PARAMETERS] == before
 
 
-def test_values_that_are_valid_only_together_are_accepted_together(node):
-    assert change(node, map__alpha_min=20.0, map__alpha_max=30.0).successful
-    assert change(node, map__alpha_min=1.0, map__alpha_max=10.0).successful
-
-
 def test_bad_values_stop_the_start_with_the_reason():
     with pytest.raises(InvalidOption, match='alpha_min 20.0 and alpha_max 10.0'):
         start(map__alpha_min=20.0)

@@ -19,7 +19,6 @@ from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.plan import PlanningOptions, PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected
 from ambush_planner.worker.solve_queue import SolveQueue
 
@@ -52,16 +51,6 @@ def submit(queue, key, asked, size=8, background=False):
 def queue(monkeypatch):
     """A queue whose worker may be one that an earlier test left idle."""
     monkeypatch.setattr(solve_queue, 'WorkerProcess', HandedOn.take)
-    queue = SolveQueue()
-    yield queue
-    queue.close()
-
-
-@pytest.fixture
-def fresh_queue(monkeypatch):
-    """A queue whose first worker is a real process, started as by a node."""
-    first = iter([WorkerProcess])
-    monkeypatch.setattr(solve_queue, 'WorkerProcess', lambda: next(first, HandedOn.take)())
     queue = SolveQueue()
     yield queue
     queue.close()
@@ -130,8 +119,7 @@ def test_a_full_queue_refuses_at_once_with_the_reason(queue):
     assert later.exception(TIMEOUT)
 
 
-def test_background_solves_run_last(fresh_queue):
-    queue = fresh_queue
+def test_background_solves_run_last(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     outcomes = []
