@@ -1,4 +1,4 @@
-"""Each row of the documented table of bad input, tried on one node, which survives them all."""
+"""Bad input: each row of the documented table, tried on one node, which survives them all."""
 
 import math
 import re
@@ -249,3 +249,43 @@ def test_row(running, name):
     code = TABLE[name][-1].strip('`')
     assert ROWS[name](running) == code
     assert running.client.call('new_route').success
+
+
+def test_nothing_has_arrived():
+    with stage() as running:
+        client = running.client
+        for service in ('new_route', 'replan'):
+            answer = client.call(service)
+            assert not answer.success
+            assert answer.message == 'no risk map yet: publish one on alpha_map'
+        assert not client.get_plan(pose(*START), pose(*GOAL)).poses
+        client.diagnostics(code='NO_MAP', level=b'\2')
+        client.publish('alpha_map', risk_grid())
+        answer = client.call_until('new_route', lambda answer: 'map' not in answer.message)
+        assert answer.message == (
+            'no start yet: publish one on start_pose or initialpose, or set robot_base_frame')
+        client.diagnostics(code='NO_START')
+        client.publish('start_pose', pose(*START))
+        answer = client.call_until('new_route', lambda answer: 'start' not in answer.message)
+        assert answer.message == 'no goal yet: publish one on goal_pose'
+        client.diagnostics(code='NO_GOAL')
+        client.publish('goal_pose', pose(*GOAL))
+        client.call_until('new_route', lambda answer: answer.success)
+
+
+def test_a_bad_pose_on_a_topic_replaces_the_last_one(running):
+    client = running.client
+    for topic, good in (('start_pose', START), ('goal_pose', GOAL)):
+        client.publish(topic, pose(NAN, 1))
+        answer = client.call_until('new_route', lambda answer: '(nan, 1.0' in answer.message)
+        assert not answer.success
+        client.publish(topic, pose(*good))
+        client.call_until('new_route', lambda answer: answer.success)
+
+
+@pytest.mark.parametrize('tolerance', [-1.0, NAN, math.inf])
+def test_bad_tolerance(running, tolerance):
+    client = running.client
+    assert not client.get_plan(pose(*START), pose(*GOAL), tolerance).poses
+    client.diagnostics(
+        code='INVALID_OPTION', message=f'tolerance must be finite and >= 0 [m], got {tolerance}')

@@ -30,23 +30,6 @@ def exact(values):
     return {name: (type(value), value) for name, value in values.items()}
 
 
-def comments():
-    """The comment above each parameter of the file, on one line."""
-    found, above, group = {}, [], ''
-    for line in FILE.read_text().split('ros__parameters:\n')[1].splitlines():
-        indent, text = len(line) - len(line.lstrip()), line.strip()
-        if text.startswith('#'):
-            above.append(text.removeprefix('#').strip())
-            continue
-        name, value = text.split(':', 1)
-        if not value:
-            group = f'{name}.'
-        else:
-            found[f'{group if indent > 4 else ""}{name}'] = ' '.join(above)
-        above = []
-    return found
-
-
 def explained(declaration):
     """What the file says above a parameter."""
     text = declaration.description
@@ -82,7 +65,9 @@ def test_the_file_holds_every_default_in_its_type():
 
 
 def test_every_parameter_is_explained_as_it_is_declared():
-    assert comments() == {name: explained(each) for name, each in PARAMETERS.items()}
+    text = ' '.join(FILE.read_text().replace('#', ' ').split())
+    for name, each in PARAMETERS.items():
+        assert f"{explained(each)} {name.rpartition('.')[2]}:" in text
 
 
 def test_the_documented_table_has_every_default():

@@ -60,17 +60,6 @@ def test_straight_corridors_with_nodes_on_the_circle_enter_once(seed):
         assert row.sum() == 1.0 and set(row) <= {0.0, 1.0}
 
 
-def test_a_corridor_through_a_disc_costs_its_loss():
-    """Regression: the value of this game is 3, not 0."""
-    rng = np.random.default_rng(1)
-    for _ in range(40):
-        angle = rng.uniform(0, 2 * np.pi)
-        along = 0.7 * np.array([np.cos(angle), np.sin(angle)])
-        network = corridor(rng.uniform(-5, 5, 2) + np.arange(9)[:, None] * along)
-        network = Network(network.points, 3 * network.alpha, network.edges, 0, 8)
-        assert solve(network, GameOptions(ambush_radius=1.4)).value == pytest.approx(3.0)
-
-
 @examples(50)
 @given(st.integers(0, 10**9))
 def test_entries_of_any_polyline_match_its_sampled_points(seed):

@@ -196,13 +196,6 @@ def test_paths_made_together_match_single_ones(drive, radius):
         np.testing.assert_allclose(path, driven_path(corridors, route, 0.3, radius), atol=1e-12)
 
 
-@pytest.mark.parametrize('spacing', [1e-5, 1e-30, 5e-324])
-def test_rejects_too_many_poses(spacing):
-    corridors = corridors_on(open_map(), (1.2, 1.3), (18.7, 18.4))
-    with pytest.raises(InvalidOption, match=r'route\.path_spacing.* at most 20000 are allowed'):
-        driven_path(corridors, some_route(corridors.network, 1), spacing)
-
-
 @pytest.mark.parametrize('tube', [-0.1, np.nan, np.inf])
 def test_rejects_an_invalid_tube(tube):
     with pytest.raises(InvalidOption, match='tube'):

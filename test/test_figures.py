@@ -11,24 +11,7 @@ from matplotlib.figure import Figure
 
 from ambush_planner.commands import figures
 from ambush_planner.maps.risk_map import RiskMap
-from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions
-from ambush_planner.planning.trip import plan_trip
 from paper.figures import binned_directions
-
-
-@pytest.fixture(scope='module')
-def small_map():
-    row, column = np.mgrid[:20, :24]
-    alpha = 1.0 + 0.2 * row + 0.1 * column
-    obstacles = (abs(row - 10) < 3) & (abs(column - 12) < 3)
-    return RiskMap(alpha, obstacles, 5.0)
-
-
-@pytest.fixture(scope='module')
-def small_plan(small_map):
-    options = PlanningOptions(NetworkOptions(spacing=10.0))
-    return plan_trip(small_map, (12.0, 52.0), (108.0, 48.0), options)
 
 
 @pytest.fixture
@@ -58,16 +41,6 @@ def test_obstacles_are_masked(axes):
     obstacles = np.array([[True, False]])
     image = figures.draw_risk_map(axes, RiskMap(np.ones((1, 2)), obstacles, 1.0))
     np.testing.assert_array_equal(image.get_array().mask, obstacles)
-
-
-def test_unlikely_edges_are_left_out_and_likely_ones_on_top(axes, small_plan):
-    network = small_plan.network
-    p = np.zeros(len(network.edges))
-    p[:4] = 0.2, 0.9, 0.5 * figures.LEAST_PROBABILITY, 0.1
-    lines = figures.draw_segments(axes, network.points[network.edges], p)
-    assert lines.get_array().tolist() == [0.1, 0.2, 0.9]
-    assert (np.diff(lines.get_linewidths()) > 0.0).all()
-    np.testing.assert_array_equal(lines.get_segments()[-1], network.points[network.edges[1]])
 
 
 def test_binned_directions_are_weighted_means():

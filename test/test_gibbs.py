@@ -135,19 +135,6 @@ def test_infeasible_limits_are_proved_infeasible(network, tightness):
     assert not kept.infeasible and kept.excess <= 1e-9
 
 
-def test_without_limits_all_routes_are_equally_likely():
-    network = terrain_network(1, cells=7)
-    _, acyclic = forward(network)
-    found = maximize_entropy(acyclic, csr_matrix((0, len(acyclic.edge))), np.empty(0), 0.0, NEVER)
-    count = networkx.DiGraph(network.edges[acyclic.edge].tolist())
-    ways = {network.target: 1}
-    for node in reversed(list(networkx.topological_sort(count))):
-        if node != network.target:
-            ways[node] = sum(ways[k] for k in count.successors(node))
-    own = route_entropy(network, on_all(network, acyclic, found.p))
-    assert own == pytest.approx(math.log(ways[network.source]), rel=1e-9)
-
-
 def ladder(rungs: int) -> Network:
     """Two sides with crossings: 2^rungs routes."""
     points = [[-1, 0], *([k, side] for k in range(rungs) for side in (0, 1)), [rungs, 0]]

@@ -156,7 +156,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
         refused = client.call('new_route')
         assert not refused.success and 'call get_plan' in refused.message
         client.diagnostics(departures='3', code='INVALID_OPTION')
-        wait_until(lambda: len(recordings_in(tmp_path)) == 3, 'recordings')
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 3, 'recordings')
     assert not heard['/path']
     assert heard['/diagnostics'] and heard['/edge_probabilities']
     # /rosout says what standard error does; one process with several nodes may have none.

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
@@ -29,13 +28,6 @@ RVIZ = ROOT / 'config' / 'ambush_planner.rviz'
 TREE = ElementTree.parse(FILE).getroot()
 DOCUMENT = (ROOT / 'docs' / 'nav2.md').read_text()
 OWN_NAMES = {name: f'ambush/{name}' for name in ('goal_pose', 'start_pose', 'initialpose')}
-COMMANDS = re.findall(r'(?ms)^```sh\n(.*?)^```', DOCUMENT)
-# Commands that are not run, as docs/nav2.md says.
-NOT_RUN = ('rviz2', 'ros2 run nav2_map_server', 'ros2 run nav2_util',
-           'ros2 run nav2_lifecycle_manager')
-BY_HAND = ('ros2 lifecycle set /ambush_planner ',)  # test_lifecycle calls the same service
-
-
 def arguments(**given):
     """The launch file's arguments with their values."""
     values = {}
@@ -151,27 +143,6 @@ def test_paths_for_nav2_are_dense_enough_for_mppi():
     steps = ((points[1:] - points[:-1]) ** 2).sum(axis=1) ** 0.5
     assert steps.max() <= 0.05 + 1e-6  # MPPI wants 20 of them in about 1.4 m
     assert len(points) >= 20
-
-
-def commands():
-    """Each command of docs/nav2.md as words."""
-    for block in COMMANDS:
-        for line in block.replace('\\\n', ' ').strip().splitlines():
-            text = re.sub(r'\$\(ros2 pkg prefix --share ambush_planner\)', str(ROOT), line)
-            yield shlex.split(text, comments=True)
-
-
-def test_each_command_of_the_document_is_run_or_listed_as_not_run():
-    for words in commands():
-        known = ' '.join(words).startswith
-        if known('ros2 launch ambush_planner ambush_planner.launch.xml'):
-            given = dict(word.split(':=') for word in words[4:])
-            assert Path(arguments(**given)['params_file']) == NAV2
-        else:
-            assert any(known(each) for each in (*NOT_RUN, *BY_HAND)), words
-    listed = DOCUMENT.split('## What has been run')[1]
-    for each in NOT_RUN:
-        assert f'`{each.removeprefix("ros2 run ")}`' in listed
 
 
 def test_the_documents_table_has_the_arguments():

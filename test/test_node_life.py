@@ -1,7 +1,6 @@
 """Life of the node: executors of several threads, failed starts, missing ends, slow disks."""
 
 import threading
-import time
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -22,8 +21,7 @@ from ros_harness import (
 
 from ambush_planner.errors import AmbushPlannerError, InvalidOption
 from ambush_planner.planning.changed_ground import Assessment
-from ambush_planner.recordings import Recorder
-from ambush_planner.ros import plan_cache, recordings
+from ambush_planner.ros import plan_cache
 from ambush_planner.ros.diagnostics import Status, status_to_ros
 from ambush_planner.ros.error_codes import NoMap
 from ambush_planner.ros.planner_node import PlannerNode
@@ -64,35 +62,6 @@ def test_a_start_that_fails_leaves_nothing(values):
         with pytest.raises(InvalidOption):
             PlannerNode(context=context, parameter_overrides=overrides)
         assert threads() == before
-
-
-def test_an_answer_does_not_wait_for_the_disk(tmp_path, monkeypatch):
-    go_on, record = threading.Event(), Recorder.record_departure
-
-    def slow(*arguments):
-        go_on.wait()
-        return record(*arguments)
-
-    monkeypatch.setattr(Recorder, 'record_departure', slow)
-    with stage(tmp_path) as running:
-        client = running.give()
-        try:
-            for _ in range(most := recordings._MOST_WAITING):
-                assert client.call('new_route').success
-            client.last('path', most)
-            assert not list(tmp_path.rglob('*.mcap'))
-            # The next one waits before its route is drawn, and so before its path is published.
-            next_one = client.send('new_route')
-            client.diagnostics(departures=str(most))
-            time.sleep(0.2)
-            assert not next_one.done() and len(client.received['path']) == most
-        finally:
-            go_on.set()
-        wait_until(next_one.done, 'the next answer')
-        client.last('path', most + 1)
-        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == most + 1, 'all recordings')
-    files = sorted(tmp_path.rglob('*.mcap'))
-    assert all(read_with_rosbags(file) for file in files)
 
 
 def test_a_response_is_recorded_as_it_was_sent(tmp_path):

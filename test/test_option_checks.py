@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyOptions
-from ambush_planner.option_checks import check_at_least, check_flag, check_whole
+from ambush_planner.option_checks import check_at_least
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
 WRONG = (None, '2', [1.0], True, 1j, np.nan, -1)
@@ -44,12 +44,3 @@ def test_at_least():
         check_at_least('size', 0.5, 1.0, finite=False)
     with pytest.raises(InvalidOption, match='size is too large'):
         check_at_least('size', 10**400, 0.0)
-
-
-def test_whole_and_flag():
-    check_whole('count', np.uint8(3), 3)
-    check_flag('on', np.bool_(False))
-    with pytest.raises(InvalidOption, match=r'count must be a whole number >= 3, got 3\.0'):
-        check_whole('count', 3.0, 3)
-    with pytest.raises(InvalidOption, match='on must be true or false, got 1'):
-        check_flag('on', 1)

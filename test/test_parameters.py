@@ -74,10 +74,6 @@ def test_every_parameter_is_described_and_ranged(node, name):
         assert within.from_value <= PARAMETERS[name].default <= within.to_value
 
 
-def test_choices_are_in_the_description(node):
-    assert 'uniform_delaunay' in node.describe_parameter('network.method').additional_constraints
-
-
 @pytest.mark.parametrize('values, words', [
     ({'map__alpha_max': math.inf}, 'map.alpha_max must be finite'),
     ({'map__alpha_max': 1e291}, 'map.alpha_max must be 0 or in 1e-305..1e+290'),
@@ -95,35 +91,21 @@ def test_choices_are_in_the_description(node):
     ({'recording__directory': ' '}, 'recording.directory must not be empty'),
     ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
     ({'seed': 7}, 'read-only'),
-])
-def test_bad_values_are_refused_with_the_reason(node, values, words):
-    before = [node.get_parameter(name).value for name in PARAMETERS]
-    answer = change(node, **values)
-    assert not answer.successful
-    assert words in answer.reason
-    (name,) = values
-    # rclpy's own refusal of a wrong type names the types only.
-    assert name.replace('__', '.') in answer.reason or words == 'Wrong parameter type'
-    assert [node.get_parameter(name).value for name in PARAMETERS] == before
-
-
-@pytest.mark.parametrize('values, words', [
     ({'map__alpha_min': 20.0, 'map__alpha_max': 10.0},
      '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
     ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
      'strategy.length_weight 0.01 needs the strategy.solver'),
     ({'strategy__length_weight': 0.01, 'strategy__max_exposure': 2.0}, 'strategy.length_weight'),
 ])
-def test_one_request_that_contradicts_itself_is_refused(node, values, words):
+def test_bad_values_are_refused_with_the_reason(node, values, words):
     before = [node.get_parameter(name).value for name in PARAMETERS]
     answer = change(node, **values)
-    assert not answer.successful and words in answer.reason
+    assert not answer.successful
+    assert words in answer.reason
+    name = next(iter(values))
+    # rclpy's own refusal of a wrong type names the types only.
+    assert name.replace('__', '.') in answer.reason or words == 'Wrong parameter type'
     assert [node.get_parameter(name).value for name in PARAMETERS] == before
-
-
-def test_values_that_are_valid_only_together_are_accepted_together(node):
-    assert change(node, map__alpha_min=20.0, map__alpha_max=30.0).successful
-    assert change(node, map__alpha_min=1.0, map__alpha_max=10.0).successful
 
 
 def test_bad_values_stop_the_start_with_the_reason():

@@ -108,6 +108,13 @@ def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     assert client.get_plan(START, GOAL, 2.0).poses[-1].pose == GOAL.pose, 'not blocked'
 
 
+def test_a_cached_plan_does_not_answer_for_a_goal_at_the_start(client):
+    assert client.get_plan(START, pose(1.51, 5.5)).poses
+    assert not client.get_plan(START, START).poses
+    client.diagnostics(
+        code='INVALID_NETWORK', message='start and goal are the same position, (1.5, 5.5)')
+
+
 def test_a_path_stays_when_map_goal_and_parameters_change(running):
     client = running.client
     (gone,) = departures(client, 1)

@@ -40,15 +40,6 @@ def test_start_and_goal_are_exactly_the_poses_given(running):
     assert path.poses[-1].pose == GOAL.pose
 
 
-def test_yaw_looks_along_the_path(running):
-    rows = path_from_ros(running.client.get_plan(START, GOAL))
-    along = np.diff(rows[:, :2], axis=0)
-    yaw = np.arctan2(along[:, 1], along[:, 0])
-    # In a turn it is the tangent, at most half of the 20 degrees between two poses off the chord.
-    off = (rows[1:-1, 2] - yaw[1:] + np.pi) % (2.0 * np.pi) - np.pi
-    assert np.abs(off).max() <= np.radians(10.0) + 1e-9
-
-
 def test_poses_are_as_far_apart_as_nodes_or_cells_or_the_parameter_say(running):
     longest = steps(rows_with(running, network__spacing=1.0, route__path_spacing=0.0)).max()
     assert 0.5 < longest <= 1.0 + 1e-9, 'nodes lie further apart than cells'

@@ -100,12 +100,9 @@ def test_a_definition_that_is_not_installed_is_named():
 
 def test_qos_profiles_are_complete(tmp_path):
     qos = QoSProfile(
-        depth=5,
-        reliability=ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL,
-        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
-        deadline=Duration(seconds=1, nanoseconds=5),
-    )
+        depth=5, reliability=ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL, liveliness=LivelinessPolicy.MANUAL_BY_TOPIC,
+        deadline=Duration(seconds=1, nanoseconds=5))
     message = recorded('/start_pose', pose(0.0, 0.0), qos, START_NS)
     path = record(Recorder(tmp_path), [message])
     (channel,) = [
@@ -114,13 +111,8 @@ def test_qos_profiles_are_complete(tmp_path):
     (profile,) = yaml.safe_load(channel.metadata['offered_qos_profiles'])
     infinite = {'sec': 9223372036, 'nsec': 854775807}
     assert profile == {
-        'history': 'keep_last',
-        'depth': 5,
-        'reliability': 'best_effort',
-        'durability': 'transient_local',
-        'deadline': {'sec': 1, 'nsec': 5},
-        'lifespan': infinite,
-        'liveliness': 'manual_by_topic',
-        'liveliness_lease_duration': infinite,
+        'history': 'keep_last', 'depth': 5, 'reliability': 'best_effort',
+        'durability': 'transient_local', 'deadline': {'sec': 1, 'nsec': 5}, 'lifespan': infinite,
+        'liveliness': 'manual_by_topic', 'liveliness_lease_duration': infinite,
         'avoid_ros_namespace_conventions': False,
     }

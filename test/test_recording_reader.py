@@ -10,6 +10,7 @@ from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from recording_samples import file_of, recorded, small_departure
 from std_msgs.msg import Header
+from test_rooms import NO_ROS
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.recordings import (
@@ -22,18 +23,7 @@ from ambush_planner.recordings import (
 )
 from ambush_planner.recordings.recording_file import FORMAT
 
-NO_ROS = """
-import sys
-
-class NoRos:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition('.')[0]
-        if top in ('rclpy', 'builtin_interfaces', 'ament_index_python') or top.endswith(
-            ('_msgs', '_srvs', '_interfaces')
-        ):
-            raise ImportError(name + ' is blocked')
-
-sys.meta_path.insert(0, NoRos())
+VERIFY = NO_ROS + """
 from ambush_planner.commands import cli
 sys.argv[0] = 'ambush_verify'
 sys.exit(cli.main())
@@ -88,7 +78,7 @@ def test_departures_of_one_strategy_and_map_share_them(files):
 
 def test_commands_read_recordings_without_ros(files):
     done = subprocess.run(
-        [sys.executable, '-c', NO_ROS, str(files[0].parent), '--quiet'],
+        [sys.executable, '-c', VERIFY, str(files[0].parent), '--quiet'],
         capture_output=True, text=True, timeout=60, check=False,
     )
     assert (done.returncode, done.stderr) == (0, '')

@@ -18,7 +18,7 @@ from audit_samples import START, departure, drawn, parameters, record, sample_pl
 from commands import documented_keys
 from ros_harness import stage
 
-from ambush_planner.commands import cli, report, report_page, report_words
+from ambush_planner.commands import cli, report, report_words
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
@@ -167,18 +167,6 @@ def test_maps_and_trips_have_sections(tmp_path, a_plan):
     assert page.tags.count('canvas') == 2 and page.tags.count('section') == 2
     assert page.text.count('3 strategies were computed for this trip') == 1
     assert 'recording.compression differs between departures' in page.text
-
-
-def test_routes_on_the_map_have_the_colours_of_the_table(made):
-    page, section = made
-    colours = report_page.colours(section)
-    data = json.loads(re.search(r'(?s)<script type="application/json">(.*?)</script>',
-                                page.html)[1])
-    assert data['colours'] == [colours.get(k) for k in range(12)]
-    assert sorted(colours) == list(range(4, 12)) and len(set(colours.values())) == 8
-    for number, colour in colours.items():
-        assert f'{number + 1}&nbsp;<span style="color:{colour}">' in page.html
-        assert f'<option value="{number}">{number + 1}: ' in page.html
 
 
 # Verification, exit codes

@@ -18,18 +18,20 @@ FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).glob('*.py'))
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
 MAP_FILES_NEED = {'yaml', 'rasterio', 'PIL', 'matplotlib'}
 
-BLOCKED = """
+NO_ROS = """
 import sys
 
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         top = name.partition(".")[0]
-        if top in ("rclpy", "builtin_interfaces", "mcap", "mcap_ros2", "matplotlib", "yaml") or (
-            top.endswith(("_msgs", "_srvs", "_interfaces"))
-        ):
+        ros = ("rclpy", "builtin_interfaces", "ament_index_python")
+        if top in ros or top.endswith(("_msgs", "_srvs", "_interfaces")):
             raise ImportError(name + " is blocked")
 
 sys.meta_path.insert(0, NoRos())
+"""
+SOLVES = NO_ROS + """
+sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'matplotlib', 'yaml')))  # not needed
 import ambush_planner
 network = ambush_planner.Network([[0, 0], [1, 0], [2, 0]], [0, 3, 0], [(0, 1), (1, 2)], 0, 2)
 print(round(ambush_planner.solve(network).value, 5))
@@ -67,23 +69,16 @@ def test_ros_is_imported_in_its_own_room_only(path):
 def test_the_core_imports_and_solves_with_ros_blocked():
     root = str(PACKAGE.parent)
     done = subprocess.run(
-        [sys.executable, '-c', BLOCKED], capture_output=True, text=True, timeout=60, cwd=root
+        [sys.executable, '-c', SOLVES], capture_output=True, text=True, timeout=60, cwd=root
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == '3.0'
 
 
-COMMANDS_WITHOUT_ROS = """
-import importlib, sys
+COMMANDS_WITHOUT_ROS = NO_ROS + """
+import importlib
 from ambush_planner.commands.cli import COMMANDS
 
-class NoRos:
-    def find_spec(self, name, path=None, target=None):
-        top = name.partition(".")[0]
-        if top == "rclpy" or top.endswith(("_msgs", "_srvs", "_interfaces")):
-            raise ImportError(name + " is blocked")
-
-sys.meta_path.insert(0, NoRos())
 for command in COMMANDS:
     try:
         importlib.import_module("ambush_planner.commands." + command).parser().format_help()

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,15 +12,14 @@ import pytest
 from handed_on import HandedOn, halt_workers
 from waiting import TIMEOUT, wait_until
 
-from ambush_planner.errors import GoalBlocked, TimeLimit
+from ambush_planner.errors import GoalBlocked
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.plan import PlanningOptions, PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
-from ambush_planner.worker.process import WorkerProcess
-from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected, WorkerFailed
+from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected
 from ambush_planner.worker.solve_queue import SolveQueue
 
 
@@ -53,16 +51,6 @@ def submit(queue, key, asked, size=8, background=False):
 def queue(monkeypatch):
     """A queue whose worker may be one that an earlier test left idle."""
     monkeypatch.setattr(solve_queue, 'WorkerProcess', HandedOn.take)
-    queue = SolveQueue()
-    yield queue
-    queue.close()
-
-
-@pytest.fixture
-def fresh_queue(monkeypatch):
-    """A queue whose first worker is a real process, started as by a node."""
-    first = iter([WorkerProcess])
-    monkeypatch.setattr(solve_queue, 'WorkerProcess', lambda: next(first, HandedOn.take)())
     queue = SolveQueue()
     yield queue
     queue.close()
@@ -131,8 +119,7 @@ def test_a_full_queue_refuses_at_once_with_the_reason(queue):
     assert later.exception(TIMEOUT)
 
 
-def test_background_solves_run_last(fresh_queue):
-    queue = fresh_queue
+def test_background_solves_run_last(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
     outcomes = []
@@ -162,46 +149,6 @@ def test_a_withdrawn_request_leaves_the_background_solve(queue):
     queue.withdraw_background()
     with pytest.raises(SolveCancelled, match='a newer map'):
         kept.result(0.0)
-
-
-def test_cancel_ends_a_long_solve_and_the_next_one_works(queue):
-    future = submit(queue, 'slow', slow_request())
-    begun(queue)
-    assert queue.cancel()
-    with pytest.raises(SolveCancelled, match='the solve was cancelled'):
-        future.result(TIMEOUT)
-    wait_until(lambda: not queue.cancel(), 'no solve to cancel')
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-
-
-def test_submitted_solves_can_be_cancelled_at_once(queue):
-    for attempt in range(8):
-        both = submit(queue, 'first', slow_request()), submit(queue, 'second', slow_request())
-        assert queue.cancel() == 2, attempt
-        for each in both:
-            with pytest.raises(SolveCancelled):
-                each.result(TIMEOUT)
-
-
-def test_the_time_limit_is_hard(queue):
-    submit(queue, 'key', request()).result(TIMEOUT)  # the worker has started
-    begin = time.monotonic()
-    with pytest.raises(TimeLimit, match='no plan after max_planning_time, 0.7 s'):
-        submit(queue, 'slow', slow_request(0.7)).result(TIMEOUT)
-    assert time.monotonic() - begin >= 0.7
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-
-
-def test_a_killed_worker_is_an_error_and_is_replaced(fresh_queue):
-    queue = fresh_queue
-    future = submit(queue, 'slow', slow_request())
-    begun(queue)
-    pid = queue._worker._process.pid
-    os.kill(pid, signal.SIGKILL)
-    with pytest.raises(WorkerFailed, match='the worker process ended by signal 9'):
-        future.result(TIMEOUT)
-    assert submit(queue, 'key', request()).result(TIMEOUT)
-    assert pid != queue._worker._process.pid
 
 
 def test_close_ends_everything_at_once():

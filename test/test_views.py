@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +11,11 @@ from audit_samples import GOAL, START, departure, drawn, record, sample_plan
 from nav_msgs.msg import OccupancyGrid
 from rclpy.serialization import deserialize_message
 from ros_yaml import EXAMPLES
-from std_msgs.msg import Header
-from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.commands.views import FOXGLOVE, RVIZ, foxglove_text, main, rviz_text, scene_of
 from ambush_planner.maps.map_file import write_map
 from ambush_planner.maps.occupancy import OccupancyMap
 from ambush_planner.maps.risk_map import RiskMap
-from ambush_planner.network.network import Network
-from ambush_planner.ros import markers
 
 CONFIG = Path(__file__).resolve().parent.parent / 'config'
 # Width and height [m], and origin.
@@ -88,39 +83,6 @@ def test_whole_map_is_in_view_and_fills_it_with_visible_lines(ground):
     assert path_display(shown)['Line Style'] == 'Billboards'  # plain lines are one pixel wide
     for width in (path_display(shown)['Line Width'], panel(shown)['topics']['/path']['lineWidth']):
         assert 1 / 200 < width / scale < 1 / 50
-
-
-@pytest.mark.parametrize('size', [10.0, 120.0, 30_000.0])
-def test_path_is_above_the_network_and_below_the_ambush_sites(size):
-    """Foxglove draws lines after the map and the higher ones in front; RViz lifts the path."""
-    strategy = sample_plan().strategy
-    network = strategy.network
-    points = network.points * size / np.ptp(network.points, axis=0).max()
-    network = Network(points, network.alpha, network.edges, network.source, network.target)
-    strategy = replace(strategy, game=replace(strategy.game, network=network))
-    heights = [
-        _marker(draw).pose.position.z for draw in (
-            markers.network_lines(network, Header()),
-            markers.edge_probabilities(strategy, Header()),
-            markers.mean_direction(strategy, Header()),
-            markers.ambush_sites(strategy, Header()),
-        )
-    ]
-    assert heights == sorted(heights) and heights[2] < 0.0 < heights[3]
-    assert min(np.diff([*heights[:3], 0.0, heights[3]])) == pytest.approx(min(0.005 * size, 50.0))
-    # Discs are drawn before lines; transparent ones do not hide the lines.
-    sites = _marker(markers.ambush_sites(strategy, Header()))
-    assert sites.type == Marker.SPHERE_LIST and max(colour.a for colour in sites.colors) < 1.0
-    shown = scene(size, size, (0.0, 0.0, 0.0))
-    topics = panel(shown)['topics']
-    assert topics['/alpha_map']['alpha'] < 1.0
-    assert all(int(colour[-2:], 16) < 255 for colour in topics['/path']['gradient'])
-    assert heights[3] < path_display(shown)['Offset']['Z'] < 500.0
-
-
-def _marker(data):
-    (marker,) = deserialize_message(data, MarkerArray).markers
-    return marker
 
 
 def test_views_of_a_recording_have_its_map_and_topics(tmp_path):

@@ -126,17 +126,6 @@ def test_tiles_do_not_change_results(monkeypatch):
     assert told == sorted(told) and told[-1] == 1.0 and len(told) == 20
 
 
-@given(st.floats(1.0, 400.0), st.sampled_from([4, 64, 128]))
-@settings(max_examples=40, deadline=None)
-def test_rays_stay_within_reach_and_go_outwards(reach, count):
-    for ray in make_rays(reach, count):
-        distances = [sample.distance for sample in ray]
-        assert all(a < b for a, b in zip(distances, distances[1:], strict=False))
-        assert distances[-1:] <= [reach + 1e-9]
-        assert sum(sample.weight for sample in ray) <= 65_535
-        assert all(0 < sample.weight for sample in ray)
-
-
 def test_rejects_a_range_below_one_cell():
     with pytest.raises(InvalidTerrain, match='at least'):
         viewshed(Elevation(np.zeros((5, 5)), 30.0), ViewOptions(20.0))
