@@ -56,10 +56,8 @@ def harmonic_potential(game: Game, driven: IndexArray) -> FloatArray:
         system = rows[:, place[inner]].tocsc()
         # The system is positive definite, so diagonal pivots keep the order with the least
         # fill-in. Narrow panels are the fastest when there is so little of it.
-        factor = splu(
-            system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1, panel_size=4,
-            options={'SymmetricMode': True},
-        )
+        factor = splu(system, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, relax=1,
+                      panel_size=4, options={'SymmetricMode': True})
         potential[inner] = factor.solve(pull)
     return potential
 
@@ -164,9 +162,8 @@ def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> No
                 leaving[int(edges[walk[-1], 0])].pop()
 
 
-def _cancel_cycle(
-    edges: IndexArray, p: FloatArray, cycle: list[int], leaving: dict[int, list[int]]
-) -> None:
+def _cancel_cycle(edges: IndexArray, p: FloatArray, cycle: list[int],
+                  leaving: dict[int, list[int]]) -> None:
     """Subtract the least p of the cycle's edges from all of them."""
     p[cycle] -= p[cycle].min()
     for k in cycle:

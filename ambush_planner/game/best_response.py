@@ -38,9 +38,8 @@ class BestResponse:
     labels: int
 
 
-def best_response(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...],
-) -> BestResponse:
+def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
+                  prices: tuple[float, ...]) -> BestResponse:
     """Find the route that costs least against q (N,) with each site counted once."""
     base, paid = np.zeros(len(game.network.edges)), 0.0
     for budget, price in zip(budgets, prices, strict=True):
@@ -56,9 +55,7 @@ def best_response(
 class _Labels:
     """A* over (cost, node, sites met), with the distance over the base weights as potential."""
 
-    def __init__(
-        self, game: Game, base: FloatArray, rows: IndexArray, charge: FloatArray
-    ) -> None:
+    def __init__(self, game: Game, base: FloatArray, rows: IndexArray, charge: FloatArray) -> None:
         network = game.network
         behind = game.distances_behind(base)
         usable = game.playable & np.isfinite(behind[network.heads])

@@ -40,10 +40,8 @@ class Certificate:
     bound: float
 
 
-def certify(
-    game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...],
-    prices: tuple[float, ...],
-) -> Certificate:
+def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...],
+            prices: tuple[float, ...]) -> Certificate:
     """Certify a strategy p (M,) with an ambusher's q (N,) and the prices of the budgets.
 
     Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, q is not
@@ -66,9 +64,8 @@ def certify(
     return Certificate(value, bound)
 
 
-def hit_bound(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (), prices: tuple[float, ...] = ()
-) -> float:
+def hit_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
+              prices: tuple[float, ...] = ()) -> float:
     """Value that no strategy within the budgets can beat, given q (N,).
 
     Raises SolverFailed if q is not a strategy of the ambusher, or a price is negative.

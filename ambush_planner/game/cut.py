@@ -158,9 +158,7 @@ class _SplitNetwork:
         """Nodes (N,) whose entry is reachable in the residual network but whose exit is not."""
         network, n = self.game.network, self.game.node_count
         reached = np.zeros(2 * n, dtype=bool)
-        reached[
-            breadth_first_order(residual, n + network.source, return_predecessors=False)
-        ] = True
+        reached[breadth_first_order(residual, n + network.source, return_predecessors=False)] = True
         cut = reached[:n] & ~reached[n:]
         cut[[network.source, network.target]] = False
         return cut

@@ -40,9 +40,8 @@ def entering_edges(network: Network, sites: IndexArray, radius: float) -> csr_ma
     return csr_matrix((np.ones(int(enters.sum())), (site[enters], edge[enters])), shape=shape)
 
 
-def _close_pairs(
-    network: Network, centres: FloatArray, radius: float
-) -> tuple[IndexArray, IndexArray]:
+def _close_pairs(network: Network, centres: FloatArray,
+                 radius: float) -> tuple[IndexArray, IndexArray]:
     """(edge, site) pairs whose segment may meet the disc."""
     middle = (network.points[network.tails] + network.points[network.heads]) / 2
     reach = (radius + network.lengths / 2) * (1.0 + 1e-9)

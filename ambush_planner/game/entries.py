@@ -23,9 +23,8 @@ def entry_value(game: Game, p: FloatArray) -> float:
     return float(np.sort(losses)[-game.ambushers :].sum())
 
 
-def entry_bound(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (), prices: tuple[float, ...] = ()
-) -> float:
+def entry_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
+                prices: tuple[float, ...] = ()) -> float:
     """Value that no strategy within the budgets can beat, given q (N,): one Dijkstra.
 
     Raises SolverFailed if q is not a strategy of the ambusher, or a price is negative.
@@ -35,9 +34,8 @@ def entry_bound(
     return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
 
 
-def priced_edges(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...]
-) -> tuple[FloatArray, float]:
+def priced_edges(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
+                 prices: tuple[float, ...]) -> tuple[FloatArray, float]:
     """Cost of each edge (M,) under q (N,) and the prices, and the priced margins to subtract."""
     weights, paid = game.mean_loss_on_edges(q), 0.0
     for budget, price in zip(budgets, prices, strict=True):
@@ -47,9 +45,8 @@ def priced_edges(
     return weights, paid
 
 
-def check_ambusher(
-    game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...]
-) -> None:
+def check_ambusher(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
+                   prices: tuple[float, ...]) -> None:
     """Raise SolverFailed if q (N,) is not a strategy of the ambusher, or a price is negative."""
     most = 1.0 + ROUNDING
     if not (q >= 0.0).all() or not (q <= most).all():

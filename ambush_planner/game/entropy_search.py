@@ -76,10 +76,9 @@ class GibbsStrategy:
     log_partition: float = np.inf
 
 
-def maximize_entropy(
-    network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
-    deadline: float, softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
-) -> GibbsStrategy:
+def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
+                     deadline: float, softness: float = 0.0,
+                     evaluations: int = MAX_EVALUATIONS) -> GibbsStrategy:
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
@@ -104,10 +103,8 @@ def maximize_entropy(
 class _DualSearch:
     """The dual function, its last evaluation, and the methods that minimise it."""
 
-    def __init__(
-        self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
-        softness: float, evaluations: int,
-    ) -> None:
+    def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
+                 softness: float, evaluations: int) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
         self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
         self.evaluations = evaluations
@@ -166,10 +163,8 @@ class _DualSearch:
                 raise _LimitJoins
             return value, gradient[part] * unit
 
-        fmin_l_bfgs_b(
-            function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS, factr=5.0,
-            pgtol=1e-12, maxfun=evaluations, maxiter=evaluations,
-        )
+        fmin_l_bfgs_b(function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS,
+                      factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations)
 
     def newton(self) -> None:
         """Take damped Newton steps in the limits of greatest weight."""
@@ -208,9 +203,8 @@ class _DualSearch:
         return np.asarray(moved.T @ moved)
 
 
-def _bounded_step(
-    hessian: FloatArray, gradient: FloatArray, v: FloatArray, damping: float
-) -> FloatArray:
+def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
+                  damping: float) -> FloatArray:
     """Step (K,) to the minimum of the damped model that keeps v + step >= 0."""
     diagonal = np.diag(hessian)
     damped = hessian + np.diag(damping * (diagonal + 1e-3 * diagonal.mean()))

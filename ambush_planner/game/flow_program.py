@@ -33,10 +33,8 @@ class FlowProgram:
         self.row = np.flatnonzero(hits.getnnz(axis=1) > 0)
         loss = game.loss[game.sites][self.row] / unit
         out = (game.network.tails[self.edge] == game.network.source).astype(float)
-        over = [
-            csr_matrix(np.minimum(b.excess[self.edge] / b.margin, MOST_EXCESS) - out)
-            for b in budgets if b.binds
-        ]
+        over = [csr_matrix(np.minimum(b.excess[self.edge] / b.margin, MOST_EXCESS) - out)
+                for b in budgets if b.binds]
         rows = csr_matrix(vstack([csr_matrix(hits[self.row].multiply(loss[:, None])), *over]))
         limits = np.repeat([1.0, 0.0], [len(loss), len(over)])
         rows_of_a, node = conservation(game)
@@ -76,9 +74,8 @@ class FlowProgram:
         )
 
 
-def _with_several_ambushers(
-    rows: csr_matrix, sites: int, inner: csr_matrix, ambushers: int
-) -> tuple[csr_matrix, FloatArray, csr_matrix]:
+def _with_several_ambushers(rows: csr_matrix, sites: int, inner: csr_matrix,
+                            ambushers: int) -> tuple[csr_matrix, FloatArray, csr_matrix]:
     """Rows, limits and conservation with columns for t and each s_j appended to the flow's."""
     column = np.concatenate((np.zeros(sites, dtype=int), 1 + np.arange(sites)))
     places = np.tile(np.arange(sites), 2), column
@@ -99,10 +96,8 @@ def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
     tail, head = network.edges[game.playable].T
     column = np.arange(len(tail))
     entries = np.concatenate((np.ones(len(tail)), -np.ones(len(tail))))
-    full = csr_matrix(
-        (entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
-        shape=(game.node_count, len(tail)),
-    )
+    full = csr_matrix((entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
+                      shape=(game.node_count, len(tail)))
     node = np.unique(tail)
     return full[node], node
 

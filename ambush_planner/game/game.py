@@ -138,9 +138,8 @@ class Game:
     def restricted_to(self, edges: BoolArray) -> Game | None:
         """The game on the routes that use only ``edges`` (M,); None if no route does."""
         network, usable = self.network, self.playable & edges
-        useful = on_some_route(
-            network.edges[usable], self.node_count, network.source, network.target
-        )
+        useful = on_some_route(network.edges[usable], self.node_count, network.source,
+                               network.target)
         if not useful[network.source]:
             return None
         kept = usable & useful[network.tails] & useful[network.heads]

@@ -78,9 +78,8 @@ class AcyclicNetwork:
         deviations are the steps of a martingale, so the covariance of the costs is the sum of
         their products over the edges, weighted by p.
         """
-        along = csr_matrix(
-            (share[used], (self.tail[used], np.arange(len(used)))), shape=(self.count, len(used))
-        )
+        along = csr_matrix((share[used], (self.tail[used], np.arange(len(used)))),
+                           shape=(self.count, len(used)))
         ahead = self._behind(share, along @ costs)
         moved: FloatArray = costs + ahead[self.head[used]] - ahead[self.tail[used]]
         return moved

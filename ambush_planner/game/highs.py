@@ -42,10 +42,8 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True) -
     unknown state less often on flow programs. Returns scipy's result, with status ``OPTIMAL`` or
     ``INFEASIBLE``; raises TimeLimit or SolverFailed.
     """
-    options: dict[str, Any] = {
-        'primal_feasibility_tolerance': TOLERANCE,
-        'dual_feasibility_tolerance': TOLERANCE,
-    }
+    options: dict[str, Any] = {'primal_feasibility_tolerance': TOLERANCE,
+                               'dual_feasibility_tolerance': TOLERANCE}
     left = deadline - time.monotonic()
     if left <= 0.0:
         raise TimeLimit(f'{solver}: the time limit passed before the first iteration')
@@ -62,9 +60,8 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True) -
     return result
 
 
-def _interior_point(
-    program: Program, options: dict[str, Any], presolve_first: bool
-) -> OptimizeResult:
+def _interior_point(program: Program, options: dict[str, Any],
+                    presolve_first: bool) -> OptimizeResult:
     """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.
 
     HiGHS 1.2 (scipy 1.11) also ends so when its presolve removes everything.
@@ -86,15 +83,9 @@ def _linprog(program: Program, method: str, options: dict[str, Any]) -> Optimize
     with warnings.catch_warnings():
         # scipy does not document run_crossover, but passes it through to HiGHS.
         warnings.simplefilter('ignore', OptimizeWarning)
-        return linprog(
-            program.cost,
-            A_ub=program.inequalities if constrained else None,
-            b_ub=program.limits if constrained else None,
-            A_eq=program.equalities,
-            b_eq=program.rhs,
-            method=method,
-            options=options,
-        )
+        return linprog(program.cost, A_ub=program.inequalities if constrained else None,
+                       b_ub=program.limits if constrained else None, A_eq=program.equalities,
+                       b_eq=program.rhs, method=method, options=options)
 
 
 def _no_crossover() -> bool | str:

@@ -54,10 +54,9 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
         SAMPLED_ROUTES, np.random.default_rng(0)
     )
     drawn += [shortest_route(network, np.flatnonzero(game.playable))]
-    program = solve_on_routes(
-        game, [route_edges(network, route) for route in drawn], budgets, solution.q,
-        solution.prices, PROGRAM_GAP * stage.slack, stage.deadline,
-    )
+    program = solve_on_routes(game, [route_edges(network, route) for route in drawn], budgets,
+                              solution.q, solution.prices, PROGRAM_GAP * stage.slack,
+                              stage.deadline)
     solution = replace(solution, q=program.q, prices=program.prices)
     limit = program.bound * (1.0 + stage.slack)
     base = conserved_strategy(game, program.p, NEGLIGIBLE)
@@ -111,9 +110,8 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
             continue
         start = limits.unscaled(law.multipliers)
         most = limits.entropy_bound(law, (1.0 + stage.slack) / (1.0 + AIM * stage.slack))
-        latest = replace(
-            base, p=p, multipliers=start, iterations=stage.evaluations, entropy_bound=most
-        )
+        latest = replace(base, p=p, multipliers=start, iterations=stage.evaluations,
+                         entropy_bound=most)
         found.append(_Valued(worst_loss(game, p), latest))
         best = min(best, found[-1].value)
         if best <= bound * (1.0 + stage.slack):

@@ -56,9 +56,7 @@ class LeastRisk:
     level: FloatArray
 
 
-def least_value(
-    game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
-) -> float:
+def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float) -> float:
     """A lower bound of the least value within the budgets, no further off than ``closed``.
 
     At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
@@ -126,9 +124,8 @@ def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray)
     return forward_part(part, rank) or part
 
 
-def least_risk(
-    game: Game, part: Game, budgets: tuple[Budget, ...], closed: float, deadline: float
-) -> LeastRisk:
+def least_risk(game: Game, part: Game, budgets: tuple[Budget, ...], closed: float,
+               deadline: float) -> LeastRisk:
     """Solve the linear program from the edges of ``part`` until the relative gap is ``closed``.
 
     Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
@@ -180,9 +177,8 @@ def _best_of_both(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
 
 
-def _with_better_prices(
-    game: Game, found: LeastRisk, budgets: tuple[Budget, ...], closed: float
-) -> LeastRisk:
+def _with_better_prices(game: Game, found: LeastRisk, budgets: tuple[Budget, ...],
+                        closed: float) -> LeastRisk:
     """Raise the bound by other prices of the budgets, one at a time."""
     for k, budget in enumerate(budgets):
         for price in PRICES if budget.binds else ():
@@ -213,9 +209,8 @@ def shortest_route_loss(game: Game) -> float:
     return entry_value(game, shortest_route_strategy(game)) or 1.0
 
 
-def _solve(
-    game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str, deadline: float
-) -> tuple[LeastRisk, float]:
+def _solve(game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str,
+           deadline: float) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``; also returns the unit of loss, adjusted to the value."""
     for _ in range(6):
         program = FlowProgram(part, budgets, unit)

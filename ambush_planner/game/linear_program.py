@@ -66,9 +66,8 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
-def linear_program_strategy(
-    game: Game, solver: str, length: Budget, length_weight: float, deadline: float
-) -> tuple[Solution, Budget]:
+def linear_program_strategy(game: Game, solver: str, length: Budget, length_weight: float,
+                            deadline: float) -> tuple[Solution, Budget]:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only if the solution without it is too long; otherwise the program is
@@ -117,9 +116,8 @@ def _loss_unit(game: Game) -> float:
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 
 
-def _within_budget(
-    game: Game, solver: str, length: Budget, length_weight: float, deadline: float
-) -> tuple[LinearProgram, OptimizeResult]:
+def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
+                   deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = shortest_route_loss(game)
     for _ in range(MAX_UNITS):
@@ -145,9 +143,8 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
     return np.maximum(p, 0.0)
 
 
-def _with_ambusher(
-    game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult, price: float
-) -> Solution:
+def _with_ambusher(game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult,
+                   price: float) -> Solution:
     """Add q and the price of length, from the duals of the sites' rows."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]

@@ -22,9 +22,8 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     Raises BudgetInfeasible if the best playable route exceeds a budget.
     """
     network, most = game.network, strategy.exposure_budget
-    length = Budget(
-        game, network.lengths, strategy.length_budget, strategy.shortest_length, 'length', 'm'
-    )
+    length = Budget(game, network.lengths, strategy.length_budget, strategy.shortest_length,
+                    'length', 'm')
     least = strategy.least_exposure
     if math.isfinite(most) and network is not strategy.network:
         factor = most / max(least, np.finfo(float).tiny)
@@ -33,9 +32,8 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
 
 
-def revalue(
-    strategy: Strategy, options: GameOptions, alpha: FloatArray, p: FloatArray | None = None
-) -> Certificate:
+def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray,
+            p: FloatArray | None = None) -> Certificate:
     """Recompute value and bound of a strategy for the node losses ``alpha`` (N,).
 
     ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The

@@ -42,10 +42,9 @@ class RouteProgram:
     p: FloatArray
 
 
-def solve_on_routes(
-    game: Game, routes: Sequence[IndexArray], budgets: tuple[Budget, ...], q: FloatArray,
-    prices: tuple[float, ...], closed: float, deadline: float,
-) -> RouteProgram:
+def solve_on_routes(game: Game, routes: Sequence[IndexArray], budgets: tuple[Budget, ...],
+                    q: FloatArray, prices: tuple[float, ...], closed: float,
+                    deadline: float) -> RouteProgram:
     """Generate routes until value and bound are within ``closed`` of each other, relative.
 
     ``routes`` (edge indices each) include one within all budgets; ``q`` (N,) and ``prices`` are the
@@ -115,11 +114,9 @@ def _solve_program(
     limits = np.concatenate((np.zeros(len(rows)), np.ones(len(binding))))
     total = np.zeros((1, count + 1 + extra))
     total[0, :count] = 1.0
-    found = linprog(
-        np.concatenate((np.zeros(count), [float(k)], np.ones(extra))),
-        vstack([hstack(parts[: 3 if extra else 2]), csr_matrix(over)]).tocsr(), limits,
-        csr_matrix(total), [1.0], method='highs-ds',
-    )
+    found = linprog(np.concatenate((np.zeros(count), [float(k)], np.ones(extra))),
+                    vstack([hstack(parts[: 3 if extra else 2]), csr_matrix(over)]).tocsr(), limits,
+                    csr_matrix(total), [1.0], method='highs-ds')
     if found.status != 0:
         raise SolverFailed(f'the linear program over routes failed: {found.message}')
     duals = np.maximum(-found.ineqlin.marginals, 0.0)

@@ -188,12 +188,8 @@ class Strategy:
         return mean
 
 
-def solve(
-    network: Network,
-    game: GameOptions | None = None,
-    options: StrategyOptions | None = None,
-    warm: Multipliers | None = None,
-) -> Strategy:
+def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,
+          warm: Multipliers | None = None) -> Strategy:
     """Find the convoy's optimal mixed strategy.
 
     ``warm`` are the multipliers of a strategy for the same nodes with other losses, budgets or
@@ -256,16 +252,12 @@ def _check_losses(network: Network) -> None:
     odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
     if odd.any():
         node = int(np.argmax(odd))
-        raise InvalidNetwork(
-            f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
-            f'{network.alpha[node]:g} at node {node}; scale the losses'
-        )
+        raise InvalidNetwork(f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
+                             f'{network.alpha[node]:g} at node {node}; scale the losses')
 
 
-def _with_gap_checked(
-    game: Game, solution: Solution, budgets: tuple[Budget, Budget], options: StrategyOptions,
-    deadline: float,
-) -> Strategy:
+def _with_gap_checked(game: Game, solution: Solution, budgets: tuple[Budget, Budget],
+                      options: StrategyOptions, deadline: float) -> Strategy:
     """The strategy of the solution; raises TimeLimit if its gap is too wide."""
     strategy = strategy_from_solution(game, solution, budgets)
     entropic = options.solver == 'max_entropy'
@@ -293,32 +285,22 @@ def _with_gap_checked(
     )
 
 
-def strategy_from_solution(
-    game: Game, solution: Solution, budgets: tuple[Budget, Budget]
-) -> Strategy:
+def strategy_from_solution(game: Game, solution: Solution,
+                           budgets: tuple[Budget, Budget]) -> Strategy:
     """The strategy with its certificate, computed from p, q and prices alone."""
     network, p = game.network, solution.p
     certificate = certify(game, p, solution.q, budgets, solution.prices)
     length, exposure = budgets
-    return Strategy(
-        game=game,
-        edge_probability=frozen_array(p, np.float64),
-        visit_probability=frozen_array(game.visits(p), np.float64),
-        ambush_probability=frozen_array(solution.q, np.float64),
-        value=certificate.value,
-        lower_bound=certificate.bound,
-        gap=certificate.value - certificate.bound,
-        edge_entropy=entropy(p, np.ones_like(p)),
-        route_entropy=route_entropy(network, p),
-        expected_length=length.mean(p),
-        shortest_length=length.least,
-        length_budget=length.limit,
-        length_price=solution.prices[0],
-        expected_exposure=exposure.mean(p),
-        least_exposure=exposure.least,
-        exposure_budget=exposure.limit,
-        exposure_price=solution.prices[1],
-        iterations=solution.iterations,
-        multipliers=solution.multipliers,
-        entropy_gap=max(solution.entropy_bound - route_entropy(network, p), 0.0),
-    )
+    return Strategy(game=game, edge_probability=frozen_array(p, np.float64),
+                    visit_probability=frozen_array(game.visits(p), np.float64),
+                    ambush_probability=frozen_array(solution.q, np.float64),
+                    value=certificate.value, lower_bound=certificate.bound,
+                    gap=certificate.value - certificate.bound,
+                    edge_entropy=entropy(p, np.ones_like(p)),
+                    route_entropy=route_entropy(network, p), expected_length=length.mean(p),
+                    shortest_length=length.least, length_budget=length.limit,
+                    length_price=solution.prices[0], expected_exposure=exposure.mean(p),
+                    least_exposure=exposure.least, exposure_budget=exposure.limit,
+                    exposure_price=solution.prices[1], iterations=solution.iterations,
+                    multipliers=solution.multipliers,
+                    entropy_gap=max(solution.entropy_bound - route_entropy(network, p), 0.0))

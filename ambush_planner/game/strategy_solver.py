@@ -108,10 +108,8 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
 class EntropyStage:
     """Stages 2 and 3 for one game."""
 
-    def __init__(
-        self, game: Game, budgets: tuple[Budget, ...], risk_slack: float, deadline: float,
-        warm: Multipliers | None,
-    ) -> None:
+    def __init__(self, game: Game, budgets: tuple[Budget, ...], risk_slack: float, deadline: float,
+                 warm: Multipliers | None) -> None:
         self.game, self.budgets = game, budgets
         self.slack = max(risk_slack, LEAST_SLACK)
         self.deadline, self.warm = deadline, warm
@@ -136,10 +134,8 @@ class EntropyStage:
     def _kept_margins(self, least: LeastRisk) -> tuple[float, ...]:
         """What the search keeps below each budget, so that it may end a little over its aim."""
         worth = KEPT_SLACK * self.slack * least.bound
-        return tuple(
-            min(KEPT_MARGIN * b.margin, worth / price if price > 0.0 else np.inf)
-            for b, price in zip(self.budgets, least.prices, strict=True)
-        )
+        return tuple(min(KEPT_MARGIN * b.margin, worth / price if price > 0.0 else np.inf)
+                     for b, price in zip(self.budgets, least.prices, strict=True))
 
     def acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
         """The edges that go forward in an order of the nodes around the strategy p (M,)."""
@@ -148,15 +144,13 @@ class EntropyStage:
         assert part is not None  # it contains p
         return AcyclicNetwork(part, rank)
 
-    def gibbs_strategy(
-        self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
-        softness: float = 0.0, evaluations: int = MAX_EVALUATIONS,
-    ) -> tuple[FloatArray, GibbsStrategy]:
+    def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
+                       softness: float = 0.0,
+                       evaluations: int = MAX_EVALUATIONS) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result."""
-        found = maximize_entropy(
-            network, limits.rows, start, min(LIMIT_TOLERANCE * self.slack, limits.tolerance),
-            self.deadline, softness, evaluations,
-        )
+        found = maximize_entropy(network, limits.rows, start,
+                                 min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.deadline,
+                                 softness, evaluations)
         self.evaluations += found.evaluations
         p = np.zeros(len(self.game.network.edges))
         p[network.edge] = found.p
@@ -204,9 +198,8 @@ class EntropyStage:
             short = mixture(p, shortest, self.within_budgets)
             if short is not None and entry_value(self.game, short) < value:
                 value = entry_value(self.game, short)
-                best = replace(
-                    best, p=short, multipliers=limits.unscaled(start), iterations=self.evaluations
-                )
+                best = replace(best, p=short, multipliers=limits.unscaled(start),
+                               iterations=self.evaluations)
             q, prices = limits.ambusher(start)
             reached = entry_bound(self.game, q, self.budgets, prices)
             if reached > bound:
@@ -232,9 +225,8 @@ class EntropyStage:
         return all(budget.keeps(p) for budget in self.budgets)
 
 
-def mixture(
-    p: FloatArray, partner: FloatArray, holds: Callable[[FloatArray], bool]
-) -> FloatArray | None:
+def mixture(p: FloatArray, partner: FloatArray,
+            holds: Callable[[FloatArray], bool]) -> FloatArray | None:
     """p (M,) mixed with as little of its partner as ``holds`` requires; None if neither does."""
     if holds(p):
         return p
@@ -254,10 +246,8 @@ def mixture(
 class LimitRows:
     """The limits of stage 3 as rows C p <= 1: sites that can exceed theirs, then the budgets."""
 
-    def __init__(
-        self, game: Game, network: AcyclicNetwork, level: FloatArray,
-        budgets: tuple[Budget, ...], kept: tuple[float, ...] | None = None,
-    ) -> None:
+    def __init__(self, game: Game, network: AcyclicNetwork, level: FloatArray,
+                 budgets: tuple[Budget, ...], kept: tuple[float, ...] | None = None) -> None:
         self._game, self._budgets = game, budgets
         hits = game.hits[:, network.edge]
         most = np.maximum(level / game.loss[game.sites], LEAST_HITS)

@@ -41,12 +41,9 @@ class UnitTriangle:
     def _by_superlu(self, right: FloatArray, transposed: bool) -> FloatArray:
         # The rows are the columns of a lower triangle.
         n, none, nowhere = len(self._indptr) - 1, np.empty(0), np.empty(0, np.intc)
-        solution, failed = gstrs(
-            'N' if transposed else 'T',
-            n, len(self.data), self.data, self._indices, self._indptr,
-            n, 0, none, nowhere, np.zeros(n + 1, np.intc),
-            right,
-        )
+        solution, failed = gstrs('N' if transposed else 'T', n, len(self.data), self.data,
+                                 self._indices, self._indptr, n, 0, none, nowhere,
+                                 np.zeros(n + 1, np.intc), right)
         assert not failed  # the diagonal has no 0
         return np.asarray(solution)
 

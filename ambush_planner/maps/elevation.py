@@ -92,9 +92,8 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     values = np.pad(raster.values, 1, 'reflect', reflect_type='odd')
     positions = np.meshgrid(row + 1.0, column + 1.0, indexing='ij')
     unknown = np.isnan(values)
-    heights = map_coordinates(
-        np.where(unknown, 0.0, values), positions, order=1, mode='nearest', output=np.float32
-    )
+    heights = map_coordinates(np.where(unknown, 0.0, values), positions, order=1, mode='nearest',
+                              output=np.float32)
     if unknown.any():
         share = map_coordinates(unknown.astype(np.float32), positions, order=1, mode='nearest')
         heights[share > _LEAST_WEIGHT] = np.nan
@@ -117,10 +116,8 @@ def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:
             f'{shape[0]} x {shape[1]}; both files must cover the same area'
         )
     marked = np.nan_to_num(raster.values) != 0.0
-    mask = marked[np.ix_(*(
-        np.clip(np.rint(index).astype(np.int64), 0, count - 1)
-        for index, count in zip((row, column), marked.shape, strict=True)
-    ))]
+    mask = marked[np.ix_(*(np.clip(np.rint(index).astype(np.int64), 0, count - 1)
+                           for index, count in zip((row, column), marked.shape, strict=True)))]
     rows, columns = np.nonzero(marked)
     rows = ((rows + 0.5) * raster.row_step / resolution).astype(np.int64)
     columns = ((columns + 0.5) * raster.column_step / resolution).astype(np.int64)
@@ -135,24 +132,18 @@ def _positions(raster: Raster, resolution: float) -> tuple[FloatArray, FloatArra
         raise InvalidTerrain(f'resolution must be positive [m], got {resolution}')
     steps = (raster.row_step, raster.column_step)
     # The tolerance keeps a last cell that rounding makes a hair short.
-    counts = [
-        int(count * step / resolution + 1e-6)
-        for count, step in zip(raster.values.shape, steps, strict=True)
-    ]
+    counts = [int(count * step / resolution + 1e-6)
+              for count, step in zip(raster.values.shape, steps, strict=True)]
     if min(counts) < 2 or counts[0] * counts[1] > MAX_CELLS:
         raise InvalidTerrain(
             f'a resolution of {resolution:g} m gives {counts[0]} x {counts[1]} cells; the grid '
             f'must have at least 2 x 2 and at most {MAX_CELLS} cells'
         )
-    row, column = (
-        np.asarray((np.arange(count) + 0.5) * resolution / step - 0.5, dtype=np.float64)
-        for count, step in zip(counts, steps, strict=True)
-    )
+    row, column = (np.asarray((np.arange(count) + 0.5) * resolution / step - 0.5, dtype=np.float64)
+                   for count, step in zip(counts, steps, strict=True))
     return row, column
 
 
 def _is_same_grid(raster: Raster, *positions: FloatArray) -> bool:
-    return all(
-        len(index) == count and np.allclose(index, np.arange(count), atol=1e-6)
-        for index, count in zip(positions, raster.values.shape, strict=True)
-    )
+    return all(len(index) == count and np.allclose(index, np.arange(count), atol=1e-6)
+               for index, count in zip(positions, raster.values.shape, strict=True))

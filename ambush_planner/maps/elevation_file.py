@@ -35,9 +35,8 @@ def read_raster(path: Path, name: str = 'elevation') -> Raster:
     return _read_npz(path, name) if is_zip else _read_geotiff(path)
 
 
-def raster_in_degrees(
-    north_up: npt.ArrayLike, row_step: float, column_step: float, latitude: float, place: str = ''
-) -> Raster:
+def raster_in_degrees(north_up: npt.ArrayLike, row_step: float, column_step: float, latitude: float,
+                      place: str = '') -> Raster:
     """Convert a raster with steps in degrees, centred at ``latitude`` [degrees]."""
     scale = METRES_PER_DEGREE * math.cos(math.radians(latitude))
     values = np.asarray(north_up, dtype=np.float64)[::-1]
@@ -76,10 +75,8 @@ def _read_geotiff(path: Path) -> Raster:
     try:
         import rasterio
     except ModuleNotFoundError:
-        raise InvalidTerrain(
-            f'{path}: not an .npz file; other formats need rasterio: '
-            "pip install 'ambush_planner[terrain]'"
-        ) from None
+        raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
+                             "pip install 'ambush_planner[terrain]'") from None
     try:
         with rasterio.open(path) as dataset:
             return _checked(path, _raster_of(path, dataset))

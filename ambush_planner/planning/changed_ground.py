@@ -133,10 +133,8 @@ class ChangedGround:
             if tuple(network.points[node].tolist()) != place:
                 node %= network.place_count
                 corner, part = self._around(newest, node, place)
-                corridors = with_moved_end(
-                    corridors, node, place, part, corner, self._clearance, plan.tube,
-                    options.clear_of_edge,
-                )
+                corridors = with_moved_end(corridors, node, place, part, corner, self._clearance,
+                                           plan.tube, options.clear_of_edge)
         return plan if corridors is plan.corridors else replace(plan, corridors=corridors)
 
     def lost(self, newest: OccupancyMap) -> npt.NDArray[np.bool_]:
@@ -162,9 +160,8 @@ class ChangedGround:
             ) if len(look.new_obstacles) else self._plan.corridors
         return look.corridors
 
-    def _around(
-        self, newest: OccupancyMap, node: int, place: tuple[float, float]
-    ) -> tuple[FloatArray, RiskMap]:
+    def _around(self, newest: OccupancyMap, node: int,
+                place: tuple[float, float]) -> tuple[FloatArray, RiskMap]:
         """Return the map around the links of a moved node, as far as paths may go."""
         links = self._plan.corridors.links
         at = links[(links == node).any(axis=1)].ravel()
@@ -174,9 +171,8 @@ class ChangedGround:
             wide = float(np.hypot(*(uv - uv[-1]).T).max())
         return self._part(newest, uv, wide + self._clearance)
 
-    def _part(
-        self, newest: OccupancyMap, uv: FloatArray, reach: float
-    ) -> tuple[FloatArray, RiskMap]:
+    def _part(self, newest: OccupancyMap, uv: FloatArray,
+              reach: float) -> tuple[FloatArray, RiskMap]:
         """Return the lower left corner of the map around some positions, and that map."""
         step = newest.resolution
         margin = math.ceil(reach / step) + _MARGIN
@@ -215,18 +211,13 @@ class ChangedGround:
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return _Comparison(newest, assessment, centres, lost, pairs)
 
-    def _assessment(
-        self, certificate: Certificate, clear_share: float, p: FloatArray
-    ) -> Assessment:
+    def _assessment(self, certificate: Certificate, clear_share: float,
+                    p: FloatArray) -> Assessment:
         """Return the assessment of drawing clear routes, which use the edges with p (M,)."""
         plan = self._plan
-        return Assessment(
-            certificate.value,
-            certificate.bound,
-            clear_share,
-            float(p @ plan.network.lengths) if p.any() else math.inf,
-            plan.options.strategy.max_detour * plan.strategy.shortest_length,
-        )
+        return Assessment(certificate.value, certificate.bound, clear_share,
+                          float(p @ plan.network.lengths) if p.any() else math.inf,
+                          plan.options.strategy.max_detour * plan.strategy.shortest_length)
 
     def _reach(self, newest: OccupancyMap) -> float:
         """Return the distance from a cell's centre beyond which nothing meets the cell [m]."""

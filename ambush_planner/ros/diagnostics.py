@@ -112,10 +112,8 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     if status.warnings or waiting:
         return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
     changed = '; '.join(filter(None, (status.stale, _length_warning(status.assessment))))
-    warning = (
-        changed or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
-        or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan)
-    )
+    warning = (changed or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
+               or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan))
     if warning:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
@@ -148,20 +146,16 @@ def _length_warning(assessment: Assessment | None) -> str:
     if assessment is None or not assessment.is_over_budget:
         return ''
     length, budget = assessment.expected_length, assessment.length_budget
-    return (
-        f'the routes that are clear on the current map have a mean length of {length:.4g} m, '
-        f'{length / budget:.3g} times the budget of {budget:.4g} m (strategy.max_detour)'
-    )
+    return (f'the routes that are clear on the current map have a mean length of {length:.4g} m, '
+            f'{length / budget:.3g} times the budget of {budget:.4g} m (strategy.max_detour)')
 
 
 def _tight_turns_warning(count: int) -> str:
     if not count:
         return ''
     turns = '1 turn of the last path is' if count == 1 else f'{count} turns of the last path are'
-    return (
-        f'{turns} tighter than route.turning_radius, for lack of room; increase '
-        'network.clearance or network.spacing'
-    )
+    return (f'{turns} tighter than route.turning_radius, for lack of room; increase '
+            'network.clearance or network.spacing')
 
 
 def _bottleneck_warning(plan: Plan | None) -> str:
@@ -170,10 +164,8 @@ def _bottleneck_warning(plan: Plan | None) -> str:
         return ''
     bottleneck = plan.bottleneck
     if not bottleneck.value > 0.0:
-        return (
-            'the value is 0: no possible ambush causes a loss; check the map and '
-            'game.secured_radius'
-        )
+        return ('the value is 0: no possible ambush causes a loss; check the map and '
+                'game.secured_radius')
     if not bottleneck.near_ends:
         return ''
     return (

@@ -103,9 +103,8 @@ class _TfListener:
         self._buffer, self._logger = buffer, node.get_logger()
         # When a simulation or a bag restarts, old transforms would stay the latest ones.
         self._jumps = node.get_clock().create_jump_callback(
-            JumpThreshold(
-                min_forward=None, min_backward=Duration(seconds=-1), on_clock_change=True
-            ),
+            JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1),
+                          on_clock_change=True),
             post_callback=lambda _: buffer.clear(),
         )
         self._node = Node(
@@ -140,9 +139,8 @@ class _TfListener:
             except ExternalShutdownException:
                 return
             except Exception as error:  # unreadable bytes, for instance
-                self._logger.error(
-                    f'TF: {for_the_log(unexpected(error))}', throttle_duration_sec=10.0
-                )
+                self._logger.error(f'TF: {for_the_log(unexpected(error))}',
+                                   throttle_duration_sec=10.0)
 
     def _receive(self, static: bool, message: Any) -> None:
         for each in message.transforms:
@@ -163,7 +161,5 @@ def _transformed(pose: PoseStamped, found: Found, frame: str) -> PoseStamped:
     stamp = Time(nanoseconds=found.stamp_ns or 0).to_msg()
     return PoseStamped(
         header=Header(frame_id=frame, stamp=stamp),
-        pose=Pose(
-            position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)
-        ),
+        pose=Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)),
     )

@@ -65,10 +65,8 @@ class DayEffect:
     standard_error: float
 
 
-def sample_departures(
-    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5,
-    tries: int = MOST_TRIES,
-) -> list[IndexArray]:
+def sample_departures(strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5,
+                      tries: int = MOST_TRIES) -> list[IndexArray]:
     """Draw the routes of ``n`` convoys of one day: node indices (K,) each.
 
     ``distinct`` is the size of the middle section, as a share of the way, in which routes share no
@@ -81,10 +79,9 @@ def sample_departures(
     return draw_days(strategy, n, 1, rng, distinct, tries)[0][0]
 
 
-def draw_days(
-    strategy: Strategy, n: int, count: int, rng: np.random.Generator, distinct: float = 0.5,
-    tries: int = MOST_TRIES,
-) -> tuple[list[list[IndexArray]], float]:
+def draw_days(strategy: Strategy, n: int, count: int, rng: np.random.Generator,
+              distinct: float = 0.5,
+              tries: int = MOST_TRIES) -> tuple[list[list[IndexArray]], float]:
     """Draw ``count`` days as ``sample_departures`` does; also return the share that was distinct.
 
     Gives up if fewer than one day in ``tries`` is distinct. Raises as ``sample_departures``.
@@ -106,10 +103,8 @@ def draw_days(
     return days, found / tried
 
 
-def day_effect(
-    strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5, days: int = 1000,
-    tries: int = MOST_TRIES,
-) -> DayEffect:
+def day_effect(strategy: Strategy, n: int, rng: np.random.Generator, distinct: float = 0.5,
+               days: int = 1000, tries: int = MOST_TRIES) -> DayEffect:
     """Estimate how the distribution of a day's convoys differs from the strategy.
 
     Averages the exact distribution of one more convoy over ``days`` drawn days of n - 1 convoys.
@@ -249,9 +244,8 @@ class _ConditionalFlow:
         end = [*begin[1:].tolist(), len(tails)]
         self._nodes = list(zip(tails[begin].tolist(), map(slice, begin.tolist(), end), strict=True))
 
-    def flow(
-        self, middle: MiddleSection, days: Sequence[Sequence[IndexArray]]
-    ) -> tuple[float, FloatArray]:
+    def flow(self, middle: MiddleSection,
+             days: Sequence[Sequence[IndexArray]]) -> tuple[float, FloatArray]:
         """Sums over days of the probability to avoid the day's routes, and of that flow (M,)."""
         network = self._network
         shape = len(network.points), len(days)
@@ -268,8 +262,6 @@ class _ConditionalFlow:
             ahead[heads[out]] += chance[out, None] * ahead[node]
         p = np.zeros(len(network.edges))
         # At blocked heads, ``behind`` is 0.
-        p[self._edges] = chance * [
-            ahead[tail] @ behind[head]
-            for tail, head in network.edges[self._edges].tolist()
-        ]
+        p[self._edges] = chance * [ahead[tail] @ behind[head]
+                                   for tail, head in network.edges[self._edges].tolist()]
         return float(behind[network.source].sum()), p
