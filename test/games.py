@@ -19,9 +19,8 @@ from scipy.sparse import coo_matrix, csr_matrix
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
-METHODS = (
-    'uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay', 'gradient_delaunay'
-)
+METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
+           'gradient_delaunay')
 PLAIN = (0.5, 1.0, 2.0, 3.0, 7.0)
 WITH_ZERO = (0.0, *PLAIN)
 NASTY = (0.0, 1e-9, 1e-6, 1e-3, 1.0, 1.0 / 3.0, 1e3, 1e6, 1e9)
@@ -32,10 +31,8 @@ HUNT = int(os.environ.get('HUNT', '1'))
 
 def examples(count: int) -> settings:
     """Hypothesis' settings for ``count`` examples in CI."""
-    return settings(
-        max_examples=count * HUNT, derandomize='HUNT' not in os.environ, database=None,
-        deadline=None, suppress_health_check=[HealthCheck.too_slow],
-    )
+    return settings(max_examples=count * HUNT, derandomize='HUNT' not in os.environ, database=None,
+                    deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 @st.composite
@@ -105,9 +102,8 @@ def ground_network(seed: int, kind: str) -> Network:
     return build_network(risk_map, *ends, NetworkOptions(METHODS[seed % 2], 1.3))
 
 
-terrain_networks = st.builds(
-    terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS), st.integers(5, 10)
-)
+terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS),
+                             st.integers(5, 10))
 
 
 def paper_example() -> Network:
@@ -173,9 +169,8 @@ def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:
     return 1.0 - unhit[network.target]
 
 
-def program_value(
-    network: Network, hits: csr_matrix | None = None, budget: float = np.inf, ambushers: int = 1
-) -> float:
+def program_value(network: Network, hits: csr_matrix | None = None, budget: float = np.inf,
+                  ambushers: int = 1) -> float:
     """Least value by one linear program over all edges; row j of ``hits`` has the hits of site j.
 
     Variables p (M,), t, s (N,): the k largest losses sum to at most k t + sum s.

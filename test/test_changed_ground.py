@@ -60,9 +60,8 @@ def test_on_its_own_map_a_strategy_has_its_own_value(yaw, spacing):
     """Even if nodes lie on the borders of cells and the map is rotated."""
     made, on, ground = planned(rough(1), origin=(3.0, -2.0, yaw), spacing=spacing)
     strategy = made.strategy
-    assert ground.assess(on) == Assessment(
-        strategy.value, strategy.lower_bound, 1.0, strategy.expected_length, strategy.length_budget
-    )
+    assert ground.assess(on) == Assessment(strategy.value, strategy.lower_bound, 1.0,
+                                           strategy.expected_length, strategy.length_budget)
     assert not ground.assess(on).is_over_budget
     again = ground.assess(grid(on.values.copy(), on.origin))
     assert again.value == pytest.approx(made.strategy.value, rel=1e-12)

@@ -67,9 +67,8 @@ def executor(request):
 
 def test_results_are_those_of_solve_in_the_problems_order(executor):
     maps = [field(0), field(1)]
-    problems = [
-        problem(maps[k % 2], k, strategy=StrategyOptions(max_detour=1.1 + k % 3)) for k in range(9)
-    ]
+    problems = [problem(maps[k % 2], k, strategy=StrategyOptions(max_detour=1.1 + k % 3))
+                for k in range(9)]
     finished = []
     results = solve_many(iter(problems), executor, answer=numbers, on_result=finished.append)
     assert sorted(finished, key=lambda each: each.index) == results
@@ -129,10 +128,8 @@ def test_maps_are_sent_only_to_processes_without_them():
     with ProcessPoolExecutor(1, FRESH) as pool:
         post = CountingExecutor(pool)
         for maps, sent in (([risk_map] * 12, 1), ([risk_map] * 3, 1), (others, 5), ([risk_map], 6)):
-            results = solve_many(
-                [problem(each, k) for k, each in enumerate(maps)], post, answer=numbers,
-                in_flight=1,
-            )
+            results = solve_many([problem(each, k) for k, each in enumerate(maps)], post,
+                                 answer=numbers, in_flight=1)
             assert all(result.error is None for result in results) and post.maps == sent
         assert pool.submit(kept_maps).result(60.0) == 4
 
@@ -149,9 +146,8 @@ def end_here(strategy):
 
 def test_a_broken_pool_keeps_the_finished_results():
     with ProcessPoolExecutor(1, FRESH) as pool:
-        results = solve_many(
-            [problem(field(), k) for k in range(6)], pool, answer=end_here, in_flight=1
-        )
+        results = solve_many([problem(field(), k) for k in range(6)], pool, answer=end_here,
+                             in_flight=1)
     assert [result.error is None for result in results] == [True, True, *[False] * 4]
     assert all(isinstance(result.error, BrokenProcessPool) for result in results[2:])
     pool.shutdown()
@@ -166,10 +162,8 @@ def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
     distributed = pytest.importorskip('distributed', reason='dask takes the extra "dask"')
     problems = [problem(field(), k) for k in range(12)]
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None,
-            local_directory=str(tmp_path),
-        ) as cluster,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True,
+                                 dashboard_address=None, local_directory=str(tmp_path)) as cluster,
         distributed.Client(cluster) as client,
     ):
         done = []
@@ -181,9 +175,8 @@ def test_a_cluster_that_loses_a_worker_loses_no_result(tmp_path):
                 victim = next(iter(client.run(os.getpid).values()))
                 os.kill(victim, 9)
 
-        results = solve_many(
-            problems, client.get_executor(), answer=numbers, on_result=kill_one, in_flight=8
-        )
+        results = solve_many(problems, client.get_executor(), answer=numbers, on_result=kill_one,
+                             in_flight=8)
     assert len(done) == 12
     assert [result.error for result in results] == [None] * 12
     assert [result.answer for result in results] == [expected(each) for each in problems]

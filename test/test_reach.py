@@ -75,10 +75,8 @@ def value_by_routes(network: Network, near: np.ndarray, routes) -> float:
     hit = np.array([near[:, route].any(axis=1) for route in routes]).T
     losses = network.alpha[:, None] * hit
     rows = np.hstack((losses, -np.ones((len(losses), 1))))
-    found = linprog(
-        np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
-        np.r_[np.ones(len(routes)), 0.0][None], [1.0], method='highs-ds',
-    )
+    found = linprog(np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
+                    np.r_[np.ones(len(routes)), 0.0][None], [1.0], method='highs-ds')
     return float(found.fun)
 
 
@@ -147,9 +145,7 @@ def test_a_route_that_comes_back_to_a_disc_is_hit_once():
 @given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.2, np.inf)))
 def test_the_value_is_the_worst_loss_with_each_route_counted_once(seed, reach, detour):
     network = terrain_network(seed, cells=11)
-    strategy = solve(
-        network, GameOptions(ambush_radius=reach), StrategyOptions(max_detour=detour)
-    )
+    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(max_detour=detour))
     hits = geometric_hits(network, reach).toarray() > 0.0
     losses = network.alpha * hit_once(network, strategy.edge_probability, hits)
     assert strategy.value == pytest.approx(losses.max(), rel=1e-9, abs=1e-12)

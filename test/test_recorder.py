@@ -206,10 +206,8 @@ def test_named_files_are_whole_whatever_a_kill_interrupts(tmp_path, request):
     kills = 3 * request.config.getoption('--kills')  # they cost less than whole nodes
     paths = [str(Path(__file__).parents[1]), os.environ.get('PYTHONPATH', '')]
     # Forked in a process of its own, which has no other threads.
-    subprocess.run(
-        [sys.executable, __file__, str(tmp_path), str(kills)], check=True, timeout=10 * TIMEOUT,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)},
-    )
+    subprocess.run([sys.executable, __file__, str(tmp_path), str(kills)], check=True,
+                   timeout=10 * TIMEOUT, env={**os.environ, 'PYTHONPATH': os.pathsep.join(paths)})
     sessions = list(tmp_path.iterdir())
     assert len(sessions) == kills
     for session in sessions:

@@ -144,10 +144,8 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
 @examples(25)
 @given(networks(alphas=PLAIN), st.sampled_from((0.01, 0.1, 1.0)), st.sampled_from(DETOURS))
 def test_risk_slack_bounds_the_extra_risk(network, slack, max_detour):
-    strict, loose = (
-        solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
-        for s in (0.0, slack)
-    )
+    strict, loose = (solve(network, options=StrategyOptions(max_detour=max_detour, risk_slack=s))
+                     for s in (0.0, slack))
     check_laws(loose, max_detour)
     assert loose.value <= (1 + slack) * strict.value * (1 + 2e-5)
     assert loose.lower_bound <= strict.value
@@ -166,9 +164,8 @@ def test_published_arrays_are_read_only():
 
 
 def test_mean_direction_is_the_mean_of_the_next_steps():
-    network = quiet_network(
-        [[0, 0], [3, 4], [3, -4], [6, 0]], [0, 1, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3
-    )
+    network = quiet_network([[0, 0], [3, 4], [3, -4], [6, 0]], [0, 1, 1, 0],
+                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     direction = solve(network).mean_direction()
     expected = [[0.6, 0.0], [0.6, -0.8], [0.6, 0.8], [0.0, 0.0]]
     assert direction == pytest.approx(np.array(expected), abs=1e-6)
@@ -178,14 +175,11 @@ def test_a_budget_that_binds_by_hand():
     # Straight: length 2, loss 4. Round: length 4, loss 4. Half and half needs 1.5 times the
     # shortest; with 1.25 a quarter may go round: the straight node is met 3 / 4 of the time.
     height = np.sqrt(3.0)
-    network = quiet_network(
-        [[0, 0], [1, 0], [1, height], [2, 0]], [0, 4, 4, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3
-    )
+    network = quiet_network([[0, 0], [1, 0], [1, height], [2, 0]], [0, 4, 4, 0],
+                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     for solver in SOLVERS:
-        values = [
-            solve(network, options=StrategyOptions(solver, detour, risk_slack=0.0)).value
-            for detour in (1.0, 1.25, 1.5, np.inf)
-        ]
+        values = [solve(network, options=StrategyOptions(solver, detour, risk_slack=0.0)).value
+                  for detour in (1.0, 1.25, 1.5, np.inf)]
         assert values == pytest.approx([4.0, 3.0, 2.0, 2.0], rel=1e-5)
 
 
@@ -278,11 +272,9 @@ def test_no_valid_game_fails(seed, kind, data):
         alpha_threshold=data.draw(st.sampled_from((np.inf, 8.0))),
         ambushers=data.draw(st.sampled_from((1, 1, 1, 2, 4))),
     )
-    options = StrategyOptions(
-        max_detour=data.draw(st.sampled_from(DETOURS)),
-        max_exposure=data.draw(st.sampled_from((np.inf, np.inf, 2.0))),
-        risk_slack=data.draw(st.sampled_from((0.0, 0.01, 0.1))),
-    )
+    options = StrategyOptions(max_detour=data.draw(st.sampled_from(DETOURS)),
+                              max_exposure=data.draw(st.sampled_from((np.inf, np.inf, 2.0))),
+                              risk_slack=data.draw(st.sampled_from((0.0, 0.01, 0.1))))
     try:
         strategy = solve(network, game, options)
     except (NoRoute, BudgetInfeasible):
@@ -304,10 +296,8 @@ def test_losses_of_obstacle_cells_are_ignored_even_nan():
     obstacles = np.zeros((20, 20), bool)
     obstacles[8:12, 8:12] = True
     values = [
-        solve(build_network(
-            RiskMap(np.where(obstacles, hidden, 2.0), obstacles, 1.0), (1, 10), (19, 10),
-            NetworkOptions(method, 1.5),
-        )).value
+        solve(build_network(RiskMap(np.where(obstacles, hidden, 2.0), obstacles, 1.0), (1, 10),
+                            (19, 10), NetworkOptions(method, 1.5))).value
         for method in ('uniform_delaunay', 'gradient_delaunay') for hidden in (2.0, np.nan)
     ]
     assert values[0] == values[1]
@@ -325,9 +315,8 @@ def test_no_route(solver):
 
 @pytest.mark.parametrize('solver', SOLVERS)
 def test_a_forbidden_shortest_route_makes_a_tight_budget_infeasible(solver):
-    network = quiet_network(
-        [[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3
-    )
+    network = quiet_network([[0, 0], [1, 0], [1, 2], [2, 0]], [0, 9, 1, 0],
+                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match=r'budget of 2\.4 m'):
         solve(network, GameOptions(alpha_threshold=5.0), StrategyOptions(solver, 1.2))
 

@@ -186,10 +186,8 @@ def test_without_program_and_detour_the_soft_search_takes_the_shortest_route(
 
 def test_more_slack_buys_more_entropy():
     network = terrain_network(5, cells=14)
-    entropies = [
-        solve(network, options=StrategyOptions(risk_slack=slack)).route_entropy
-        for slack in (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)
-    ]
+    entropies = [solve(network, options=StrategyOptions(risk_slack=slack)).route_entropy
+                 for slack in (0.0, 0.003, 0.01, 0.03, 0.1, 0.3)]
     assert all(b > a for a, b in zip(entropies[:-1], entropies[1:], strict=True))
 
 
@@ -208,8 +206,6 @@ def test_an_excessively_costly_site_is_avoided():
     network = terrain_network(2, cells=12)
     alpha = network.alpha.copy()
     alpha[len(alpha) // 2] = 1e9
-    barred = quiet_network(
-        network.points, alpha, network.edges, network.source, network.target
-    )
+    barred = quiet_network(network.points, alpha, network.edges, network.source, network.target)
     strategy = solve(barred)
     assert strategy.visit_probability[len(alpha) // 2] == 0.0

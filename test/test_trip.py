@@ -124,10 +124,8 @@ def check_laws(strategy, visits):
 
 
 @examples(25)
-@given(
-    seed=st.integers(0, 10**6), stops=st.integers(1, 3), radius=st.sampled_from([0.0, 0.7]),
-    detour=st.sampled_from([1.1, 1.5, math.inf]),
-)
+@given(seed=st.integers(0, 10**6), stops=st.integers(1, 3), radius=st.sampled_from([0.0, 0.7]),
+       detour=st.sampled_from([1.1, 1.5, math.inf]))
 def test_the_value_agrees_with_a_program_over_all_legs(seed, stops, radius, detour):
     roads = roads_of(seed, stops)
     network = roads.network(roads.visits)

@@ -20,7 +20,7 @@ path are drawn again from the recorded entropy. Across a folder, random sources 
 too short are found. --replan also solves every game again, from cold, and compares the values.
 
 Not checked: markers, diagnostics, request and answer, times, and the poses of start and goal.
-Somebody who edits files can make a departure anew with all that follows; docs/recordings.md shows
+An editor of files can make a consistent departure; docs/recordings.md shows
 how to sign a folder.
 
 Output: one line per departure with its problems below it; progress on standard error.

@@ -50,7 +50,7 @@ Position = tuple[float, float]
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
               order: str = 'given', warm: WarmStart | None = None) -> Plan:
-    """Plan a trip from start to goal by way of stops, all world positions [m].
+    """Plan a trip from start to goal through stops, all world positions [m].
 
     One strategy covers all legs: a site's losses add up over the legs that it hits, and value,
     certificate and ``max_detour`` are those of the whole trip. Nobody can wait at a stop, nor

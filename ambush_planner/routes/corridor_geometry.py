@@ -1,4 +1,4 @@
-"""Free space beside edges and beyond their ends: geometry for ``corridors``, in map axes.
+"""Free space on both sides of edges and beyond their ends: geometry for ``corridors``, in map axes.
 
 Other nodes, obstacles and the map's edge limit it. See ``corridors`` for strips and quarters.
 """
