@@ -7,7 +7,7 @@ import yaml
 from commands import run_here
 
 from ambush_planner.commands import terrain
-from ambush_planner.maps import InvalidTerrain
+from ambush_planner.maps import InvalidTerrain, elevation_file
 from ambush_planner.maps.elevation_file import read_raster
 from ambush_planner.maps.map_file import read_map, write_map
 from ambush_planner.maps.occupancy import OccupancyMap
@@ -70,15 +70,24 @@ def test_geotiff_in_metres_with_nodata(tmp_path):
     assert raster.place == '500000 3999910 EPSG:32632'
 
 
-def test_geotiff_in_degrees_becomes_metres(tmp_path):
+@pytest.mark.parametrize(
+    ('west', 'north', 'utm'), [(10.0, 60.05, 'EPSG:32632'), (179.95, -85.0, 'EPSG:32760')]
+)
+def test_rejects_a_geotiff_in_degrees_and_says_how_to_reproject_it(tmp_path, west, north, utm):
     step = 1.0 / 1200.0
     path = write_geotiff(
-        tmp_path / 'a.tif', np.zeros((120, 120), np.float32), 'EPSG:4326',
-        (step, 0, 10.0, 0, -step, 60.05),
+        tmp_path / 'a.tif', np.zeros((12, 12), np.float32), 'EPSG:4326',
+        (step, 0, west, 0, -step, north),
     )
-    raster = read_raster(path)
-    assert raster.row_step == pytest.approx(92.66, abs=0.1)
-    assert raster.column_step == pytest.approx(raster.row_step / 2.0, rel=1e-6)
+    command = rf'gdalwarp -t_srs {utm} -r bilinear a\.tif a_utm\.tif'
+    with pytest.raises(InvalidTerrain, match=rf'in degrees \(EPSG:4326\).*: {command}$'):
+        read_raster(path)
+
+
+def test_rejects_arrays_that_are_too_large_before_loading_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(elevation_file, 'MAX_CELLS', 1000)
+    with pytest.raises(InvalidTerrain, match='limit of 1000 cells; crop'):
+        read_raster(save(tmp_path / 'a.npz', elevation=np.zeros((40, 40)), resolution=1.0))
 
 
 def test_geotiff_in_feet_becomes_metres(tmp_path):

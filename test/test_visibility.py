@@ -138,3 +138,10 @@ def test_rejects_a_range_below_one_cell():
 def test_rejects_options_out_of_range(values):
     with pytest.raises(InvalidTerrain, match=next(iter(values))):
         ViewOptions(**values)
+
+
+def test_rejects_a_range_of_too_many_cells_before_memory_is_taken():
+    """An elevation model in degrees, taken for metres, has a million cells within range."""
+    elevation = Elevation(np.zeros((10, 10)), 1.0 / 3600.0)
+    with pytest.raises(InvalidTerrain, match='1080000 cells of .* in metres, not degrees'):
+        viewshed(elevation, ViewOptions(weapon_range=300.0))

@@ -13,39 +13,27 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
-
-# Length of one degree of latitude on a sphere with the Earth's mean radius [m].
-METRES_PER_DEGREE = 111_195.0
 
 
 def read_raster(path: Path, name: str = 'elevation') -> Raster:
     """Read the array ``name`` of an .npz file, or the first band of a GeoTIFF.
 
-    Rasters in degrees are treated as rectangles with the scale at their centre. Beyond 60 degrees
-    of latitude, or if they span more than a degree, reproject them first (gdalwarp).
-
-    Raises InvalidTerrain if the file is malformed, or is a GeoTIFF and rasterio is not installed;
-    OSError if it cannot be opened.
+    Raises InvalidTerrain if the file is malformed, too large, in degrees (reproject it to metres
+    first, for example with gdalwarp), or a GeoTIFF and rasterio is not installed; OSError if it
+    cannot be opened.
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'
     return _read_npz(path, name) if is_zip else _read_geotiff(path)
 
 
-def raster_in_degrees(north_up: npt.ArrayLike, row_step: float, column_step: float, latitude: float,
-                      place: str = '') -> Raster:
-    """Convert a raster with steps in degrees, centred at ``latitude`` [degrees]."""
-    scale = METRES_PER_DEGREE * math.cos(math.radians(latitude))
-    values = np.asarray(north_up, dtype=np.float64)[::-1]
-    return Raster(values, METRES_PER_DEGREE * row_step, scale * column_step, place)
-
-
 def _read_npz(path: Path, name: str) -> Raster:
     try:
         with np.load(path, allow_pickle=False) as file:
+            if name in file and file.zip.getinfo(f'{name}.npy').file_size > 9 * MAX_CELLS:
+                raise ValueError(f'{name} exceeds the limit of {MAX_CELLS} cells; crop it')
             content = {key: file[key] for key in (name, 'resolution', 'dx', 'dy') if key in file}
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
@@ -93,11 +81,21 @@ def _raster_of(path: Path, dataset: Any) -> Raster:
     if dataset.width * dataset.height > MAX_CELLS:
         raise InvalidTerrain(f'{path}: {dataset.width} x {dataset.height} cells exceed the limit '
                              f'of {MAX_CELLS}; crop the raster')
-    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
     crs, bounds = dataset.crs, dataset.bounds
-    place = f'{bounds.left:.9g} {bounds.bottom:.9g} {crs.to_string() if crs else ""}'.strip()
     if crs and crs.is_geographic:
-        latitude = (bounds.bottom + bounds.top) / 2.0
-        return raster_in_degrees(north_up, -grid.e, grid.a, latitude, place)
+        raise InvalidTerrain(
+            f'{path}: the cells are in degrees ({crs.to_string()}); reproject the raster to '
+            f'metres, for instance: {_reprojection(path, bounds)}'
+        )
+    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
+    place = f'{bounds.left:.9g} {bounds.bottom:.9g} {crs.to_string() if crs else ""}'.strip()
     metres = crs.linear_units_factor[1] if crs else 1.0
     return Raster(north_up[::-1], -grid.e * metres, grid.a * metres, place)
+
+
+def _reprojection(path: Path, bounds: Any) -> str:
+    """The command that reprojects a raster with ``bounds`` in degrees to its UTM zone."""
+    longitude = (bounds.left + bounds.right) / 2.0
+    zone = math.floor((longitude + 180.0) / 6.0) % 60 + 1
+    code = (32600 if bounds.bottom + bounds.top >= 0.0 else 32700) + zone
+    return f'gdalwarp -t_srs EPSG:{code} -r bilinear {path.name} {path.stem}_utm.tif'

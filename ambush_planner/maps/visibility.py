@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from .elevation import Elevation, HeightArray, InvalidTerrain
+from .elevation import MAX_CELLS, Elevation, HeightArray, InvalidTerrain
 
 # Distance up to which samples are one cell apart [cells]; beyond it, the spacing grows with the
 # distance divided by this.
@@ -109,12 +109,20 @@ def viewshed(elevation: Elevation, options: ViewOptions | None = None,
 
     ``progress`` is called with the completed share of the work.
 
-    Raises InvalidTerrain if the weapon range is shorter than a cell.
+    Raises InvalidTerrain if the weapon range is shorter than a cell, or has so many cells that the
+    grid widened by it does not fit in memory.
     """
     options = options or ViewOptions()
     rays = make_rays(options.weapon_range / elevation.resolution, options.rays)
     # The second cell of a sample may lie one cell beyond it.
     reach = math.floor(options.weapon_range / elevation.resolution) + 1
+    height, width = (count + 2 * reach for count in elevation.heights.shape)
+    if height * width > 2 * MAX_CELLS:
+        raise InvalidTerrain(
+            f'the weapon range of {options.weapon_range:g} m is {reach - 1} cells of '
+            f'{elevation.resolution:g} m, too many to compute with; choose a coarser resolution, '
+            'and check that the elevation model is in metres, not degrees'
+        )
     padded = np.pad(elevation.heights, reach, constant_values=np.nan)
     views = Views(np.empty_like(elevation.heights), np.empty_like(elevation.heights))
     tiles = list(_tiles(elevation.heights.shape))
