@@ -91,3 +91,12 @@ def test_length_weight_by_hand():
         cautious, hasty = (solved(network, solver, w) for w in (0.6, 0.7))
         assert (cautious.value, cautious.expected_length) == pytest.approx((2.0, 3.0), rel=1e-6)
         assert (hasty.value, hasty.expected_length) == pytest.approx((4.0, 2.0), rel=1e-6)
+
+
+@pytest.mark.parametrize('seed', [16, 17, 20])
+def test_the_interior_point_method_finds_the_shortest_routes(seed):
+    """At a max_detour of 1, the routes within the budget have no interior on the whole network."""
+    network = terrain_network(seed, METHODS[seed % 5], 20 + seed)
+    strategy = solved(network, 'interior_point', max_detour=1.0)
+    assert strategy.expected_length == pytest.approx(strategy.shortest_length, rel=1e-8)
+    assert strategy.value == pytest.approx(solved(network, 'simplex', max_detour=1.0).value)

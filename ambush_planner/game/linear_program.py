@@ -14,9 +14,10 @@ from ..errors import BudgetInfeasible, InvalidOption
 from . import highs
 from .budget import Budget
 from .cut import solve_by_min_cut, uniform_ambusher
+from .entries import entry_bound, entry_value
 from .flow_program import conservation
 from .game import Game
-from .least_risk import shortest_route_loss
+from .least_risk import PRICES, shortest_route_loss
 from .route_sampler import shortest_route_strategy
 from .strategy_solver import Solution
 
@@ -29,6 +30,8 @@ MOST_VISITS = 1e6
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
+# Largest margin, as a share of a length budget, at which only shortest routes are within it.
+NO_MARGIN = 1e-9
 # Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
@@ -89,6 +92,8 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     solution = _with_ambusher(game, program, p, result, price)
+    if row_added and length_weight == 0.0 and _has_no_margin(length):
+        solution = _with_best_price(game, solution, length)
     own = replace(length, limit=float(p @ lengths))
     if length_weight > 0.0:
         return solution, own
@@ -120,6 +125,10 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = shortest_route_loss(game)
+    if length_weight == 0.0 and _has_no_margin(length):
+        # Only shortest routes fit; with the others, no interior point is feasible.
+        near = game.through(length.excess) <= NO_MARGIN * length.limit
+        game = game.restricted_to(near) or game
     for _ in range(MAX_UNITS):
         program = linear_program(game, length_weight, length.limit, unit)
         result = _run(program, solver, deadline)
@@ -128,6 +137,19 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
             break
         unit *= max(value, NEAR_UNIT**2)
     return program, result
+
+
+def _has_no_margin(length: Budget) -> bool:
+    """Whether only shortest routes are within the budget."""
+    return length.margin <= NO_MARGIN * length.limit
+
+
+def _with_best_price(game: Game, found: Solution, length: Budget) -> Solution:
+    """Choose the price of length at which the bound holds on all edges, not only the shortest."""
+    value = entry_value(game, found.p)
+    tried = [found.prices, *((factor * value / length.margin, 0.0) for factor in PRICES)]
+    best = max(tried, key=lambda prices: entry_bound(game, found.q, (length,), prices[:1]))
+    return replace(found, prices=best)
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
