@@ -21,6 +21,7 @@ from .entries import entry_bound, entry_value, priced_edges
 from .flow_program import FlowProgram
 from .game import Game
 from .route_sampler import shortest_route_strategy
+from .two_routes import strategy_within_budgets
 
 # Sites with a loss of this many times the value are avoided if possible: a strategy could use them
 # only so little that rounding would break the limit.
@@ -62,7 +63,8 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
     At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
     BudgetInfeasible if no strategy fits all budgets.
     """
-    loose = least_risk_by_cut(game)
+    game = without_forbidden_edges(game, budgets)
+    loose = least_risk_by_cut(game, budgets)
     if loose and all(budget.keeps(loose.p) for budget in budgets):
         if loose.value <= loose.bound * (1.0 + closed):
             return loose.bound
@@ -73,16 +75,17 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
         return loose.bound if loose else 0.0
 
 
-def least_risk_by_cut(game: Game) -> LeastRisk | None:
+def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk | None:
     """The least value without budgets, by routes that avoid all sites or by a minimum cut.
 
-    None with a reach, or if a cut does not solve the game of k ambushers: it does when no k q_j
-    exceeds 1. On a trip, the cut of the costliest leg is a lower bound, attained if the other legs
-    avoid its sites.
+    If the value is 0, the strategy is within the budgets if possible. None with a reach, or if a
+    cut does not solve the game of k ambushers: it does when no k q_j exceeds 1. On a trip, the cut
+    of the costliest leg is a lower bound, attained if the other legs avoid its sites.
     """
     safe, k = game.avoiding_all_sites(), game.ambushers
     if safe is not None:
-        p, nothing = shortest_route_strategy(safe), np.zeros(len(game.sites))
+        p, nothing = strategy_within_budgets(safe, budgets), np.zeros(len(game.sites))
+        p = shortest_route_strategy(safe) if p is None else p
         return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
     if game.ambush_radius > 0.0:
         return None
@@ -95,6 +98,23 @@ def least_risk_by_cut(game: Game) -> LeastRisk | None:
         p = solve_by_min_cut(replace(lean, ambushers=1)).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(entry_value(game, p), k * cut.value, p, q, (0.0, 0.0), level)
+
+
+def without_forbidden_edges(game: Game, budgets: tuple[Budget, ...]) -> Game:
+    """The game on the edges that cost nothing, if a budget is 0: rounding would exceed it.
+
+    Raises BudgetInfeasible if no strategy there fits the other budget.
+    """
+    free = np.ones(len(game.playable), dtype=bool)
+    for budget in budgets:
+        free &= (budget.limit > 0.0) | (budget.cost == 0.0)
+    if free[game.playable].all():
+        return game
+    part = game.restricted_to(free)
+    if part is None or strategy_within_budgets(part, budgets) is None:
+        names = ' and '.join(budget.option for budget in budgets if budget.binds)
+        raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+    return part
 
 
 def without_excessive_sites(game: Game, value: float, p: FloatArray | None = None) -> Game:

@@ -27,11 +27,13 @@ from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .least_risk import (
+    PRICES,
     LeastRisk,
     initial_part,
     least_risk,
     least_risk_by_cut,
     without_excessive_sites,
+    without_forbidden_edges,
 )
 from .route_sampler import shortest_route_strategy
 
@@ -89,8 +91,12 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
     before the first strategy.
     """
-    game, least = stage.game, 0.0
-    if loose := least_risk_by_cut(game):
+    game, budgets, least = stage.game, stage.budgets, 0.0
+    free = without_forbidden_edges(game, budgets)
+    if free is not game:
+        inner = EntropyStage(free, budgets, stage.slack, stage.deadline, stage.warm)
+        return _with_forbidden_edges_priced(game, max_entropy_strategy(inner), budgets)
+    if loose := least_risk_by_cut(game, budgets):
         if found := stage.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
@@ -103,6 +109,22 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         return stage.without_linear_program(least)
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
+
+
+def _with_forbidden_edges_priced(
+    game: Game, found: Solution, budgets: tuple[Budget, ...]
+) -> Solution:
+    """Choose prices of the budgets of 0 so that the bound holds on the whole game."""
+    value = entry_value(game, found.p)
+    tried = [found.prices] + [
+        tuple(
+            price * value / budget.margin if budget.limit == 0.0 else own
+            for own, budget in zip(found.prices, budgets, strict=True)
+        )
+        for price in PRICES
+    ]
+    best = max(tried, key=lambda prices: entry_bound(game, found.q, budgets, prices))
+    return replace(found, prices=best)
 
 
 class EntropyStage:

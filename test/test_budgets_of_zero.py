@@ -1,0 +1,64 @@
+"""Budgets at a value or a least exposure of 0: a mixture of two routes, and edges at no cost."""
+
+import numpy as np
+import pytest
+from games import examples, networks, unbalanced
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import BudgetInfeasible, GameOptions, Network, NoRoute, StrategyOptions, solve
+
+
+def two_ways():
+    """A short way of exposure 12, and one of length and exposure 7.2; no site is unsecured."""
+    points = np.array([(0.0, 0.0), (2.0, 0.0), (2.0, 3.0), (4.0, 0.0)])
+    edges = np.array([(0, 1), (1, 3), (0, 2), (2, 3)])
+    return Network(points, np.array([0.0, 3.0, 1.0, 0.0]), edges, 0, 3), GameOptions(0.0, 9.0)
+
+
+def test_a_mixture_of_two_routes_keeps_both_budgets_at_value_0():
+    network, game = two_ways()
+    strategy = solve(network, game, StrategyOptions(max_detour=1.5, max_exposure=1.4))
+    assert strategy.value == 0.0
+    assert strategy.expected_length <= 6.0 * (1 + 1e-6)
+    assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
+    assert 0.39 < strategy.edge_probability[2] < 0.63
+
+
+def test_no_mixture_keeps_both_budgets_at_value_0():
+    network, game = two_ways()
+    with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
+        solve(network, game, StrategyOptions(max_detour=1.2, max_exposure=1.2))
+
+
+def test_a_strategy_without_exposure_has_none_despite_rounding():
+    """Ambushes reach the routes of exposure 0, so that the value is positive."""
+    points = [(1, 2), (2, 5), (1, 5), (1, 6), (2, 0), (5, 4), (3, 2)]
+    edges = [
+        (0, 1), (0, 2), (0, 4), (0, 6), (1, 3), (1, 4), (1, 5), (1, 6), (2, 1), (2, 4), (2, 5),
+        (2, 6), (3, 5), (4, 2), (4, 3), (4, 5), (5, 2), (5, 3),
+    ]
+    alpha = np.array([0.0, 0.0, 1.0, 0.5, 0.5, 0.0, 0.0])
+    network = Network(np.array(points, float), alpha, np.array(edges), 0, 6)
+    options = StrategyOptions(max_detour=2.0, max_exposure=1.0, risk_slack=0.1)
+    strategy = solve(network, GameOptions(ambush_radius=2.0), options)
+    assert strategy.expected_exposure == strategy.exposure_budget == 0.0
+    assert strategy.value == pytest.approx(1.0 / 3.0, rel=0.1)
+
+
+@examples(120)
+@given(
+    networks((0.0, 0.0, 0.5, 1.0, 3.0)),
+    st.sampled_from((0.0, 1.0, 2.0)),
+    st.sampled_from((1.0, 1.05, 1.5, 3.0, np.inf)),
+    st.sampled_from((1.0, 1.05, 1.5, np.inf)),
+)
+def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):
+    options = StrategyOptions(max_detour=detour, max_exposure=exposure)
+    try:
+        strategy = solve(network, GameOptions(ambush_radius=radius), options)
+    except (BudgetInfeasible, NoRoute):
+        return
+    assert unbalanced(network, strategy.edge_probability) < 1e-9
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+    assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
