@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from games import examples, networks, unbalanced
+from games import examples, least_weight, networks, terrain_network, unbalanced
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, NoRoute, StrategyOptions, solve
 
@@ -25,10 +26,41 @@ def test_a_mixture_of_two_routes_keeps_both_budgets_at_value_0():
     assert 0.39 < strategy.edge_probability[2] < 0.63
 
 
-def test_no_mixture_keeps_both_budgets_at_value_0():
-    network, game = two_ways()
+@pytest.mark.parametrize('radius', [0.0, 1.0])
+def test_no_mixture_keeps_both_budgets_at_value_0(radius):
+    network, _ = two_ways()
     with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
-        solve(network, game, StrategyOptions(max_detour=1.2, max_exposure=1.2))
+        solve(network, GameOptions(radius, 9.0), StrategyOptions(max_detour=1.2, max_exposure=1.2))
+
+
+def least_exposure(network, length):
+    """Least mean exposure of a strategy within the mean length, by one linear program."""
+    count, edges = len(network.points), np.arange(len(network.edges))
+    balance = np.zeros((count, len(edges)))
+    np.add.at(balance, (network.tails, edges), 1.0)
+    np.add.at(balance, (network.heads, edges), -1.0)
+    supply = np.zeros(count)
+    supply[[network.source, network.target]] = 1.0, -1.0
+    found = linprog(network.edge_exposure, [network.lengths], [length], balance, supply)
+    assert found.status == 0
+    return found.fun
+
+
+@pytest.mark.parametrize(('detour', 'exposure'), [(1.05, 1.05), (1.1, 1.02), (1.02, 1.1)])
+@pytest.mark.parametrize('seed', [4, 33, 36, 37, 38, 40, 42])
+def test_two_budgets_at_value_0_are_kept_if_that_is_possible(seed, detour, exposure):
+    network = terrain_network(seed, 'uniform_delaunay', 8)
+    shortest = least_weight(network, network.lengths)
+    most = exposure * least_weight(network, network.edge_exposure)
+    options = StrategyOptions(max_detour=detour, max_exposure=exposure)
+    if least_exposure(network, detour * shortest) > most * (1 + 1e-9):
+        with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
+            solve(network, GameOptions(secured_radius=99.0), options)
+        return
+    strategy = solve(network, GameOptions(secured_radius=99.0), options)
+    assert strategy.value == 0.0
+    assert strategy.expected_length <= detour * shortest * (1 + 1e-6)
+    assert strategy.expected_exposure <= most * (1 + 1e-6)
 
 
 def test_a_strategy_without_exposure_has_none_despite_rounding():

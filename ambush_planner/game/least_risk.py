@@ -84,8 +84,12 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
     """
     safe, k = game.avoiding_all_sites(), game.ambushers
     if safe is not None:
-        p, nothing = strategy_within_budgets(safe, budgets), np.zeros(len(game.sites))
+        try:
+            p = strategy_within_budgets(safe, budgets)
+        except BudgetInfeasible:
+            p = None
         p = shortest_route_strategy(safe) if p is None else p
+        nothing = np.zeros(len(game.sites))
         return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
     if game.ambush_radius > 0.0:
         return None
@@ -103,17 +107,15 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
 def without_forbidden_edges(game: Game, budgets: tuple[Budget, ...]) -> Game:
     """The game on the edges that cost nothing, if a budget is 0: rounding would exceed it.
 
-    Raises BudgetInfeasible if no strategy there fits the other budget.
+    Raises BudgetInfeasible if no strategy there fits all budgets.
     """
     free = np.ones(len(game.playable), dtype=bool)
     for budget in budgets:
         free &= (budget.limit > 0.0) | (budget.cost == 0.0)
-    if free[game.playable].all():
-        return game
-    part = game.restricted_to(free)
-    if part is None or strategy_within_budgets(part, budgets) is None:
-        names = ' and '.join(budget.option for budget in budgets if budget.binds)
-        raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+    part = game if free[game.playable].all() else game.restricted_to(free)
+    if part is None:
+        raise BudgetInfeasible('no route fits both budgets of 0; raise max_detour or max_exposure')
+    strategy_within_budgets(part, budgets)
     return part
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
+from ..errors import BudgetInfeasible
 from ..network.shortest_paths import shortest_path
 from .acyclic import without_cycles
-from .budget import Budget
+from .budget import ROUNDING, Budget
 from .game import Game
 from .route_sampler import route_strategy, shortest_route_strategy
 
@@ -19,15 +20,16 @@ def strategy_within_budgets(game: Game, budgets: tuple[Budget, ...]) -> FloatArr
     """The shortest route p (M,), or another acyclic strategy if that exceeds a budget.
 
     If any strategy is within both budgets, so is a mixture of two routes that are both best for
-    some weighted sum of the two costs. Returns None if no strategy is.
+    some weighted sum of the two costs. Returns None if rounding prevents a decision, and raises
+    BudgetInfeasible if no strategy is.
     """
     shortest = shortest_route_strategy(game)
     binding = [budget for budget in budgets if budget.binds]
     if all(budget.keeps(shortest) for budget in binding):
         return shortest
     edge = np.flatnonzero(game.playable)
-    # A strategy is within a budget if its mean cost is at most 1.
-    costs = np.stack([budget.excess[edge] / budget.margin for budget in binding])
+    # A strategy is within a budget, up to rounding, if its mean cost is at most 1.
+    costs = np.stack([b.excess[edge] / (b.margin + ROUNDING * b.limit) for b in binding])
     first, last = (_best_route(game, edge, costs[k]) for k in (0, -1))
     low, high = 0.0, 1.0
     for _ in range(BISECTIONS):
@@ -36,10 +38,11 @@ def strategy_within_budgets(game: Game, budgets: tuple[Budget, ...]) -> FloatArr
             return without_cycles(game.network, (1.0 - share) * first + share * last)
         weight = (low + high) / 2.0
         route = _best_route(game, edge, (1.0 - weight) * costs[0] + weight * costs[-1])
-        over = costs @ route[edge] > 1.0
-        if over.all():
-            return None
-        if over[-1]:
+        means = costs @ route[edge]
+        if (1.0 - weight) * means[0] + weight * means[-1] > 1.0 + ROUNDING:
+            names = ' and '.join(budget.option for budget in binding)
+            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+        if means[-1] > 1.0:
             first, low = route, weight
         else:
             last, high = route, weight
