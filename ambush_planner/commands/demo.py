@@ -5,8 +5,10 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -95,8 +97,6 @@ def _departures(folder: Path, count: int,
     """Return the paths (L, 3) of departures, and the time that each took [s]."""
     from .demo_client import DemoClient
 
-    # SIGTERM would end this process without the node.
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     # The middleware of this process reads it, and the node inherits it.
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
     say('making the risk map from the elevation model')
@@ -109,9 +109,9 @@ def _departures(folder: Path, count: int,
     paths, seconds = [], []
     with free_domain() as domain:
         say(f'starting the node in ROS domain {domain}')
+        node = NodeProcess(parameters, domain, folder / 'node.log')
         with (
-            NodeProcess(parameters, domain, folder / 'node.log') as node,
-            DemoClient(domain, node.check) as client,
+            _interrupts_held(node.check) as check, node, DemoClient(domain, check) as client,
         ):
             say('publishing the map ({1} x {0} cells), start and goal'.format(*values.shape))
             client.publish_inputs(values, RESOLUTION, START, GOAL)
@@ -122,6 +122,31 @@ def _departures(folder: Path, count: int,
                 seconds.append(time.monotonic() - begin)
             say('stopping the node')
     return paths, seconds
+
+
+@contextmanager
+def _interrupts_held(check: Callable[[], None]) -> Iterator[Callable[[], None]]:
+    """Yield ``check`` as the only place where SIGINT and SIGTERM raise KeyboardInterrupt.
+
+    Elsewhere, rclpy turns an interrupt into a RuntimeError while it builds a message, and the
+    node's shutdown must not be interrupted.
+    """
+    came = threading.Event()
+
+    def check_both() -> None:
+        if came.is_set():
+            raise KeyboardInterrupt
+        check()
+
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.signal(number, lambda *_: came.set()) for number in numbers]
+    try:
+        yield check_both
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came.is_set():
+        raise KeyboardInterrupt
 
 
 def table(strategy: Strategy, paths: Sequence[FloatArray], seconds: Sequence[float],
