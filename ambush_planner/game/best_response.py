@@ -35,7 +35,6 @@ class BestResponse:
 
     bound: float
     edges: IndexArray | None
-    labels: int
 
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
@@ -48,8 +47,8 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
             paid += price * budget.margin
     charge = (game.loss * q)[game.sites]
     rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
-    cost, edges, labels = _Labels(game, base, rows, charge[rows]).search()
-    return BestResponse(max(cost - paid, 0.0), edges, labels)
+    cost, edges = _Labels(game, base, rows, charge[rows]).search()
+    return BestResponse(max(cost - paid, 0.0), edges)
 
 
 class _Labels:
@@ -73,8 +72,8 @@ class _Labels:
         self._losses: dict[int, float] = {0: 0.0}
         self._source, self._target = network.source, network.target
 
-    def search(self) -> tuple[float, IndexArray | None, int]:
-        """Least cost, its route as edges, labels made; the route is None at the limit."""
+    def search(self) -> tuple[float, IndexArray | None]:
+        """Least cost and its route as edges; the route is None at the limit."""
         behind, loss = self._behind, self._loss
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
         settled: dict[int, list[tuple[float, int]]] = {}
@@ -83,9 +82,9 @@ class _Labels:
         while queue:
             least, cost, number, node, met = heapq.heappop(queue)
             if node == self._target:
-                return cost, self._route(labels, number), len(labels)
+                return cost, self._route(labels, number)
             if comparisons > MAX_COMPARISONS:
-                return least, None, len(labels)
+                return least, None
             here = settled.setdefault(node, [])
             comparisons += len(here)
             if any(c + loss(met & ~m) <= cost for c, m in here):
@@ -100,7 +99,7 @@ class _Labels:
                     continue
                 labels.append((number, k))
                 heapq.heappush(queue, (after + behind[head], after, len(labels) - 1, head, both))
-        return np.inf, None, len(labels)
+        return np.inf, None
 
     def _loss(self, met: int) -> float:
         known = self._losses.get(met)

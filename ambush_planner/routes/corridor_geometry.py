@@ -53,10 +53,10 @@ def widths_between_nodes(uv: FloatArray, pairs: IndexArray) -> CorridorWidths:
     along, aside = _local_coordinates(uv[near] - start[:, None], direction[:, None])
     tiny = 1e-9 * length[:, None]
     other = (near != pairs[:, :1]) & (near != pairs[:, 1:])
-    beside = other & (along > -tiny) & (along < length[:, None] + tiny)
+    alongside = other & (along > -tiny) & (along < length[:, None] + tiny)
     widths, beyond = np.empty((len(pairs), 2)), np.empty((len(pairs), 2, 2))
     for side, offset in ((0, aside), (1, -aside)):
-        widths[:, side] = np.where(beside & (offset > -tiny), offset, np.inf).min(axis=1)
+        widths[:, side] = np.where(alongside & (offset > -tiny), offset, np.inf).min(axis=1)
         for end, ahead in ((0, -along), (1, along - length[:, None])):
             inside = other & (ahead > -tiny) & (offset > -tiny)
             beyond[:, end, side] = np.where(inside, np.hypot(ahead, offset), np.inf).min(axis=1)
