@@ -51,7 +51,7 @@ def test_the_path_is_in_its_tube_and_the_game_has_as_much_more_reach(tmp_path, t
     found, _ = departures(tmp_path, {'game.ambush_radius': 1.5, 'route.tube': tube})
     for rows, route, strategy in found:
         assert aside(rows, strategy.network.points[route]) <= tube + 1e-9
-        assert strategy.game.ambush_radius == pytest.approx(1.5 + tube)
+        assert strategy.game.reach == pytest.approx(1.5 + tube)
     if tube:  # and it is used
         assert max(aside(rows, each.network.points[route]) for rows, route, each in found) > 0.1
 

@@ -117,7 +117,7 @@ def check_laws(strategy, visits):
         assert [place[0], *place[begins], place[-1]] == list(visits)
         assert layer[begins].tolist() == list(range(1, legs))
         assert len(set(route.tolist())) == len(route)
-    if strategy.game.ambush_radius == 0.0:
+    if strategy.game.reach == 0.0:
         entered = np.arange(count)[:, None] == network.places[network.heads]
         losses = strategy.game.loss[:count] * hit_once(network, p, entered)
         assert strategy.value == pytest.approx(float(losses.max()))

@@ -81,7 +81,7 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 def hits_can_differ(game: Game) -> bool:
     """Whether a simple route can be hit by one site more than once."""
-    return game.ambush_radius > 0.0 or game.network.legs > 1
+    return game.reach > 0.0 or game.network.legs > 1
 
 
 class _Layers:

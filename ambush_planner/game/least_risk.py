@@ -91,15 +91,15 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
         p = shortest_route_strategy(safe) if p is None else p
         nothing = np.zeros(len(game.sites))
         return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
-    if game.ambush_radius > 0.0:
+    if game.reach > 0.0:
         return None
-    cut = solve_by_min_cut(replace(game, ambushers=1))
+    cut = solve_by_min_cut(game.with_one_ambusher())
     q = k * sums(game.network.places, cut.q, game.node_count)
     if q.max() > 1.0:
         return None
     lean, p = without_excessive_sites(game, cut.value), cut.p
     if lean is not game:
-        p = solve_by_min_cut(replace(lean, ambushers=1)).p
+        p = solve_by_min_cut(lean.with_one_ambusher()).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(entry_value(game, p), k * cut.value, p, q, (0.0, 0.0), level)
 
@@ -141,8 +141,8 @@ def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray)
             near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.margin
     part = game.restricted_to(near) or game
     rank = rank_by(potential)
-    if game.ambush_radius == 0.0:
-        rank = rank_around(part, solve_by_min_cut(replace(part, ambushers=1)).p, potential)
+    if game.reach == 0.0:
+        rank = rank_around(part, solve_by_min_cut(part.with_one_ambusher()).p, potential)
     return forward_part(part, rank) or part
 
 

@@ -206,7 +206,7 @@ class ChangedGround:
             if self._conditioned is None:
                 self._conditioned = ConditionedStrategy(strategy)
             clear_share, p = self._conditioned.avoiding(lost)
-        known = revalue(strategy, self._plan.options.game, alpha, p)
+        known = revalue(strategy, alpha, p)
         assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return _Comparison(newest, assessment, centres, lost, pairs)

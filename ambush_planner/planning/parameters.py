@@ -72,7 +72,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'node.'),
     'game.secured_radius': Declaration(
         _GAME.secured_radius,
-        'Radius around start, stops and goal in which no ambush is possible [m].'),
+        'Radius of the held ground around start, stops and goal [m], where nobody can wait and '
+        'nobody who drives there is hit; -1: as far as the reach.', -1.0),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
     'game.ambushers': Declaration(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 
@@ -44,15 +45,21 @@ class DriveOptions:
         spacings; without one, the path only avoids nodes that its route does not use.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
+    start_tolerance
+        How far the start and goal of a departure may be from the plan's [m]; at most half a node
+        spacing and, with a reach, the radius of held ground, which shrinks by it so that the
+        certificate holds for all of them.
     """
 
     tube: float | None = None
     turning_radius: float = 0.0
+    start_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         if self.tube is not None:
             check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
+        check_at_least('start_tolerance', self.start_tolerance, 0.0, 'm', finite=False)
 
 
 @dataclass(frozen=True)
@@ -158,6 +165,11 @@ class Plan:
         return _tube(self.options, self.spacing)
 
     @property
+    def start_tolerance(self) -> float:
+        """How far start and goal of a departure may be from the plan's [m]."""
+        return start_tolerance(self.options, self.spacing)
+
+    @property
     def goal_xy(self) -> tuple[float, float]:
         """End of the routes [m]: the requested goal, or where it was moved to."""
         x, y = self.network.points[self.network.target].tolist()
@@ -177,7 +189,7 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     """Solve the game on a network built on the map; raises the errors of ``solve``."""
     network = add_hiding_places(network, risk_map, options)
     start = warm.on(network) if warm else None
-    return _solve_within_max_gap(network, options, reach(risk_map, options), start)
+    return _solve_within_max_gap(network, options, solved_game(risk_map, options), start)
 
 
 def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
@@ -197,10 +209,9 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
                 time.monotonic() - begin)
 
 
-def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: float,
+def _solve_within_max_gap(network: Network, options: PlanningOptions, game: GameOptions,
                           start: Multipliers | None) -> Strategy:
-    """The strategy for the reach ``radius`` [m]; at the time limit, one within ``max_gap``."""
-    game = replace(options.game, ambush_radius=radius)
+    """The strategy of the game; at the time limit, one within ``max_gap``."""
     try:
         return solve(network, game, options.strategy, start)
     except TimeLimit as late:
@@ -216,15 +227,24 @@ def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: fl
                         strategy) from late
 
 
-def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
-    """The reach of an ambush in the solved game [m]: the ambush radius plus the tube."""
-    tube = _tube(options, node_spacing(risk_map, options.network))
-    return options.game.ambush_radius + (tube or 0.0)
+def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
+    """The game of a plan: with its tube, and with held ground for all starts that it serves."""
+    spacing = node_spacing(risk_map, options.network)
+    game = replace(options.game, tube=_tube(options, spacing) or 0.0)
+    held = game.held_radius - start_tolerance(options, spacing)
+    return replace(game, secured_radius=max(held, 0.0))
+
+
+def start_tolerance(options: PlanningOptions, spacing: float) -> float:
+    """How far start and goal of a departure may be from the plan's [m]."""
+    game = replace(options.game, tube=_tube(options, spacing) or 0.0)
+    most = game.held_radius if game.reach > 0.0 else math.inf
+    return min(options.drive.start_tolerance, 0.5 * spacing, most)
 
 
 def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
     """Add the obstacle cells in which an ambusher can hide, if the game includes them."""
-    radius = reach(risk_map, options)
+    radius = solved_game(risk_map, options).reach
     if not options.game.ambush_in_obstacles or radius == 0.0:
         return network
     spacing = node_spacing(risk_map, options.network)

@@ -21,7 +21,13 @@ from ..game.acyclic import is_acyclic
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
-from ..planning.plan import PlanningOptions, Route, add_hiding_places, departure_path, reach
+from ..planning.plan import (
+    PlanningOptions,
+    Route,
+    add_hiding_places,
+    departure_path,
+    solved_game,
+)
 from ..planning.trip import trip_network
 from .recorded_departure import (
     RecordedDeparture,
@@ -145,8 +151,8 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
         for name in ('points', 'edges', 'alpha')
     ):
         return ['network: it does not follow from the recorded map, trip and parameters']
-    if strategy.game.ambush_radius != reach(risk_map, planning):
-        return ['strategy: it is for another reach of an ambush than the parameters give']
+    if strategy.game.options != solved_game(risk_map, planning):
+        return ['strategy: it is for another reach or held ground than the parameters give']
     problems = []
     if planning.strategy.length_weight == 0.0:
         for what, budget in zip(
@@ -198,9 +204,8 @@ def source_problems(departure: RecordedDeparture) -> list[str]:
 def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
     """Solve the game again, from cold and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
-    game = replace(planning.game, ambush_radius=strategy.game.ambush_radius)
     try:
-        again = solve(strategy.network, game, options)
+        again = solve(strategy.network, strategy.game.options, options)
     except TimeLimit as late:
         if late.strategy is None:
             raise
