@@ -15,8 +15,8 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
+from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}

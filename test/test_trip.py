@@ -28,7 +28,9 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.network.construction import TripGraph
-from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
+from ambush_planner.planning.options import DriveOptions
+from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.solving import solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_paths

@@ -11,7 +11,8 @@ from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_n
 from ambush_planner.game.strategy_solver import Multipliers
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.planning import plan as planner
-from ambush_planner.planning.plan import PlanningOptions, WarmStart
+from ambush_planner.planning.options import PlanningOptions
+from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.worker.process import WorkerProcess
 

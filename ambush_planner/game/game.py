@@ -130,10 +130,14 @@ class Game:
         shape = (len(self.sites), len(self.network.edges))
         return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
 
-    def hits_from(self, centres: FloatArray, edges: IndexArray | None = None) -> csr_matrix:
-        """(K, M) 0/1: the edges, default all, that bring a route into reach of the centres."""
+    def hits_from(self, centres: FloatArray, edges: IndexArray | None = None,
+                  wider: float = 0.0) -> csr_matrix:
+        """(K, M) 0/1: the edges, default all, that bring a route into reach of the centres.
+
+        The reach can be ``wider`` by some metres.
+        """
         held = self.options.held_radius - self.options.tube
-        return entering_edges(self.network, centres, self.reach, held, edges)
+        return entering_edges(self.network, centres, self.reach + wider, held, edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""

@@ -20,6 +20,7 @@ from .cut import solve_by_min_cut, uniform_ambusher
 from .entries import entry_bound, entry_value, priced_edges
 from .flow_program import FlowProgram
 from .game import Game
+from .hits import hits_can_differ, worst_loss
 from .route_sampler import shortest_route_strategy
 from .two_routes import strategy_within_budgets
 
@@ -58,9 +59,10 @@ class LeastRisk:
 
 
 def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float) -> float:
-    """A lower bound of the least value within the budgets, no further off than ``closed``.
+    """The least value within the budgets, at most the share ``closed`` too low.
 
-    At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
+    If a route can come back into a site's reach, it is what the best strategy for counting every
+    entry costs. At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
     BudgetInfeasible if no strategy fits all budgets.
     """
     game = without_forbidden_edges(game, budgets)
@@ -70,7 +72,8 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
             return loose.bound
     try:
         part = initial_part(game, budgets, order_potential(game))
-        return least_risk(game, part, budgets, closed, deadline).bound
+        found = least_risk(game, part, budgets, closed, deadline)
+        return worst_loss(game, found.p) if hits_can_differ(game) else found.bound
     except (TimeLimit, SolverFailed):
         return loose.bound if loose else 0.0
 

@@ -15,8 +15,8 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
+from .options import DriveOptions, PlanningOptions
 from .parameters import AUTOMATIC, PARAMETERS
-from .plan import DriveOptions, PlanningOptions
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 _COSTMAP_OBSTACLE = 99

@@ -11,7 +11,7 @@ from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import METHODS, NetworkOptions
-from .plan import DriveOptions
+from .options import DriveOptions
 from .trip import ORDERS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),

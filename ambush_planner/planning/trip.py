@@ -26,17 +26,9 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
-from .plan import (
-    Plan,
-    PlanningOptions,
-    PlanRequest,
-    WarmStart,
-    add_hiding_places,
-    make_plan,
-    risk_map_and_goal,
-    solve_on_network,
-    solved_game,
-)
+from .options import PlanningOptions, solved_game
+from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
+from .solving import WarmStart, add_hiding_places, solve_on_network
 
 ORDERS = ('given', 'best')
 # Largest number of stops for which all orders (5040) are compared.

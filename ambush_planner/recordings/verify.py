@@ -21,13 +21,11 @@ from ..game.acyclic import is_acyclic
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
-from ..planning.plan import (
-    PlanningOptions,
-    Route,
-    add_hiding_places,
-    departure_path,
-    solved_game,
-)
+from ..network.hiding_places import with_places
+from ..planning.cell_losses import CellLosses
+from ..planning.options import PlanningOptions, solved_game
+from ..planning.plan import Route, departure_path
+from ..planning.solving import add_hiding_places, holds_anywhere
 from ..planning.trip import trip_network
 from .recorded_departure import (
     RecordedDeparture,
@@ -145,6 +143,11 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     recorded = strategy.network
     laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
+    cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
+    if holds_anywhere(strategy.game, planning):
+        added = slice(network.place_count, recorded.place_count)
+        points = recorded.points[added]
+        network = with_places(network, points, cells.at(points))
     ends = attrgetter('source', 'target', 'legs')
     if ends(recorded) != ends(network) or not all(
         np.array_equal(getattr(recorded, name), getattr(network, name))
@@ -154,6 +157,12 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     if strategy.game.options != solved_game(risk_map, planning):
         return ['strategy: it is for another reach or held ground than the parameters give']
     problems = []
+    if holds_anywhere(strategy.game, planning) and len(worst := cells.worst(
+        strategy.game, strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE),
+        max(risk_map.size)
+    ).mean_loss):
+        problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
+                        f'its value {strategy.value:.9g}')
     if planning.strategy.length_weight == 0.0:
         for what, budget in zip(
             ('length', 'exposure'), make_budgets(strategy.game, planning.strategy), strict=True

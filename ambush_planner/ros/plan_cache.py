@@ -13,7 +13,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..planning.changed_ground import ChangedGround
 from ..planning.node_parameters import NodeParameters
-from ..planning.plan import Plan, PlanRequest, WarmStart, start_tolerance
+from ..planning.options import start_tolerance
+from ..planning.plan import Plan, PlanRequest
+from ..planning.solving import WarmStart
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
