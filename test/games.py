@@ -76,11 +76,17 @@ def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12
 
 def ground_network(seed: int, kind: str) -> Network:
     """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
-    rng = np.random.default_rng(seed)
     if kind == 'terrain':
         return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
-    cells = 40
+    return build_network(*ground(seed, kind), NetworkOptions(METHODS[seed % 2], 1.3))
+
+
+def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple]:
+    """Hills, a city, a maze, or a depot of rooms, with a start on the left and a goal on the right.
+    """
+    rng = np.random.default_rng(seed)
     alpha = random_map(seed, cells, 0.0).alpha
+    obstacles = np.zeros((cells, cells), bool)
     rows, columns = np.mgrid[0:cells, 0:cells]
     if kind == 'city':
         obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
@@ -91,15 +97,14 @@ def ground_network(seed: int, kind: str) -> Network:
         obstacles &= ~(wall & np.isin(columns % 10, rng.integers(2, 8, 2)[:, None] + (0, 1)))
         obstacles |= (rows % 13 == 8) & (columns % 10 > 2) & (columns % 20 < 8)
         obstacles &= ~(side & (rows % 13 == rng.integers(6, 11)))
-    else:
+    elif kind == 'maze':
         obstacles = columns % 5 == 4
         for wall in range(4, cells, 5):
             for door in rng.integers(0, cells - 4, 2):
                 obstacles[door : door + 4, wall] = False
     obstacles[:, [0, -1]] = False
-    risk_map = RiskMap(alpha, obstacles, 1.0)
-    ends = (0.5, rng.uniform(5, 35)), (39.5, rng.uniform(5, 35))
-    return build_network(risk_map, *ends, NetworkOptions(METHODS[seed % 2], 1.3))
+    start, goal = (0.5, rng.uniform(5, cells - 5)), (cells - 0.5, rng.uniform(5, cells - 5))
+    return RiskMap(alpha, obstacles, 1.0), start, goal
 
 
 terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS),

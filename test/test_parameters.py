@@ -55,7 +55,7 @@ def test_defaults_are_the_cores_own():
     assert parameters.occupancy == OccupancyOptions()
     assert parameters.planning.network == NetworkOptions()
     assert parameters.planning.game == GameOptions()
-    assert parameters.planning.drive == DriveOptions()
+    assert parameters.planning.drive == DriveOptions(start_tolerance=math.inf)
     assert parameters.planning.max_gap == PlanningOptions().max_gap
     assert parameters.planning.strategy == StrategyOptions(time_limit=DEFAULTS['max_planning_time'])
     assert parameters.seed == -1

@@ -188,8 +188,9 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of the displayed plan; empty ones before the first plan."""
     if plan is None:
         return dict.fromkeys((
-            *_STRATEGY_NUMBERS, _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes', 'edges', 'deciding_sites',
-            'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds',
+            *_STRATEGY_NUMBERS, _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes', 'edges',
+            'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops', 'order',
+            'solve_seconds',
         ), '')
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
