@@ -10,7 +10,7 @@ from ros_harness import risk_grid, stage
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.strategy_solver import Multipliers
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
-from ambush_planner.planning import plan as planner
+from ambush_planner.planning import solving as planner
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import plan_trip

@@ -13,6 +13,8 @@ from ..option_checks import check_at_least
 
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
+# Largest start tolerance, as a share of the reach: what held ground loses by it stays small.
+LARGEST_TOLERANCE = 0.25
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,9 @@ class DriveOptions:
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
-        How far the start and goal of a departure may be from the plan's [m]; at most half a node
-        spacing and, with a reach, the radius of held ground, which shrinks by it so that the
-        certificate holds for all of them.
+        How far the start and goal of a departure may be from the plan's [m]. Held ground shrinks by
+        it, so that the certificate holds for all of them. At most half a node spacing; with a
+        reach, also at most a quarter of it and the radius of held ground.
     """
 
     tube: float | None = None
@@ -73,7 +75,9 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:
     """How far start and goal of a departure may be from the plan's [m]."""
     game = replace(options.game, tube=tube(options, spacing) or 0.0)
-    most = game.held_radius if game.reach > 0.0 else math.inf
+    most = math.inf
+    if game.reach > 0.0:
+        most = min(game.held_radius, LARGEST_TOLERANCE * game.reach)
     return min(options.drive.start_tolerance, 0.5 * spacing, most)
 
 
