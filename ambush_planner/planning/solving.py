@@ -31,18 +31,27 @@ _SQUARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class WarmStart:
-    """The multipliers of another strategy, and its nodes' positions ``points`` (N, 2) [m]."""
+    """Another strategy to start from: its network and its multipliers."""
 
-    points: FloatArray
+    network: Network
     multipliers: Multipliers
 
     def on(self, network: Network) -> Multipliers:
         """The multipliers for another network: each site's from the nearest node."""
-        if np.array_equal(self.points, network.points):
+        points = self.network.points
+        if np.array_equal(points, network.points):
             return self.multipliers
-        _, nearest = cKDTree(self.points).query(network.points)
+        _, nearest = cKDTree(points).query(network.points)
         sites = frozen_array(self.multipliers.sites[nearest], np.float64)
         return Multipliers(sites, self.multipliers.budgets)
+
+    def sites_beyond(self, network: Network) -> FloatArray:
+        """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
+        own = self.network
+        binding = self.multipliers.sites[: own.place_count] > 0.0
+        binding[own.edges.ravel() % own.place_count] = False
+        places = np.unique(own.points[np.flatnonzero(binding)], axis=0)
+        return places[cKDTree(network.points).query(places)[0] > 0.0]
 
 
 def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
@@ -56,11 +65,14 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     """
     network = add_hiding_places(network, risk_map, options)
     game, until = solved_game(risk_map, options), time.monotonic() + options.strategy.time_limit
+    cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
+    if warm:
+        places = warm.sites_beyond(network)
+        network = with_places(network, places, cells.at(places))
     start = warm.on(network) if warm else None
     strategy, late = _solved(network, game, options, until, start)
     if not holds_anywhere(strategy.game, options):
         return _within_max_gap(strategy, late, options)
-    cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
     square = _SQUARE * node_spacing(risk_map, options.network)
     found: list[Strategy] = []
     for repetitions in range(_MOST_REPETITIONS + 1):

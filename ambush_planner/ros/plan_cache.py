@@ -189,7 +189,7 @@ class PlanCache:
             multipliers = each.plan.strategy.multipliers
             other_map = each.trip.map is not trip.map
             if multipliers is not None and other_map and each.answers(trip, parameters):
-                return WarmStart(each.plan.network.points, multipliers)
+                return WarmStart(each.plan.network, multipliers)
         return None
 
     def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
