@@ -58,7 +58,7 @@ def test_the_path_is_in_its_tube_and_the_game_has_as_much_more_reach(tmp_path, t
 
 def test_turns_are_as_wide_as_asked_where_the_tube_has_the_room(tmp_path):
     """The same routes, by the seed; on open ground in a tube of half a spacing."""
-    options = {'game.ambush_radius': 1.5, 'route.tube': 1.0}
+    options = {'game.ambush_radius': 1.5, 'game.secured_radius': 5.0, 'route.tube': 1.0}
     sharp, _ = departures(tmp_path / 'sharp', options)
     wide, _ = departures(tmp_path / 'wide', {**options, 'route.turning_radius': 1.5})
     assert [route for _, route, _ in sharp] == [route for _, route, _ in wide]

@@ -51,7 +51,7 @@ class WarmStart:
         binding = self.multipliers.sites[: own.place_count] > 0.0
         binding[own.edges.ravel() % own.place_count] = False
         places = np.unique(own.points[np.flatnonzero(binding)], axis=0)
-        return places[cKDTree(network.points).query(places)[0] > 0.0]
+        return np.asarray(places[cKDTree(network.points).query(places)[0] > 0.0])
 
 
 def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
