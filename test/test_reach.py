@@ -23,8 +23,11 @@ from ambush_planner import (
     build_network,
     solve,
 )
+from ambush_planner.game import best_response
 from ambush_planner.game.entries import entry_value
+from ambush_planner.game.game import make_game
 from ambush_planner.game.route_sampler import route_edges
+from ambush_planner.game.strategy import make_budgets
 
 ROUTES = 10_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
@@ -129,6 +132,31 @@ def test_value_and_bound_enclose_the_value_over_all_routes_which_is_the_chains(s
     assert strategy.value >= once * (1 - 1e-7)
     if not strategy.counting_gap:
         assert strategy.value == pytest.approx(once, rel=2e-5, abs=1e-7)
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.5, 2.0), st.floats(0.0, 2.0), st.booleans())
+def test_the_best_response_is_the_best_of_all_routes_and_merged_labels_bound_it(
+    seed, reach, price, cut_short
+):
+    rng, network = np.random.default_rng(seed), planar_network(seed)
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    q = np.zeros(game.node_count)
+    q[game.sites] = rng.random(len(game.sites)) * (rng.random(len(game.sites)) < 0.7)
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.1))[:1]
+    routes = routes_of(network)
+    met = np.array([(game.hits[:, route].getnnz(axis=1) > 0) for route in routes])
+    over = np.array([budgets[0].excess[route].sum() - budgets[0].margin for route in routes])
+    costs = met @ (game.loss * q)[game.sites] + price * over
+    with pytest.MonkeyPatch.context() as patch:
+        if cut_short:
+            patch.setattr(best_response, 'MAX_COMPARISONS', 0)
+        found = best_response.best_response(game, q, budgets, (price,))
+    assert found.bound <= max(costs.min(), 0.0) + 1e-9
+    assert sorted(found.edges.tolist()) in [sorted(route) for route in routes]
+    if not cut_short:
+        assert found.bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
+    assert found.bound >= price * over.min() - 1e-9
 
 
 def test_a_route_that_comes_back_to_a_disc_is_hit_once():
