@@ -24,7 +24,10 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game import best_response
+from ambush_planner.game.certificate import hit_bound
+from ambush_planner.game.disc_chain import chain_ambusher
 from ambush_planner.game.entries import entry_value
+from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
@@ -35,8 +38,11 @@ DEVIATIONS = 5.0
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-def planar_network(seed: int) -> Network:
-    """Delaunay's edges between a few random points, both ways; source and target on the hull."""
+def planar_network(seed: int, inside: bool = False) -> Network:
+    """Delaunay's edges between a few random points, both ways; source and target on the hull.
+
+    Or anywhere if ``inside``, and a fifth of the edges are missing.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
     mesh = Delaunay(points)
@@ -45,6 +51,9 @@ def planar_network(seed: int) -> Network:
     hull = np.unique(mesh.convex_hull)
     apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
     source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
+    if inside:
+        source, target = (int(k) for k in rng.choice(len(points), 2, replace=False))
+        pairs = {pair for pair in sorted(pairs) if rng.random() < 0.8}
     edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
              if e[1] != source and e[0] != target]
     alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
@@ -132,6 +141,29 @@ def test_value_and_bound_enclose_the_value_over_all_routes_which_is_the_chains(s
     assert strategy.value >= once * (1 - 1e-7)
     if not strategy.counting_gap:
         assert strategy.value == pytest.approx(once, rel=2e-5, abs=1e-7)
+
+
+@examples(60)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5))
+def test_the_cheapest_chain_gives_the_value_over_all_routes_wherever_the_ends_are(seed, reach):
+    network = planar_network(seed, inside=True)
+    routes = routes_of(network)
+    if not 0 < len(routes) <= 4000:
+        return
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    once = value_by_routes(network, reached(network, reach), routes)
+    q = chain_ambusher(game)
+    assert (q is None) == (once < 1e-9)
+    if q is not None:
+        assert hit_bound(game, q) == pytest.approx(once, rel=1e-6)
+
+
+def test_links_that_cross_have_no_faces():
+    points = [[0, 0], [1, 1], [0, 1], [1, 0]]
+    pairs = [(0, 1), (2, 3), (0, 2), (1, 2), (1, 3), (0, 3)]
+    edges = [e for a, b in pairs for e in ((a, b), (b, a)) if e[1] != 0 and e[0] != 1]
+    game = make_game(Network(points, [0, 0, 1, 1], edges, 0, 1), GameOptions(ambush_radius=0.1))
+    assert make_faces(game) is None
 
 
 @examples(40)
