@@ -78,6 +78,7 @@ def routes_of(network: Network) -> list[list[int]]:
     """All simple routes as edge indices."""
     number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
     graph = networkx.DiGraph(list(number))
+    graph.add_nodes_from((network.source, network.target))
     return [[number[step] for step in pairwise(route)]
             for route in networkx.all_simple_paths(graph, network.source, network.target)]
 

@@ -26,7 +26,8 @@ _AT_ONCE, _MIDDLE = 32, 0.75
 
 def chain_ambusher(game: Game) -> FloatArray | None:
     """q (N,) on the cheapest chain of discs; None if links cross or no chain separates the ends."""
-    faces = make_faces(game)
+    plain = game.ambush_radius == 0.0 or game.network.legs > 1
+    faces = None if plain else make_faces(game)
     chain = cheapest_chain(faces) if faces and faces.touched.nnz else None
     if chain is None:
         return None

@@ -81,7 +81,7 @@ class Faces:
         left = np.searchsorted(key, first + self.left[rims.col])
         right = np.searchsorted(key, first + self.right[rims.col])
         tail, head = np.concatenate((left, right)), np.concatenate((right, left))
-        gain = np.concatenate((self.crossed[rims.col], -self.crossed[rims.col]))
+        gain = np.concatenate((-self.crossed[rims.col], self.crossed[rims.col]))
         joined = csr_matrix((np.ones(len(tail)), (tail, head)), (size, size))
         _, part = connected_components(joined, directed=False)
         roots = np.unique(part, return_index=True)[1]

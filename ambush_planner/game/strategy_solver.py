@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,14 +18,17 @@ from scipy.sparse import csr_matrix, diags, vstack
 
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .acyclic import forward_part, order_potential, rank_around
+from .acyclic import forward_part, order_potential, rank_around, rank_by
 from .budget import BUDGET_TOLERANCE, ROUNDING, Budget
+from .certificate import hit_bound
 from .cut import uniform_ambusher
+from .disc_chain import chain_ambusher
 from .entries import entry_bound, entry_value
 from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
 from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
+from .hits import worst_loss
 from .least_risk import (
     PRICES,
     LeastRisk,
@@ -100,6 +103,8 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         if found := stage.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
+    elif found := stage.along_chain():
+        return found
     now = time.monotonic()
     until = now + PROGRAM_SHARE * max(stage.deadline - now, 0.0)
     try:
@@ -142,22 +147,48 @@ class EntropyStage:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
         game = without_excessive_sites(self.game, least.bound, least.p)
         network = self.acyclic_part(game, least.p)
-        aimed = least.level * (1.0 + LEVEL_AIM * self.slack)
-        for kept in (self._kept_margins(least), (0.0,) * len(self.budgets)):
-            limits = LimitRows(self.game, network, aimed, self.budgets, kept)
+        kept = self._kept_margins(least.bound, least.prices), (0.0,) * len(self.budgets)
+        solution = self._law(network, least.level, kept, least.q, least.prices)
+        return self._mixed_to_fit(solution, least)
+
+    def along_chain(self) -> Solution | None:
+        """The strategy of greatest entropy at the value of the cheapest chain of discs.
+
+        None if the law on the harmonic part cannot keep to it, perhaps because a budget binds.
+        """
+        q, prices = chain_ambusher(self.game), (0.0,) * len(self.budgets)
+        if q is None:
+            return None
+        bound = hit_bound(self.game, q, self.budgets, prices)
+        game, rank = without_excessive_sites(self.game, bound), rank_by(self.potential)
+        part = forward_part(game, rank)
+        if part is None:
+            return None
+        level = np.full(len(self.game.sites), bound / self.game.ambushers)
+        kept = (self._kept_margins(bound, prices),)
+        found = self._law(AcyclicNetwork(part, rank), level, kept, q, prices)
+        value = worst_loss(self.game, found.p)
+        fits = value <= bound * (1.0 + self.slack) and self.within_budgets(found.p)
+        return found if fits else None
+
+    def _law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],
+             q: FloatArray, prices: tuple[float, ...]) -> Solution:
+        """Search at the level (S,), with the first kept margins that are not infeasible."""
+        for margins in kept:
+            limits = LimitRows(self.game, network, level * (1.0 + LEVEL_AIM * self.slack),
+                               self.budgets, margins)
             p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
             if not found.infeasible:
                 break
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
-        bound = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
-        solution = Solution(p, least.q, least.prices, self.evaluations, multipliers, bound)
-        return self._mixed_to_fit(solution, least)
+        most = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
+        return Solution(p, q, prices, self.evaluations, multipliers, most)
 
-    def _kept_margins(self, least: LeastRisk) -> tuple[float, ...]:
+    def _kept_margins(self, bound: float, prices: tuple[float, ...]) -> tuple[float, ...]:
         """What the search keeps below each budget, so that it may end a little over its aim."""
-        worth = KEPT_SLACK * self.slack * least.bound
+        worth = KEPT_SLACK * self.slack * bound
         return tuple(min(KEPT_MARGIN * b.margin, worth / price if price > 0.0 else np.inf)
-                     for b, price in zip(self.budgets, least.prices, strict=True))
+                     for b, price in zip(self.budgets, prices, strict=True))
 
     def acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
         """The edges that go forward in an order of the nodes around the strategy p (M,)."""
