@@ -16,19 +16,16 @@ from scipy.sparse.csgraph import dijkstra
 
 from ..arrays import FloatArray, IndexArray
 from .budget import ROUNDING
-from .faces import Faces, make_faces
-from .game import Game
+from .faces import Faces
 
 # Searches that run at once, and how far they go, as a share of the cheapest chain: a chain has a
 # middle within this of its first disc on both ways, unless one disc is more than half of it.
 _AT_ONCE, _MIDDLE = 32, 0.75
 
 
-def chain_ambusher(game: Game) -> FloatArray | None:
-    """q (N,) on the cheapest chain of discs; None if links cross or no chain separates the ends."""
-    plain = game.ambush_radius == 0.0 or game.network.legs > 1
-    faces = None if plain else make_faces(game)
-    chain = cheapest_chain(faces) if faces and faces.touched.nnz else None
+def chain_ambusher(faces: Faces) -> FloatArray | None:
+    """q (N,) on the cheapest chain of discs; None if no chain separates the ends."""
+    game, chain = faces.game, cheapest_chain(faces)
     if chain is None:
         return None
     q = np.zeros(game.node_count)

@@ -12,24 +12,35 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .acyclic import forward_part, order_potential, rank_around, rank_by
+from .acyclic import (
+    conserved_strategy,
+    forward_part,
+    order_potential,
+    rank_around,
+    rank_by,
+    without_cycles,
+)
 from .budget import BUDGET_TOLERANCE, ROUNDING, Budget
 from .certificate import hit_bound
 from .cut import uniform_ambusher
 from .disc_chain import chain_ambusher
 from .entries import entry_bound, entry_value
 from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
+from .face_program import solve_on_faces
+from .faces import Faces, make_faces
 from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .hits import worst_loss
 from .least_risk import (
+    NEGLIGIBLE,
     PRICES,
     LeastRisk,
     initial_part,
@@ -53,6 +64,8 @@ LEAST_TOLERANCE = 1e-6
 BISECTIONS = 30
 # Relative gap of the linear program, as a share of the slack.
 PROGRAM_GAP = 0.02
+# The same for the program in potentials of the faces.
+FACES_GAP = 0.1
 # Smallest limit of a site's hits; with several ambushers its level may be 0.
 LEAST_HITS = 1e-9
 # Share of the remaining time for the linear program; the rest is for the entropy search.
@@ -103,7 +116,7 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         if found := stage.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
-    elif found := stage.along_chain():
+    elif found := stage.along_chain() or stage.along_level_lines():
         return found
     now = time.monotonic()
     until = now + PROGRAM_SHARE * max(stage.deadline - now, 0.0)
@@ -142,6 +155,8 @@ class EntropyStage:
         self.deadline, self.warm = deadline, warm
         self.potential = order_potential(game)
         self.evaluations = 0
+        # An optimal flow (M,) that one law of its edges may not attain, see along_level_lines.
+        self.level_lines: FloatArray | None = None
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
@@ -151,15 +166,53 @@ class EntropyStage:
         solution = self._law(network, least.level, kept, least.q, least.prices)
         return self._mixed_to_fit(solution, least)
 
+    @cached_property
+    def faces(self) -> Faces | None:
+        """The faces of a planar network, if there is a reach."""
+        game = self.game
+        plain = game.ambush_radius == 0.0 or game.network.legs > 1
+        faces = None if plain else make_faces(game)
+        return faces if faces and faces.touched.nnz else None
+
+    @cached_property
+    def chain(self) -> tuple[float, FloatArray] | None:
+        """The value without budgets and q (N,) by the cheapest chain of discs."""
+        q = chain_ambusher(self.faces) if self.faces else None
+        return None if q is None else (hit_bound(self.game, q), q)
+
+    def along_level_lines(self) -> Solution | None:
+        """Level lines of the potential of the faces that has the least value within a budget.
+
+        None if that does not apply: it takes one ambusher, and one budget.
+        """
+        game, binding = self.game, [b for b in self.budgets if b.binds]
+        if not self.chain or game.ambushers > 1 or len(binding) != 1:
+            return None
+        assert self.faces is not None  # it has a chain
+        bound, q = self.chain
+        try:
+            found = solve_on_faces(self.faces, binding[0], bound, FACES_GAP * self.slack,
+                                   self.deadline)
+        except SolverFailed:
+            return None
+        p = conserved_strategy(game, found.p, NEGLIGIBLE)
+        short = None if p is None else mixture(p, shortest_route_strategy(game),
+                                               self.within_budgets)
+        if short is None:
+            return None
+        self.level_lines = without_cycles(game.network, short)
+        prices = tuple(found.price if b.binds else 0.0 for b in self.budgets)
+        return Solution(self.level_lines, q if found.q is None else found.q, prices,
+                        self.evaluations)
+
     def along_chain(self) -> Solution | None:
         """The strategy of greatest entropy at the value of the cheapest chain of discs.
 
         None if the law on the harmonic part cannot keep to it, perhaps because a budget binds.
         """
-        q, prices = chain_ambusher(self.game), (0.0,) * len(self.budgets)
-        if q is None:
+        if self.chain is None:
             return None
-        bound = hit_bound(self.game, q, self.budgets, prices)
+        (bound, q), prices = self.chain, (0.0,) * len(self.budgets)
         game, rank = without_excessive_sites(self.game, bound), rank_by(self.potential)
         part = forward_part(game, rank)
         if part is None:
@@ -260,9 +313,9 @@ class EntropyStage:
                 best = replace(best, q=q, prices=prices)
             if time.monotonic() > self.deadline:
                 break
-        plain = self._ambusher_without_reach()
-        if plain is not None and plain[0] > bound:
-            best = replace(best, q=plain[1], prices=(0.0,) * len(self.budgets))
+        known = self.chain or self._ambusher_without_reach()
+        if known is not None and known[0] > bound:
+            best = replace(best, q=known[1], prices=(0.0,) * len(self.budgets))
         return best
 
     def _ambusher_without_reach(self) -> tuple[float, FloatArray] | None:
