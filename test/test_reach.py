@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import networkx
@@ -23,8 +24,15 @@ from ambush_planner import (
     build_network,
     solve,
 )
+from ambush_planner.game import best_response
+from ambush_planner.game.certificate import hit_bound
+from ambush_planner.game.disc_chain import chain_ambusher
 from ambush_planner.game.entries import entry_value
+from ambush_planner.game.face_program import solve_on_faces
+from ambush_planner.game.faces import make_faces
+from ambush_planner.game.game import make_game
 from ambush_planner.game.route_sampler import route_edges
+from ambush_planner.game.strategy import make_budgets
 
 ROUTES = 10_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
@@ -32,8 +40,11 @@ DEVIATIONS = 5.0
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
 
 
-def planar_network(seed: int) -> Network:
-    """Delaunay's edges between a few random points, both ways; source and target on the hull."""
+def planar_network(seed: int, inside: bool = False) -> Network:
+    """Delaunay's edges between a few random points, both ways; source and target on the hull.
+
+    Or anywhere if ``inside``, and a fifth of the edges are missing.
+    """
     rng = np.random.default_rng(seed)
     points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
     mesh = Delaunay(points)
@@ -42,6 +53,9 @@ def planar_network(seed: int) -> Network:
     hull = np.unique(mesh.convex_hull)
     apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
     source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
+    if inside:
+        source, target = (int(k) for k in rng.choice(len(points), 2, replace=False))
+        pairs = {pair for pair in sorted(pairs) if rng.random() < 0.8}
     edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
              if e[1] != source and e[0] != target]
     alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
@@ -58,16 +72,21 @@ def routes_of(network: Network) -> list[list[int]]:
     """All simple routes as edge indices."""
     number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
     graph = networkx.DiGraph(list(number))
+    graph.add_nodes_from((network.source, network.target))
     return [[number[step] for step in pairwise(route)]
             for route in networkx.all_simple_paths(graph, network.source, network.target)]
 
 
-def value_by_routes(network: Network, near: np.ndarray, routes) -> float:
-    """Least value over all mixtures of routes, each hit once by each site."""
+def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf) -> float:
+    """Least value over all mixtures of routes within a budget [m], each hit once by each site."""
     hit = np.array([near[:, route].any(axis=1) for route in routes]).T
     losses = network.alpha[:, None] * hit
     rows = np.hstack((losses, -np.ones((len(losses), 1))))
-    found = linprog(np.r_[np.zeros(len(routes)), 1.0], rows, np.zeros(len(rows)),
+    limits = np.zeros(len(rows))
+    if np.isfinite(budget):
+        lengths = [network.lengths[route].sum() for route in routes]
+        rows, limits = np.vstack((rows, [*lengths, 0.0])), np.append(limits, budget)
+    found = linprog(np.r_[np.zeros(len(routes)), 1.0], rows, limits,
                     np.r_[np.ones(len(routes)), 0.0][None], [1.0], method='highs-ds')
     return float(found.fun)
 
@@ -139,6 +158,80 @@ def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
         bound = max(bound, strategy.lower_bound)
 
 
+@examples(60)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5))
+def test_the_cheapest_chain_gives_the_value_over_all_routes_wherever_the_ends_are(seed, reach):
+    network = planar_network(seed, inside=True)
+    routes = routes_of(network)
+    if not 0 < len(routes) <= 1000:
+        return
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    once = value_by_routes(network, reached(network, reach, reach), routes)
+    faces = make_faces(game)
+    q = chain_ambusher(faces) if faces.touched.nnz else None
+    assert (q is None) == (once < 1e-9)
+    if q is not None:
+        assert hit_bound(game, q) == pytest.approx(once, rel=1e-6)
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5), st.sampled_from((1.02, 1.1, 1.3)))
+def test_level_lines_attain_the_value_over_all_routes_within_a_budget(seed, reach, detour):
+    """And their ambusher proves it, unless a route meets a disc twice as a spiral does."""
+    network = planar_network(seed, inside=True)
+    routes = routes_of(network)
+    if not 0 < len(routes) <= 1000:
+        return
+    game, options = make_game(network, GameOptions(ambush_radius=reach)), StrategyOptions()
+    budgets = make_budgets(game, replace(options, max_detour=detour))
+    once = value_by_routes(network, reached(network, reach, reach), routes, budgets[0].limit)
+    faces = make_faces(game)
+    q = chain_ambusher(faces) if faces.touched.nnz else None
+    if q is None:
+        return
+    found = solve_on_faces(faces, budgets[0], hit_bound(game, q), 1e-6, np.inf)
+    prices = (found.price, 0.0)
+    bound = hit_bound(game, q if found.q is None else found.q, budgets, prices)
+    assert bound <= once * (1 + 1e-6)
+    assert bound == pytest.approx(once, rel=1e-4)
+    assert budgets[0].mean(found.p) <= budgets[0].limit * (1 + 1e-4)
+
+
+def test_links_that_cross_have_no_faces():
+    points = [[0, 0], [1, 1], [0, 1], [1, 0]]
+    pairs = [(0, 1), (2, 3), (0, 2), (1, 2), (1, 3), (0, 3)]
+    edges = [e for a, b in pairs for e in ((a, b), (b, a)) if e[1] != 0 and e[0] != 1]
+    game = make_game(Network(points, [0, 0, 1, 1], edges, 0, 1), GameOptions(ambush_radius=0.1))
+    assert make_faces(game) is None
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.5, 2.0), st.floats(0.0, 2.0), st.booleans())
+def test_the_best_response_is_the_best_of_all_routes_and_merged_labels_bound_it(
+    seed, reach, price, cut_short
+):
+    rng, network = np.random.default_rng(seed), planar_network(seed)
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    q = np.zeros(game.node_count)
+    q[game.sites] = rng.random(len(game.sites)) * (rng.random(len(game.sites)) < 0.7)
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.1))[:1]
+    routes = routes_of(network)
+    if len(routes) > 1000:
+        return
+    met = np.array([(game.hits[:, route].getnnz(axis=1) > 0) for route in routes])
+    over = np.array([budgets[0].excess[route].sum() - budgets[0].margin for route in routes])
+    costs = met @ (game.loss * q)[game.sites] + price * over
+    with pytest.MonkeyPatch.context() as patch:
+        if cut_short:
+            patch.setattr(best_response, 'MAX_COMPARISONS', 0)
+        found = best_response.best_response(game, q, budgets, (price,))
+    assert found.bound <= max(costs.min(), 0.0) + 1e-9
+    assert sorted(found.edges.tolist()) in [sorted(route) for route in routes]
+    if not cut_short:
+        assert found.bound == pytest.approx(max(costs.min(), 0.0), abs=1e-9)
+    assert found.bound >= price * over.min() - 1e-9
+
+
 def test_a_route_that_comes_back_to_a_disc_is_hit_once():
     # A hairpin: in, out and in again of the disc around node 3.
     points = [[0, -3], [0.2, 0], [4, 0.5], [0, 0.5], [0.2, 1.0], [0, 4]]
@@ -188,3 +281,23 @@ def test_no_site_is_hit_more_often_than_the_value_allows(radius):
     error = np.sqrt(np.maximum(frequency * (1 - frequency), 1 / ROUTES) / ROUTES)
     loss = strategy.game.loss
     assert (loss * (frequency - DEVIATIONS * error) <= strategy.value).all()
+
+
+def test_a_ring_of_discs_that_winds_twice_beats_the_chain_that_winds_once():
+    """Five sites around the start, each over two fifths of the ways out: 2/5, not 1/3."""
+    turn = np.arange(10) * np.pi / 5
+    ring = np.stack((np.cos(turn), np.sin(turn)), axis=1)
+    aim = (np.arange(5) * 4 + 3) * np.pi / 10
+    sites = 3.0 * np.stack((np.cos(aim), np.sin(aim)), axis=1)
+    points = np.vstack(([[0.0, 0.0]], 2.0 * ring, 6.0 * ring, sites, [[9.0, 0.0]]))
+    pairs = [(0, k) for k in range(1, 11)] + [(k, k + 10) for k in range(1, 11)]
+    pairs += [(11 + k, 11 + (k + 1) % 10) for k in range(10)] + [(11, 26)]
+    edges = [e for a, b in pairs for e in ((a, b), (b, a)) if e[1] != 0 and e[0] != 26]
+    alpha = np.zeros(27)
+    alpha[21:26] = 1.0
+    network = Network(points, alpha, edges, 0, 26)
+    game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
+    assert hit_bound(game, chain_ambusher(make_faces(game))) == pytest.approx(1 / 3)
+    once = value_by_routes(network, reached(network, 2.5, 0.4), routes_of(network))
+    assert once == pytest.approx(2 / 5)
+    assert hit_bound(game, np.repeat([0.0, 0.2, 0.0], [21, 5, 1])) == pytest.approx(once)

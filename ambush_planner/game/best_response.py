@@ -7,7 +7,10 @@ For q (N,) >= 0 and prices of the budgets, the least of
 over all routes, less price * room, bounds from below what any strategy within the budgets can
 reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
 node label A dominates B if A costs no more than B even after it has paid for every site that B
-alone has met: whatever follows, A then ends no worse.
+alone has met: whatever follows, A then ends no worse. There can be many labels that do not dominate
+each other. So the first search counts each label at a node as having met what all earlier ones
+there have met, too. That only lowers its cost further on, so the least cost remains a lower bound.
+If the route that it finds costs more than that, a second search keeps all labels apart.
 """
 
 from __future__ import annotations
@@ -21,9 +24,11 @@ from ..arrays import FloatArray, IndexArray
 from .budget import Budget
 from .game import Game
 
-# Comparisons of labels after which the search stops, about a second: the cost reached by then is
-# still a lower bound.
-MAX_COMPARISONS = 1_500_000
+# Comparisons of labels after which the search that keeps labels apart, and the one that merges
+# them, stop: about 0.2 s and 10 s. The cost reached by then is still a lower bound.
+MAX_COMPARISONS, MAX_MERGED_COMPARISONS = 300_000, 20_000_000
+# Relative rounding of a route's cost.
+_ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
 _NEGLIGIBLE = 1e-9
 
@@ -31,7 +36,10 @@ _NEGLIGIBLE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class BestResponse:
-    """``bound`` on the value; the route's ``edges`` (K,), or None if the search was cut short."""
+    """``bound`` on the value; the ``edges`` (K,) of a route that comes near it.
+
+    ``edges`` is None if the search was cut short.
+    """
 
     bound: float
     edges: IndexArray | None
@@ -47,8 +55,15 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
             paid += price * budget.margin
     charge = (game.loss * q)[game.sites]
     rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
-    cost, edges = _Labels(game, base, rows, charge[rows]).search()
-    return BestResponse(max(cost - paid, 0.0), edges)
+    labels = _Labels(game, base, rows, charge[rows])
+    least, edges = labels.search(MAX_MERGED_COMPARISONS, merged=True)
+    if edges is not None:
+        met = game.hits[rows][:, edges].getnnz(axis=1) > 0
+        cost = float(base[edges].sum() + charge[rows][met].sum())
+        if cost > least * (1.0 + _ROUNDING):
+            exact, best = labels.search(MAX_COMPARISONS, merged=False)
+            least, edges = max(least, exact), edges if best is None else best
+    return BestResponse(max(least - paid, 0.0), edges)
 
 
 class _Labels:
@@ -72,29 +87,33 @@ class _Labels:
         self._losses: dict[int, float] = {0: 0.0}
         self._source, self._target = network.source, network.target
 
-    def search(self) -> tuple[float, IndexArray | None]:
-        """Least cost and its route as edges; the route is None at the limit."""
+    def search(self, comparisons: int, merged: bool) -> tuple[float, IndexArray | None]:
+        """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
+
+        Without merging, the bound is that route's cost.
+        """
         behind, loss = self._behind, self._loss
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
         settled: dict[int, list[tuple[float, int]]] = {}
         queue = [(behind[self._source], 0.0, 0, self._source, 0)]
-        comparisons = 0
         while queue:
             least, cost, number, node, met = heapq.heappop(queue)
             if node == self._target:
                 return cost, self._route(labels, number)
-            if comparisons > MAX_COMPARISONS:
+            if comparisons < 0:
                 return least, None
             here = settled.setdefault(node, [])
-            comparisons += len(here)
+            comparisons -= len(here)
             if any(c + loss(met & ~m) <= cost for c, m in here):
                 continue
+            if merged and here:
+                met |= here.pop()[1]
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
                 after = cost + self._base[k] + (loss(new) if new else 0.0)
                 both, there = met | new, settled.get(head, ())
-                comparisons += len(there) + 1
+                comparisons -= len(there) + 1
                 if any(c + loss(both & ~m) <= after for c, m in there):
                     continue
                 labels.append((number, k))

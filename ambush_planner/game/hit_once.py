@@ -47,23 +47,24 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
         return solution
     value = worst_loss(game, solution.p)
     bound = hit_bound(game, solution.q, budgets, solution.prices)
-    if value <= bound * (1.0 + stage.slack):
-        return solution
-    network = game.network
-    drawn = RouteSampler(network, solution.p).draw_many(
-        SAMPLED_ROUTES, np.random.default_rng(0)
-    )
-    drawn += [shortest_route(network, np.flatnonzero(game.playable))]
-    program = solve_on_routes(game, [route_edges(network, route) for route in drawn], budgets,
-                              solution.q, solution.prices, PROGRAM_GAP * stage.slack,
-                              stage.deadline)
-    solution = replace(solution, q=program.q, prices=program.prices)
-    limit = program.bound * (1.0 + stage.slack)
-    base = conserved_strategy(game, program.p, NEGLIGIBLE)
-    if value <= limit or base is None:
-        return solution
+    network, base = game.network, stage.level_lines
+    if base is None:
+        if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
+            return solution
+        drawn = RouteSampler(network, solution.p).draw_many(
+            SAMPLED_ROUTES, np.random.default_rng(0)
+        )
+        drawn += [shortest_route(network, np.flatnonzero(game.playable))]
+        program = solve_on_routes(game, [route_edges(network, route) for route in drawn], budgets,
+                                  solution.q, solution.prices, PROGRAM_GAP * stage.slack,
+                                  stage.deadline)
+        bound, base = program.bound, conserved_strategy(game, program.p, NEGLIGIBLE)
+        solution = replace(solution, q=program.q, prices=program.prices)
+        if base is None or value <= bound * (1.0 + stage.slack):
+            return solution
+    limit = bound * (1.0 + stage.slack)
     mixed = replace(solution, p=base, entropy_bound=np.nan)
-    laws = _laws_around(stage, mixed, program.bound)
+    laws = _laws_around(stage, mixed, bound)
     if laws:
         law = min(laws, key=lambda each: each.value).solution
         fitting = mixture(law.p, base, lambda p: worst_loss(game, p) <= limit)

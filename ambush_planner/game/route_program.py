@@ -21,8 +21,8 @@ from .best_response import best_response
 from .budget import Budget
 from .game import Game
 
-# Most programs that are solved for one game.
-MAX_ROUNDS = 60
+# Most programs that are solved for one game, and in a row without a better bound.
+MAX_ROUNDS, MAX_STALLED = 60, 8
 # Weights of the best ambusher so far against the program's own in the ambushers that are tried.
 BLENDS = (0.0, 0.5)
 
@@ -51,7 +51,7 @@ def solve_on_routes(game: Game, routes: Sequence[IndexArray], budgets: tuple[Bud
     ambusher to start from.
     """
     known: dict[tuple[int, ...], IndexArray] = {tuple(r.tolist()): r for r in routes}
-    bound = -np.inf
+    bound, stalled = -np.inf, 0
     best = q, prices
 
     def respond(q: FloatArray, prices: tuple[float, ...]) -> bool:
@@ -77,8 +77,10 @@ def solve_on_routes(game: Game, routes: Sequence[IndexArray], budgets: tuple[Bud
              tuple(w * a + (1.0 - w) * b for a, b in zip(centre[1], prices, strict=True)))
             for w in BLENDS
         ]
+        before = bound
         progress = [respond(*ambusher) for ambusher in ambushers]
-        if not any(progress):
+        stalled = 0 if bound > before else stalled + 1
+        if not any(progress) or stalled == MAX_STALLED:
             break
     p = np.zeros(len(game.network.edges))
     for edges, probability in zip(tried, share, strict=True):

@@ -10,23 +10,37 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
-from .acyclic import forward_part, order_potential, rank_around
+from .acyclic import (
+    conserved_strategy,
+    forward_part,
+    order_potential,
+    rank_around,
+    rank_by,
+    without_cycles,
+)
 from .budget import BUDGET_TOLERANCE, ROUNDING, Budget
+from .certificate import hit_bound
 from .cut import uniform_ambusher
+from .disc_chain import chain_ambusher
 from .entries import entry_bound, entry_value
 from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
+from .face_program import solve_on_faces
+from .faces import Faces, make_faces
 from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
+from .hits import worst_loss
 from .least_risk import (
+    NEGLIGIBLE,
     PRICES,
     LeastRisk,
     initial_part,
@@ -50,6 +64,8 @@ LEAST_TOLERANCE = 1e-6
 BISECTIONS = 30
 # Relative gap of the linear program, as a share of the slack.
 PROGRAM_GAP = 0.02
+# The same for the program in potentials of the faces.
+FACES_GAP = 0.1
 # Smallest limit of a site's hits; with several ambushers its level may be 0.
 LEAST_HITS = 1e-9
 # Share of the remaining time for the linear program; the rest is for the entropy search.
@@ -100,6 +116,8 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         if found := stage.most_unpredictable(loose):
             return found
         least = loose.bound / game.ambushers
+    elif found := stage.along_chain() or stage.along_level_lines():
+        return found
     now = time.monotonic()
     until = now + PROGRAM_SHARE * max(stage.deadline - now, 0.0)
     try:
@@ -137,27 +155,96 @@ class EntropyStage:
         self.deadline, self.warm = deadline, warm
         self.potential = order_potential(game)
         self.evaluations = 0
+        # Searched so far, whether or not they keep the limits.
+        self.laws: list[Solution] = []
+        # An optimal flow (M,) that one law of its edges may not attain, see along_level_lines.
+        self.level_lines: FloatArray | None = None
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
         game = without_excessive_sites(self.game, least.bound, least.p)
         network = self.acyclic_part(game, least.p)
-        aimed = least.level * (1.0 + LEVEL_AIM * self.slack)
-        for kept in (self._kept_margins(least), (0.0,) * len(self.budgets)):
-            limits = LimitRows(self.game, network, aimed, self.budgets, kept)
+        kept = self._kept_margins(least.bound, least.prices), (0.0,) * len(self.budgets)
+        solution = self._law(network, least.level, kept, least.q, least.prices)
+        return self._mixed_to_fit(solution, least)
+
+    @cached_property
+    def faces(self) -> Faces | None:
+        """The faces of a planar network, if there is a reach."""
+        game = self.game
+        plain = game.reach == 0.0 or game.network.legs > 1
+        faces = None if plain else make_faces(game)
+        return faces if faces and faces.touched.nnz else None
+
+    @cached_property
+    def chain(self) -> tuple[float, FloatArray] | None:
+        """The value without budgets and q (N,) by the cheapest chain of discs."""
+        q = chain_ambusher(self.faces) if self.faces else None
+        return None if q is None else (hit_bound(self.game, q), q)
+
+    def along_level_lines(self) -> Solution | None:
+        """Level lines of the potential of the faces that has the least value within a budget.
+
+        None if that does not apply: it takes one ambusher, and one budget.
+        """
+        game, binding = self.game, [b for b in self.budgets if b.binds]
+        if not self.chain or game.ambushers > 1 or len(binding) != 1:
+            return None
+        assert self.faces is not None  # it has a chain
+        bound, q = self.chain
+        try:
+            found = solve_on_faces(self.faces, binding[0], bound, FACES_GAP * self.slack,
+                                   self.deadline)
+        except SolverFailed:
+            return None
+        p = conserved_strategy(game, found.p, NEGLIGIBLE)
+        short = None if p is None else mixture(p, shortest_route_strategy(game),
+                                               self.within_budgets)
+        if short is None:
+            return None
+        self.level_lines = without_cycles(game.network, short)
+        prices = tuple(found.price if b.binds else 0.0 for b in self.budgets)
+        return Solution(self.level_lines, q if found.q is None else found.q, prices,
+                        self.evaluations)
+
+    def along_chain(self) -> Solution | None:
+        """The strategy of greatest entropy at the value of the cheapest chain of discs.
+
+        None if the law on the harmonic part cannot keep to it, perhaps because a budget binds.
+        """
+        if self.chain is None:
+            return None
+        (bound, q), prices = self.chain, (0.0,) * len(self.budgets)
+        game, rank = without_excessive_sites(self.game, bound), rank_by(self.potential)
+        part = forward_part(game, rank)
+        if part is None:
+            return None
+        level = np.full(len(self.game.sites), bound / self.game.ambushers)
+        kept = (self._kept_margins(bound, prices),)
+        found = self._law(AcyclicNetwork(part, rank), level, kept, q, prices)
+        value = worst_loss(self.game, found.p)
+        fits = value <= bound * (1.0 + self.slack) and self.within_budgets(found.p)
+        return found if fits else None
+
+    def _law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],
+             q: FloatArray, prices: tuple[float, ...]) -> Solution:
+        """Search at the level (S,), with the first kept margins that are not infeasible."""
+        for margins in kept:
+            limits = LimitRows(self.game, network, level * (1.0 + LEVEL_AIM * self.slack),
+                               self.budgets, margins)
             p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
             if not found.infeasible:
                 break
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
-        bound = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
-        solution = Solution(p, least.q, least.prices, self.evaluations, multipliers, bound)
-        return self._mixed_to_fit(solution, least)
+        most = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
+        self.laws.append(Solution(p, q, prices, self.evaluations, multipliers, most))
+        return self.laws[-1]
 
-    def _kept_margins(self, least: LeastRisk) -> tuple[float, ...]:
+    def _kept_margins(self, bound: float, prices: tuple[float, ...]) -> tuple[float, ...]:
         """What the search keeps below each budget, so that it may end a little over its aim."""
-        worth = KEPT_SLACK * self.slack * least.bound
+        worth = KEPT_SLACK * self.slack * bound
         return tuple(min(KEPT_MARGIN * b.margin, worth / price if price > 0.0 else np.inf)
-                     for b, price in zip(self.budgets, least.prices, strict=True))
+                     for b, price in zip(self.budgets, prices, strict=True))
 
     def acyclic_part(self, game: Game, p: FloatArray) -> AcyclicNetwork:
         """The edges that go forward in an order of the nodes around the strategy p (M,)."""
@@ -209,7 +296,11 @@ class EntropyStage:
             raise TimeLimit('the time limit passed before a strategy within the budgets was found')
         best = Solution(shortest, uniform_ambusher(self.game), (0.0,) * len(self.budgets), 0)
         value, bound = entry_value(self.game, shortest), 0.0
-        network = self.acyclic_part(self.game, shortest)
+        for law in self.laws:
+            short = mixture(law.p, shortest, self.within_budgets)
+            if short is not None and entry_value(self.game, short) < value:
+                value, best = entry_value(self.game, short), replace(best, p=short)
+        network = self.acyclic_part(self.game, best.p)
         reference = max(least, REFERENCE_SHARE * value)
         level = np.full(len(self.game.sites), reference)
         limits = LimitRows(self.game, network, level, self.budgets)
@@ -229,16 +320,14 @@ class EntropyStage:
                 best = replace(best, q=q, prices=prices)
             if time.monotonic() > self.deadline:
                 break
-        plain = self._ambusher_without_reach()
-        if plain is not None and plain[0] > bound:
-            best = replace(best, q=plain[1], prices=(0.0,) * len(self.budgets))
+        known = self.chain or self._ambusher_at_nodes()
+        if known is not None and known[0] > bound:
+            best = replace(best, q=known[1], prices=(0.0,) * len(self.budgets))
         return best
 
-    def _ambusher_without_reach(self) -> tuple[float, FloatArray] | None:
-        """Value and q (N,) of the plain game on the same sites, which a reach can only raise."""
+    def _ambusher_at_nodes(self) -> tuple[float, FloatArray] | None:
+        """Bound and q (N,) of the plain game on the same sites, which a reach can only raise."""
         game = self.game
-        if game.reach == 0.0 or game.ambushers > 1 or game.network.legs > 1:
-            return None
         at_nodes = replace(game.options, ambush_radius=0.0, tube=0.0)
         plain = least_risk_by_cut(replace(game, options=at_nodes))
         return None if plain is None else (plain.bound, plain.q)
