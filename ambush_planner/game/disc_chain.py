@@ -18,9 +18,11 @@ from ..arrays import FloatArray, IndexArray
 from .budget import ROUNDING
 from .faces import Faces
 
-# Searches that run at once, and how far they go, as a share of the cheapest chain: a chain has a
-# middle within this of its first disc on both ways, unless one disc is more than half of it.
-_AT_ONCE, _MIDDLE = 32, 0.75
+# Distances that are held at once: bounds the memory of searches that run together.
+_DISTANCES = 2**22
+# How far they go, as a share of the cheapest chain: a chain has a middle within this of its first
+# disc on both ways, unless one disc is more than half of it.
+_MIDDLE = 0.75
 
 
 def chain_ambusher(faces: Faces) -> FloatArray | None:
@@ -44,8 +46,9 @@ def cheapest_chain(faces: Faces) -> IndexArray | None:
     # Every chain has a disc that meets the reference route.
     starts = faces.count + np.flatnonzero((faces.rims @ np.abs(faces.crossed)) > 0)
     half, best = cover.shape[0] // 2, None
-    for k in range(0, len(starts), _AT_ONCE):
-        part = starts[k : k + _AT_ONCE]
+    at_once = max(_DISTANCES // (2 * half), 1)
+    for k in range(0, len(starts), at_once):
+        part = starts[k : k + at_once]
         away = dijkstra(cover, indices=part, limit=_MIDDLE * least)
         closed = (away[:, :half] + away[:, half:]).min(axis=1)
         if closed.min() < least * (1.0 - ROUNDING):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, sums
+from ..arrays import FloatArray, IndexArray, sums
 from ..errors import SolverFailed
 from .budget import Budget
 from .faces import Faces
@@ -41,8 +41,8 @@ def solve_on_faces(faces: Faces, budget: Budget, value: float, closed: float,
                    deadline: float) -> LevelLines:
     """Find the least value within the budget, to a share ``closed``, from a lower bound > 0.
 
-    q is None if the budget does not raise the value. Raises SolverFailed if the program fails, or
-    if the deadline passes first.
+    q is None if the budget does not raise the value. At the deadline, q still proves a bound, and p
+    may be over the budget. Raises SolverFailed if the first program fails.
     """
     from scipy.optimize import linprog  # loading it is slow, see entropy_search
 
@@ -57,18 +57,21 @@ def solve_on_faces(faces: Faces, budget: Budget, value: float, closed: float,
     tail, head, site = faces.left, faces.right, np.zeros(0, dtype=np.int64)
     gain = faces.crossed.astype(np.float64)
     value *= 1.0 + closed
-    for _ in range(MAX_ROUNDS):
+    for k in range(MAX_ROUNDS):
         each = np.arange(len(tail))
         ends = np.concatenate((tail, head)), np.concatenate((each, each))
         conserved = csr_matrix((np.repeat([1.0, -1.0], len(each)), ends), (faces.count, len(each)))
         cost = np.concatenate((np.zeros(links), value / loss[site])) - gain
         bounds = np.zeros((len(each), 2))
         bounds[:links, 0], bounds[:links, 1], bounds[links:, 1] = -most, most, np.inf
-        found = linprog(cost, A_eq=conserved[1:], b_eq=np.zeros(faces.count - 1), bounds=bounds,
-                        method='highs-ds',
-                        options={'time_limit': max(deadline - time.monotonic(), 0.0)})
-        if found.status != 0 or time.monotonic() > deadline:
-            raise SolverFailed(f'the program in face potentials: {found.message}')
+        left = max(deadline - time.monotonic(), 1e-3)
+        newest = linprog(cost, A_eq=conserved[1:], b_eq=np.zeros(faces.count - 1), bounds=bounds,
+                         method='highs-ds', options={'time_limit': left})
+        if newest.status != 0:
+            if k > 0:
+                break
+            raise SolverFailed(f'the program in face potentials: {newest.message}')
+        found = newest
         potential = np.concatenate(([0.0], found.eqlin.marginals))
         height = potential[faces.touched.indices] + lift
         ambush = found.x[links:] / loss[site]
@@ -79,17 +82,28 @@ def solve_on_faces(faces: Faces, budget: Budget, value: float, closed: float,
         if not len(over) and newer <= value * (1.0 + closed):
             break
         value = max(value, newer)
-        ranges = [(entries[j], height[entries[j] : entries[j + 1]]) for j in over]
-        high = np.array([first + heights.argmax() for first, heights in ranges], dtype=np.int64)
-        low = np.array([first + heights.argmin() for first, heights in ranges], dtype=np.int64)
+        high, low = _extremes(height, entries[over], entries[over + 1])
         tail = np.concatenate((tail, faces.touched.indices[high]))
         head = np.concatenate((head, faces.touched.indices[low]))
         gain = np.concatenate((gain, lift[high] - lift[low]))
         site = np.concatenate((site, over))
-    flow = gain[:links] + potential[faces.left] - potential[faces.right]
-    forward = np.where(game.network.tails < game.network.heads, 1.0, -1.0)
-    p = np.where(game.playable, np.maximum(forward * flow[faces.link], 0.0), 0.0)
+    p = _flow(faces, potential)
     if not -found.fun > 1.0 - closed or not ambush.any():
         return LevelLines(p, None, 0.0)
-    q = sums(game.sites[site], ambush / ambush.sum(), game.node_count)
+    q = sums(game.sites[site[: len(ambush)]], ambush / ambush.sum(), game.node_count)
     return LevelLines(p, q, float(1.0 / (ambush.sum() * budget.limit)))
+
+
+def _extremes(height: FloatArray, first: IndexArray, last: IndexArray) -> tuple[IndexArray, ...]:
+    """The entries (K,) of the highest and the lowest face of sites with entries first..last - 1."""
+    ranges = [(a, height[a:b]) for a, b in zip(first.tolist(), last.tolist(), strict=True)]
+    return (np.array([a + heights.argmax() for a, heights in ranges], dtype=np.int64),
+            np.array([a + heights.argmin() for a, heights in ranges], dtype=np.int64))
+
+
+def _flow(faces: Faces, potential: FloatArray) -> FloatArray:
+    """The flow (M,) of the reference route plus the differences of the potential (F,)."""
+    game = faces.game
+    flow = faces.crossed + potential[faces.left] - potential[faces.right]
+    forward = np.where(game.network.tails < game.network.heads, 1.0, -1.0)
+    return np.where(game.playable, np.maximum(forward * flow[faces.link], 0.0), 0.0)

@@ -118,11 +118,10 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         least = loose.bound / game.ambushers
     elif found := stage.along_chain() or stage.along_level_lines():
         return found
-    now = time.monotonic()
-    until = now + PROGRAM_SHARE * max(stage.deadline - now, 0.0)
     try:
         part = initial_part(game, stage.budgets, stage.potential)
-        risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack, until)
+        risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
+                          stage.program_deadline())
     except (TimeLimit, SolverFailed):
         return stage.without_linear_program(least)
     found = stage.most_unpredictable(risk)
@@ -160,6 +159,11 @@ class EntropyStage:
         # An optimal flow (M,) that one law of its edges may not attain, see along_level_lines.
         self.level_lines: FloatArray | None = None
 
+    def program_deadline(self) -> float:
+        """When a linear program has to end, so that time is left for the entropy search."""
+        now = time.monotonic()
+        return now + PROGRAM_SHARE * max(self.deadline - now, 0.0)
+
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
         game = without_excessive_sites(self.game, least.bound, least.p)
@@ -187,14 +191,14 @@ class EntropyStage:
 
         None if that does not apply: it takes one ambusher, and one budget.
         """
-        game, binding = self.game, [b for b in self.budgets if b.binds]
+        game, binding = self.game, [b for b in self.budgets if b.binds and b.limit > 0.0]
         if not self.chain or game.ambushers > 1 or len(binding) != 1:
             return None
         assert self.faces is not None  # it has a chain
         bound, q = self.chain
         try:
             found = solve_on_faces(self.faces, binding[0], bound, FACES_GAP * self.slack,
-                                   self.deadline)
+                                   self.program_deadline())
         except SolverFailed:
             return None
         p = conserved_strategy(game, found.p, NEGLIGIBLE)
@@ -203,7 +207,7 @@ class EntropyStage:
         if short is None:
             return None
         self.level_lines = without_cycles(game.network, short)
-        prices = tuple(found.price if b.binds else 0.0 for b in self.budgets)
+        prices = tuple(found.price if b is binding[0] else 0.0 for b in self.budgets)
         return Solution(self.level_lines, q if found.q is None else found.q, prices,
                         self.evaluations)
 
