@@ -55,6 +55,7 @@ setup(
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
         'terrain': ['rasterio>=1.3'],  # ambush_terrain reads GeoTIFF
+        'gis': ['rasterio>=1.3', 'pyproj>=3.6', 'pyogrio>=0.7', 'geopandas>=0.14', 'shapely>=2.0'],
         # Completion after `register-python-argcomplete ambush`, and progress bars.
         'terminal': ['argcomplete', 'tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
@@ -68,6 +69,9 @@ setup(
             'highspy',
             'clarabel',
             'distributed>=2024.1',  # an executor for solve_many
+            'geopandas>=0.14',
+            'pyogrio>=0.7',
+            'pyproj>=3.6',
             'rasterio>=1.3',
             'rosbags',
             'setuptools>=70.1',  # makes wheels without the package wheel

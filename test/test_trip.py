@@ -27,7 +27,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.network.construction import TripGraph
+from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
@@ -50,13 +50,14 @@ def roads_of(seed, stops, count=14):
     triangles = Delaunay(points).simplices
     pairs = np.unique(np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
-    return TripGraph(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    return TripGraph(points, alpha, edges, tuple(range(count, count + stops + 2)))
 
 
 def least_value(roads, radius=0.0, detour=math.inf):
     """The trip's value by a program with a flow of its own for each leg, by HiGHS."""
     points, count, legs = roads.points, len(roads.points), len(roads.visits) - 1
-    edges = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
+    edges = roads.edges
     tail, head = edges.T
     used = len(edges)
     # Row i: what leaves node i less what enters it.

@@ -230,7 +230,8 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     """
     network = game.network
     return (
-        _budget(game, network.lengths, options.max_detour, 'length', 'm'),
+        _budget(game, network.travel_costs, options.max_detour, 'length',
+                network.travel_unit),
         _budget(game, network.edge_exposure, options.max_exposure, 'exposure', 'loss x m'),
     )
 

@@ -38,4 +38,4 @@ def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Netw
     losses = network.alpha.reshape(legs, -1), np.tile(alpha, (legs, 1))
     return Network(np.concatenate(layers, 1).reshape(-1, 2), np.concatenate(losses, 1).ravel(),
                    moved[network.edges], int(moved[network.source]), int(moved[network.target]),
-                   legs=legs)
+                   legs=legs, seconds=network.seconds)

@@ -28,6 +28,8 @@ from ..routes.driven_path import Ends, different_paths, driven_path, driven_path
 
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
+# Largest distance of paths from the line of a road, unless a tube is set [m].
+ROAD_TUBE = 1.0
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
 
@@ -41,7 +43,8 @@ class DriveOptions:
     tube
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
         game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
-        spacings; without one, the path only avoids nodes that its route does not use.
+        spacings, on roads at most ``ROAD_TUBE``; without one, the path only avoids nodes that its
+        route does not use, and on roads keeps as close to their lines.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     """
@@ -184,10 +187,8 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
               begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
-    tube = _tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
-    corridors = make_corridors(strategy.network, risk_map, options.network.clearance, tube,
-                               options.network.clear_of_edge)
+    corridors = plan_corridors(strategy.network, risk_map, options)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
         # A fixed seed keeps the count independent of the departures' draws.
@@ -195,6 +196,14 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         different = different_paths(corridors, drawn)
     return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
                 time.monotonic() - begin)
+
+
+def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
+    """The corridors of a plan's network."""
+    spacing = node_spacing(risk_map, options.network)
+    return make_corridors(network, risk_map, options.network.clearance, _tube(options, spacing),
+                          options.network.clear_of_edge,
+                          _automatic_tube(options, spacing) if options.network.roads else np.inf)
 
 
 def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: float,
@@ -234,8 +243,12 @@ def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOpti
 def _tube(options: PlanningOptions, spacing: float) -> float | None:
     """The tube [m]; None if the game stays the plain one."""
     if options.drive.tube is None and options.game.ambush_radius > 0.0:
-        return DEFAULT_TUBE * spacing
+        return _automatic_tube(options, spacing)
     return options.drive.tube
+
+
+def _automatic_tube(options: PlanningOptions, spacing: float) -> float:
+    return min(DEFAULT_TUBE * spacing, ROAD_TUBE if options.network.roads else np.inf)
 
 
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:

@@ -216,8 +216,12 @@ def _distance(one: Trip, other: Trip) -> float:
 
 
 def _tolerance(parameters: NodeParameters, spacing: float) -> float:
-    """Return how far start and goal may be from a plan's [m]: at most half the node spacing."""
-    return min(parameters.start_tolerance, 0.5 * spacing)
+    """Return how far start and goal may be from a plan's [m]: at most half the node spacing.
+
+    On roads they may not move: a straight way to the next node could leave the road.
+    """
+    return 0.0 if parameters.planning.network.roads else min(parameters.start_tolerance,
+                                                             0.5 * spacing)
 
 
 def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:

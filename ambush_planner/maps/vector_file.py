@@ -1,0 +1,53 @@
+"""Points, lines and polygons from GeoPackage, GeoJSON and other vector files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import AmbushPlannerError
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+
+class InvalidFeatures(AmbushPlannerError, ValueError):
+    """A vector file is unreadable, or lacks features or attributes."""
+
+
+def read_features(source: str, kind: str) -> GeoDataFrame:
+    """Read the features of a ``kind``, 'Point', 'LineString' or 'Polygon', one part each.
+
+    ``source`` is a file, or ``FILE|layername=NAME`` as in QGIS; without a name, the layer is the
+    one that has such features. Others are left out.
+
+    Raises InvalidFeatures if there are none, or if several layers have some.
+    """
+    name, _, layer = str(source).partition('|layername=')
+    path = Path(name).expanduser()
+    if not path.is_file():
+        raise InvalidFeatures(f'{path}: no such file')
+    try:
+        import pyogrio
+    except ModuleNotFoundError:
+        raise InvalidFeatures(
+            f"{path}: vector files need: pip install 'ambush_planner[gis]'"
+        ) from None
+    try:
+        layers = [layer] if layer else [
+            each for each, geometry in pyogrio.list_layers(path)
+            if geometry and (kind in geometry or geometry in ('Unknown', 'GeometryCollection'))
+        ]
+        if len(layers) > 1:
+            raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
+                                  f'NAME one of {", ".join(layers)}')
+        frame = pyogrio.read_dataframe(path, layer=layers[0], fid_as_index=True) if layers else []
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
+        raise InvalidFeatures(f'{path}: {error}') from error
+    if len(frame):
+        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)]
+        frame = frame.explode(index_parts=False)
+        frame = frame[frame.geometry.geom_type == kind]
+    if not len(frame):
+        raise InvalidFeatures(f'{path}: no {kind} in it')
+    return frame
