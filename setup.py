@@ -9,6 +9,8 @@ from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
 commands = ('audit', 'demo', 'frontier', 'replay', 'report', 'table', 'terrain', 'verify', 'views')
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
+       'shapely>=2.0']
 
 # pip builds in the checkout; its build results go to a temporary folder.
 options = {}
@@ -54,12 +56,13 @@ setup(
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
-        'terrain': ['rasterio>=1.3'],  # ambush_terrain reads GeoTIFF
-        'gis': ['rasterio>=1.3', 'pyproj>=3.6', 'pyogrio>=0.7', 'geopandas>=0.14', 'shapely>=2.0'],
+        # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX, KML.
+        'gis': gis,
         # Completion after `register-python-argcomplete ambush`, and progress bars.
         'terminal': ['argcomplete', 'tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
         'test': [
+            *gis,
             'argcomplete',
             'pytest>=7.4',
             'pytest-timeout',
@@ -69,10 +72,6 @@ setup(
             'highspy',
             'clarabel',
             'distributed>=2024.1',  # an executor for solve_many
-            'geopandas>=0.14',
-            'pyogrio>=0.7',
-            'pyproj>=3.6',
-            'rasterio>=1.3',
             'rosbags',
             'setuptools>=70.1',  # makes wheels without the package wheel
             'tqdm',

@@ -16,7 +16,7 @@ ROOMS = ('maps', 'network', 'game', 'routes', 'planning', 'worker', 'recordings'
 FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).glob('*.py'))
 # Everything before the worker needs only these; map files also need a YAML reader.
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
-MAP_FILES_NEED = {'yaml', 'rasterio', 'PIL', 'matplotlib'}
+MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib'}
 
 NO_ROS = """
 import sys

@@ -14,10 +14,10 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ..errors import InvalidOption
+from ..figures import AMBUSHER, PROBABILITY
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .figures import AMBUSHER, PROBABILITY
 from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from html import escape
 from string import Template
 
+from ..figures import ROUTES
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
 from .cli import count, resource
-from .figures import ROUTES
 
 SEVERAL = (
     'The start, the goal or the settings moved a little, so {} strategies were computed for this '

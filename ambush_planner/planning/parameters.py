@@ -41,6 +41,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _MAP.alpha_min, 'Loss from an ambush in a cell of value 0.'),
     'map.alpha_max': Declaration(
         _MAP.alpha_max, 'Loss from an ambush in a cell of value 100; at least map.alpha_min.'),
+    'map.crs': Declaration(
+        _MAP.crs,
+        "Coordinate system of the map's frame for reports and exports, such as EPSG:32616, or "
+        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.'),
     'map.obstacle_threshold': Declaration(
         _MAP.obstacle_threshold,
         'Cells of at least this value are obstacles; 101: none are.', 1, 101),

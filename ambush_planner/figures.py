@@ -22,8 +22,8 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
-from ..arrays import FloatArray
-from ..maps.risk_map import RiskMap
+from .arrays import FloatArray
+from .maps.risk_map import RiskMap
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'
