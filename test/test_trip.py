@@ -145,7 +145,8 @@ def there_and_back(first, second):
     """A stop with two sites on all ways from the start and to the goal."""
     points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
-    return TripGraph(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    return TripGraph(points, np.array([first, second, 0, 0, 0], float), edges, (2, 3, 4))
 
 
 def test_a_site_that_two_legs_pass_counts_once():

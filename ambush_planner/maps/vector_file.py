@@ -5,7 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
+from .coordinates import Coordinates, InvalidCoordinates
+from .risk_map import to_map_axes
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -51,3 +56,22 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
     if not len(frame):
         raise InvalidFeatures(f'{path}: no {kind} in it')
     return frame
+
+
+def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
+    """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
+
+    If the map's system is unknown, positions in metres are taken to be in it. Raises
+    InvalidCoordinates if they are in degrees.
+    """
+    from pyproj import CRS, Transformer
+
+    own = CRS.from_user_input(crs)
+    if not map_crs:
+        if own.is_geographic:
+            raise InvalidCoordinates(f'the positions are in degrees ({own.name}), and the map has '
+                                     'no coordinate system; name it with map.crs')
+        return points
+    system = Coordinates(map_crs)
+    to_map = Transformer.from_crs(own, system.crs, always_xy=True)
+    return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))

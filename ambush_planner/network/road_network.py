@@ -15,10 +15,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption, NoRoute
-from ..maps.coordinates import InvalidCoordinates, from_system
+from ..maps.coordinates import InvalidCoordinates
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
-from .road_file import RoadGraph
+from ..maps.vector_file import from_system
+from ..maps.road_file import RoadGraph
 from .shortest_paths import edge_matrix, reachable_from
 from .trip_graph import TripGraph, position_errors
 

@@ -15,7 +15,7 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
-from ..network.road_file import RoadGraph
+from ..maps.road_file import RoadGraph
 from .parameters import AUTOMATIC, PARAMETERS
 from .plan import DriveOptions, PlanningOptions
 

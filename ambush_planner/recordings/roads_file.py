@@ -6,7 +6,7 @@ from io import BytesIO
 
 import numpy as np
 
-from ..network.road_file import RoadGraph
+from ..maps.road_file import RoadGraph
 
 ROADS_FILE = 'roads.npz'
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
-from ..maps.vector_file import InvalidFeatures, read_features
+from .vector_file import InvalidFeatures, read_features
 
 # Vertices of lines that agree to so many digits are one place: 1 mm in metres and in degrees.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
