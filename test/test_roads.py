@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from itertools import pairwise
 
 import networkx
 import numpy as np
@@ -32,7 +33,7 @@ from ambush_planner import (
 )
 from ambush_planner.game.game import make_game
 from ambush_planner.maps.road_file import RoadGraph, read_roads
-from ambush_planner.planning.plan import ROAD_TUBE, departure_paths, depart
+from ambush_planner.planning.plan import ROAD_TUBE, depart, departure_paths
 from ambush_planner.recordings.roads_file import roads_file, roads_from_file
 
 CRS = 'EPSG:32633'
@@ -92,7 +93,7 @@ def as_networkx(timed):
     for row in town().itertuples():
         chain = [tuple(np.round(each, 6)) for each in row.geometry.coords]
         speed = row.speed_kph / 3.6 if timed else 1.0
-        for a, b in zip(chain, chain[1:]):
+        for a, b in pairwise(chain):
             cost = math.dist(a, b) / speed
             if row.oneway != '-1':
                 graph.add_edge(a, b, cost=cost)
@@ -167,7 +168,7 @@ def test_paths_keep_to_the_roads(streets, game, tube):
     assert 0.0 < max(off) <= (tube or ROAD_TUBE) + 1e-6
     edges = set(map(tuple, plan.network.edges.tolist()))
     route = depart(plan, np.random.default_rng(2)).nodes.tolist()
-    assert edges.issuperset(zip(route, route[1:]))
+    assert edges.issuperset(pairwise(route))
 
 
 def best_over_all_routes(network, radius):
@@ -176,7 +177,7 @@ def best_over_all_routes(network, radius):
     graph = networkx.DiGraph(network.edges.tolist())
     number = {tuple(edge): k for k, edge in enumerate(network.edges.tolist())}
     hits = game.hits.toarray() > 0
-    columns = [hits[:, [number[edge] for edge in zip(route, route[1:])]].any(axis=1)
+    columns = [hits[:, [number[edge] for edge in pairwise(route)]].any(axis=1)
                for route in networkx.all_simple_paths(graph, network.source, network.target)]
     losses = np.array(columns).T * game.loss[game.sites][:, None]
     rows = np.hstack((losses, -np.ones((len(losses), 1))))

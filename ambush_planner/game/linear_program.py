@@ -106,7 +106,8 @@ def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
     Its value is exactly 0; on all edges, rounding would decide.
     """
     safe = game.avoiding_all_sites()
-    if safe is None or shortest_route_strategy(safe) @ game.network.travel_costs > budget * (1 + 1e-9):
+    costs = game.network.travel_costs
+    if safe is None or shortest_route_strategy(safe) @ costs > budget * (1 + 1e-9):
         return None
     return safe
 

@@ -18,8 +18,9 @@ from .vector_file import InvalidFeatures, read_features
 
 # Vertices of lines that agree to so many digits are one place: 1 mm in metres and in degrees.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
-ONE_WAY = {'yes': 1, 'true': 1, '1': 1, '-1': -1, 'reverse': -1,
-           'no': 0, 'false': 0, '0': 0, 'none': 0, 'nan': 0, '': 0}
+# Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
+ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,
+           'no': 0, 'false': 0, '0': 0, 'b': 0, 'none': 0, 'nan': 0, '': 0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,8 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
                 raise InvalidFeatures(f'edge {properties.get("id")}: no point has the id '
                                       f'{properties[name]} of its {name}')
             ends.append(places[properties[name]])
-        lines = shape['coordinates'] if shape['type'] == 'MultiLineString' else [shape['coordinates']]
+        lines = shape['coordinates']
+        lines = lines if shape['type'] == 'MultiLineString' else [lines]
         bends = [place[:2] for line in lines for place in line][1:-1]
         chain = [ends[0], *range(len(points), len(points) + len(bends)), ends[1]]
         points += bends
@@ -133,6 +135,9 @@ def _from_lines(path: Path, lines: Any) -> RoadGraph:
     import shapely
 
     crs = lines.crs
+    if 'oneway' not in lines and 'other_tags' in lines:  # GDAL's reader of OpenStreetMap files
+        tags = lines['other_tags'].astype(str)
+        lines = lines.assign(oneway=tags.str.extract('"oneway"=>"([^"]*)"', expand=False))
     coordinates, line = shapely.get_coordinates(lines.geometry, return_index=True)
     digits = DIGITS_DEGREES if crs is not None and crs.is_geographic else DIGITS_METRES
     _, first, place = np.unique(coordinates.round(digits), axis=0, return_index=True,
@@ -142,13 +147,13 @@ def _from_lines(path: Path, lines: Any) -> RoadGraph:
     segments = np.stack((place[:-1][inner], place[1:][inner]), axis=1)
     way = np.array([_direction(path, value) for value in lines['oneway']]
                    if 'oneway' in lines else np.zeros(len(lines)), dtype=np.int64)
-    speed = np.full(len(lines), np.nan)
+    given = np.full(len(lines), np.nan)
     if 'speed_kph' in lines:
         try:
-            speed = lines['speed_kph'].to_numpy(dtype=float, na_value=np.nan) / 3.6
+            given = lines['speed_kph'].to_numpy(dtype=float, na_value=np.nan) / 3.6
         except (TypeError, ValueError) as error:
             raise InvalidFeatures(f'{path}: speed_kph must be numbers: {error}') from error
-    speed = _speeds(speed, f'{path}: speed_kph')
+    speed = _speeds(given, f'{path}: speed_kph')
     of = line[1:][inner]
     return _graph(coordinates[first], segments, way[of], None if speed is None else speed[of],
                   crs.to_wkt() if crs is not None else '')

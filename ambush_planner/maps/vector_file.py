@@ -46,13 +46,13 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
         if len(layers) > 1:
             raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
                                   f'NAME one of {", ".join(layers)}')
-        frame = pyogrio.read_dataframe(path, layer=layers[0], fid_as_index=True) if layers else []
+        if not layers:
+            raise InvalidFeatures(f'{path}: no {kind} in it')
+        frame = pyogrio.read_dataframe(path, layer=layers[0])
     except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
         raise InvalidFeatures(f'{path}: {error}') from error
-    if len(frame):
-        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)]
-        frame = frame.explode(index_parts=False)
-        frame = frame[frame.geometry.geom_type == kind]
+    frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode(ignore_index=True)
+    frame = frame[frame.geometry.geom_type == kind]
     if not len(frame):
         raise InvalidFeatures(f'{path}: no {kind} in it')
     return frame

@@ -14,11 +14,11 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
+from ..maps.road_file import RoadGraph, read_roads
 from ..option_checks import check_at_least, check_flag, check_whole
 from .layout import FreeSpace, connect_nodes
 from .network import Network
 from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
-from ..maps.road_file import RoadGraph, read_roads
 from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_paths import reachable_from
 from .trip_graph import TripGraph, position_errors

@@ -18,8 +18,8 @@ from ..errors import InvalidOption, NoRoute
 from ..maps.coordinates import InvalidCoordinates
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
-from ..maps.vector_file import from_system
 from ..maps.road_file import RoadGraph
+from ..maps.vector_file import from_system
 from .shortest_paths import edge_matrix, reachable_from
 from .trip_graph import TripGraph, position_errors
 
@@ -108,7 +108,8 @@ def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
     """
     whole = _cut(roads_on_map(roads, risk_map), spacing)
     uv = risk_map.to_map_axes(whole.points)
-    clear = field.clear_segments(*uv[whole.pairs.T], clearance)
+    tails, heads = uv[whole.pairs.T]
+    clear = field.clear_segments(tails, heads, clearance)
     pieces = replace(whole, pairs=whole.pairs[clear], speeds=whole.speeds[clear])
     visits: dict[Position, int] = {}
     links, link_speeds = [], []
@@ -191,10 +192,10 @@ def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) 
     for name, node in zip(ends, graph.visits, strict=True):
         for reached, one, other in ((ahead, 'start', name), (behind, name, 'goal')):
             if not reached[node]:
+                nodes = dict(zip(ends, graph.visits, strict=True))
                 raise NoRoute(f'no road leads from {_at(one, ends[one])} to '
                               f'{_at(other, ends[other])}: '
-                              + _why(graph, *(graph.visits[list(ends).index(each)]
-                                              for each in (one, other)), blocked))
+                              f'{_why(graph, nodes[one], nodes[other], blocked)}')
 
 
 def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:

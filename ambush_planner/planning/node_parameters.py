@@ -14,8 +14,8 @@ from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
-from ..network.construction import NetworkOptions
 from ..maps.road_file import RoadGraph
+from ..network.construction import NetworkOptions
 from .parameters import AUTOMATIC, PARAMETERS
 from .plan import DriveOptions, PlanningOptions
 

@@ -60,8 +60,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
     'network.spacing': Declaration(
         _NETWORK.spacing,
-        'Distance between nodes [m], on roads the largest; 0: chosen for about network.target_nodes nodes, at least the '
-        "map's resolution."),
+        'Distance between nodes [m], on roads the largest; 0: chosen for about '
+        "network.target_nodes nodes, at least the map's resolution."),
     'network.target_nodes': Declaration(
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),

@@ -23,9 +23,10 @@ from ..game.flow_program import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
+from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
+from ..network.trip_graph import TripGraph
 from .plan import (
     Plan,
     PlanningOptions,

@@ -55,7 +55,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         content = {name: archive[name] for name in archive.files}
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
-                      int(content['target']), legs=int(content['legs']), seconds=content.get('seconds'))
+                      int(content['target']), legs=int(content['legs']),
+                      seconds=content.get('seconds'))
     game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
     stated = {name: float(content[name]) for name in NUMBERS}
     p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)

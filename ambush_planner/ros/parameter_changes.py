@@ -107,7 +107,7 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
 
 def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if the changes contradict all values of the other parameters."""
-    others = {name: each.default for name, each in PARAMETERS.items()}
+    others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
     others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS, 'network.graph': _SOME_ROADS}
     if changes.get('network.graph'):
         others['network.method'] = 'graph'  # so that the file is read
