@@ -29,6 +29,7 @@ COMMANDS = {
     'frontier': 'value, length and entropy of other budgets',
     'replay': 'publish recorded departures again',
     'report': 'recorded departures on one page for any browser',
+    'risk': 'a risk map from terrain, polygons, roads and incidents',
     'table': 'value and length for all pairs of depots and customers',
     'terrain': 'a risk map from an elevation model',
     'verify': 'check that recorded departures follow from their inputs',

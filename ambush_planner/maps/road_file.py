@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
@@ -55,6 +57,16 @@ class RoadGraph:
         return f'RoadGraph({len(self.pairs)} pieces)'
 
     @cached_property
+    def parts(self) -> IndexArray:
+        """The connected part (U,) of each piece, the one with most pieces first."""
+        shape = (len(self.points), len(self.points))
+        joined = csr_matrix((np.ones(len(self.pairs)), tuple(self.pairs.T)), shape=shape)
+        part = connected_components(joined, directed=False)[1][self.pairs[:, 0]]
+        _, which, count = np.unique(part, return_inverse=True, return_counts=True)
+        place = np.argsort(np.argsort(-count, kind='stable'))
+        return np.asarray(place[which], dtype=np.int64)
+
+    @cached_property
     def _digest(self) -> bytes:
         arrays = b''.join(each.tobytes() for each in (self.points, self.pairs, self.speeds))
         return sha256(arrays + f'{self.timed}{self.crs}'.encode()).digest()
@@ -96,7 +108,7 @@ def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
                 return _nav2_graph(features)
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise InvalidFeatures(f'{path}: not a graph in GeoJSON: {error!r}') from error
-    return _from_lines(path, read_features(source, 'LineString'))
+    return roads_from_lines(str(path), read_features(source, 'LineString'))
 
 
 def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
@@ -131,7 +143,8 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
     return _graph(np.array(points, dtype=float), np.array([tails, heads]).T, way, forward, '')
 
 
-def _from_lines(path: Path, lines: Any) -> RoadGraph:
+def roads_from_lines(path: str, lines: Any) -> RoadGraph:
+    """Join lines (a GeoDataFrame) where they share a vertex; ``path`` is named in errors."""
     import shapely
 
     crs = lines.crs
@@ -159,7 +172,7 @@ def _from_lines(path: Path, lines: Any) -> RoadGraph:
                   crs.to_wkt() if crs is not None else '')
 
 
-def _direction(path: Path, value: object) -> int:
+def _direction(path: str, value: object) -> int:
     text = str(value).strip().lower().removesuffix('.0')
     if text not in ONE_WAY:
         raise InvalidFeatures(f'{path}: oneway must be yes, no or -1, got {value!r}')

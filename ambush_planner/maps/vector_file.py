@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
+from ..option_checks import check_at_least
 from .coordinates import Coordinates, InvalidCoordinates
-from .risk_map import to_map_axes
+from .risk_map import RiskMap, to_map_axes
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
@@ -75,3 +76,51 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     system = Coordinates(map_crs)
     to_map = Transformer.from_crs(own, system.crs, always_xy=True)
     return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
+
+
+def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
+    """Read features (``read_features``) in the coordinates of a map.
+
+    Raises InvalidFeatures if none is on the map, or only one of the systems is known.
+    """
+    from shapely import box
+
+    features = read_features(source, kind)
+    if risk_map.crs and features.crs is None:
+        raise InvalidFeatures(f'{source}: its coordinate system is unknown, that of the map is '
+                              f'{risk_map.crs}; name it in the file')
+    if risk_map.crs:
+        features = features.to_crs(risk_map.crs)
+    elif features.crs is not None and features.crs.is_geographic:
+        raise InvalidFeatures(f'{source}: in degrees, but the coordinate system of the map is '
+                              'unknown; name it with crs')
+    low, high = risk_map.bounds
+    if not features.intersects(box(*low, *high)).any():
+        raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '
+                              f'({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f})')
+    return features
+
+
+def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray:
+    """A number >= 0 for each feature: the same for all, or the attribute that a text names."""
+    from pandas import to_numeric
+
+    if not isinstance(value, str):
+        value = float(value) if isinstance(value, bool) else value
+        check_at_least(key, value, 0.0)
+        return np.full(len(features), float(value))
+    words = attribute(features, key, value).astype(str).str.lower()
+    words = words.replace({'true': '1', 'yes': '1', 'false': '0', 'no': '0'})
+    numbers = np.asarray(to_numeric(words, errors='coerce'), dtype=np.float64)
+    if bad := int((~(numbers >= 0.0)).sum()):
+        raise InvalidFeatures(f'{key}: attribute {value!r} of {bad} of {len(features)} features is '
+                              'no number of at least 0')
+    return numbers
+
+
+def attribute(features: GeoDataFrame, key: str, name: str) -> Any:
+    """The column of an attribute; raises InvalidFeatures if there is none."""
+    if name not in features.columns:
+        others = ', '.join(str(each) for each in features.columns if each != 'geometry')
+        raise InvalidFeatures(f'{key}: no attribute {name!r}; there is {others or "none"}')
+    return features[name]

@@ -150,7 +150,8 @@ def _length_warning(plan: Plan | None, assessment: Assessment | None) -> str:
     unit = plan.network.travel_unit
     length, budget = assessment.expected_length, assessment.length_budget
     return (f'the routes that are clear on the current map have a mean length of {length:.4g} '
-            f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} (strategy.max_detour)')
+            f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} '
+            '(strategy.max_detour)')
 
 
 def _tight_turns_warning(count: int) -> str:

@@ -1,0 +1,308 @@
+"""Risk maps joined from layers: terrain, polygons, roads and incidents.
+
+A YAML file has one line for each layer. Each cell begins with the loss ``base``, and the lines
+apply from top to bottom:
+
+* ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
+  that are too steep or unknown are obstacles.
+* ``polygons: FILE`` adds the ``loss`` of each polygon around the cell's centre, then multiplies by
+  its ``factor``.
+* ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
+  with the same value count once.
+* ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
+  ``weight`` * 2^(-age / half_life) * exp(-distance^2 / (2 bandwidth^2)). Ages are in days before
+  ``until``, by default the newest incident; later ones are left out.
+
+Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
+touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A value
+that is a text names the attribute that has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..errors import AmbushPlannerError
+from ..option_checks import check_at_least
+from .coordinates import Coordinates
+from .elevation import MAX_CELLS, elevation_from_raster
+from .elevation_file import read_raster
+from .incidents import (
+    count_near,
+    cross_validated_bandwidth,
+    kernel_density,
+    weighted_incidents,
+)
+from .occupancy import OccupancyOptions, risk_map_from_occupancy
+from .risk_map import RiskMap
+from .terrain_risk import TerrainOptions, terrain_map
+from .vector_file import InvalidFeatures, attribute_values, features_on
+from .visibility import ViewOptions
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+# The keys of the file, and of each kind of line, with their defaults.
+_TOP = {'layers': None, 'base': 1.0, 'resolution': 0.0, 'bounds': None, 'crs': None}
+_VIEW = ('weapon_range', 'vehicle_height', 'person_height')
+_SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'held': False}
+_KINDS: Mapping[str, Mapping[str, Any]] = {
+    'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
+    'polygons': _SHAPES,
+    'roads': {**_SHAPES, 'width': 0.0},
+    'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
+                  'date': 'date', 'weight': 1.0},
+}
+_GEOMETRIES = {'polygons': 'Polygon', 'roads': 'LineString', 'incidents': 'Point'}
+# Largest coordinate of a map [m].
+MOST_METRES = 1e8
+# Incidents count as near a cell up to this distance [bandwidths].
+NEAR = 2.0
+# With fewer incidents of full weight in all, or near most of the cells that they make costly, a
+# density is mostly chance.
+FEW, FEW_NEAR = 20.0, 5
+
+
+class InvalidLayers(AmbushPlannerError, ValueError):
+    """The description of layers is malformed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """What a line contributed, for pictures: ``values`` (H, W), and vector ``features`` if any.
+
+    Values are losses, counts of incidents, or how many shapes cover a cell.
+    """
+
+    kind: str
+    title: str
+    values: FloatArray
+    features: GeoDataFrame | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredRisk:
+    """A risk map with its layers, and remarks on how it was made."""
+
+    risk_map: RiskMap
+    layers: tuple[Layer, ...]
+    remarks: tuple[str, ...]
+
+
+def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path | None = None,
+                     progress: Callable[[float], None] | None = None) -> LayeredRisk:
+    """Join the layers of a YAML file, or of its content, by the formulas above.
+
+    The grid is that of the terrain; without one, that of ``bounds`` [west, south, east, north],
+    ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by default that of the YAML
+    file. ``progress`` is called with the completed share of the terrain.
+
+    Raises InvalidLayers, whose message names the layer, InvalidOption or OSError.
+    """
+    if not isinstance(description, Mapping):
+        folder, description = folder or Path(description).parent, _read(Path(description))
+    top = _with_defaults('the file', description, _TOP)
+    if not isinstance(top['layers'], list) or not top['layers']:
+        raise InvalidLayers('layers must be a list with a line for each layer')
+    lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]
+    terrains = [k for k, (kind, _) in enumerate(lines) if kind == 'terrain']
+    if len(terrains) > 1:
+        raise InvalidLayers('layers: only one may be terrain, since it gives the grid')
+    joined = _Joined(top, folder or Path(), progress)
+    # The terrain gives the grid, so it is read first; it applies in its turn.
+    for k in sorted(range(len(lines)), key=lambda k: k not in terrains):
+        kind, values = lines[k]
+        try:
+            joined.read(k, kind, values)
+        except (AmbushPlannerError, OSError) as error:
+            raise InvalidLayers(f'layer {k + 1} ({kind}): {error}') from error
+    return joined.result()
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InvalidLayers(f'{path}: not YAML: {" ".join(str(error).split())}') from error
+    if not isinstance(content, Mapping):
+        raise InvalidLayers(f'{path}: not a description of layers')
+    return content
+
+
+def _line(number: int, line: Any) -> tuple[str, Mapping[str, Any]]:
+    """The kind of a line, and its values with defaults."""
+    kinds = [kind for kind in _KINDS if isinstance(line, Mapping) and kind in line]
+    if len(kinds) != 1:
+        raise InvalidLayers(f'layer {number} needs one of {", ".join(_KINDS)}, with a file')
+    (kind,) = kinds
+    return kind, _with_defaults(f'layer {number} ({kind})', line, {kind: '', **_KINDS[kind]})
+
+
+def _with_defaults(where: str, given: Mapping[str, Any],
+                   defaults: Mapping[str, Any]) -> Mapping[str, Any]:
+    if unknown := [str(key) for key in given if key not in defaults]:
+        raise InvalidLayers(f'{where}: unknown {", ".join(unknown)}; choose from '
+                            f'{", ".join(defaults)}')
+    return {**defaults, **given}
+
+
+class _Joined:
+    """The layers that have been read, and how they change the losses."""
+
+    def __init__(self, top: Mapping[str, Any], folder: Path,
+                 progress: Callable[[float], None] | None) -> None:
+        self._top, self._folder, self._progress = top, folder, progress
+        self._ground: RiskMap | None = None
+        self._layers: dict[int, list[Layer]] = {}
+        self._changes: dict[int, tuple[FloatArray, FloatArray | float]] = {}  # loss, factor
+        self._masks: dict[str, list[BoolArray]] = {'passable': [], 'forbidden': [], 'held': []}
+        self._remarks: list[str] = []
+
+    def read(self, number: int, kind: str, values: Mapping[str, Any]) -> None:
+        """Read the file of a line."""
+        path = self._folder / Path(str(values[kind])).expanduser()
+        if kind == 'terrain':
+            self._terrain(number, path, values)
+            return
+        if self._ground is None:
+            self._ground = _empty_map(self._top)
+        features = features_on(self._ground, str(path), _GEOMETRIES[kind])
+        add = self._incidents if kind == 'incidents' else self._shapes
+        add(number, path.name, features, values)
+
+    def result(self) -> LayeredRisk:
+        """Apply all lines in their order."""
+        ground = self._ground
+        assert ground is not None  # there is a line
+        loss = np.full(ground.alpha.shape, _number('base', self._top['base']))
+        for _, (added, factor) in sorted(self._changes.items()):
+            loss = (loss + added) * factor
+        obstacles = ground.obstacles.copy()
+        for mask in self._masks['passable']:
+            obstacles &= ~mask
+        for mask in self._masks['forbidden']:
+            obstacles |= mask
+        for mask in self._masks['held']:
+            loss[mask] = 0.0
+        layers = tuple(layer for _, some in sorted(self._layers.items()) for layer in some)
+        return LayeredRisk(replace(ground, alpha=loss, obstacles=obstacles), layers,
+                           tuple(self._remarks))
+
+    def _terrain(self, number: int, path: Path, values: Mapping[str, Any]) -> None:
+        raster = read_raster(path)
+        self._remarks += [raster.note] * bool(raster.note)
+        elevation = elevation_from_raster(raster, _number('resolution', self._top['resolution']))
+        given = {key: each for key, each in values.items() if each is not None}
+        view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
+        options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
+        made = terrain_map(elevation, TerrainOptions(view, **options), None, self._progress)
+        scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs or '')
+        self._ground = risk_map_from_occupancy(made.values, made.resolution,
+                                               (*elevation.corner, 0.0), scale)
+        # Cells that a road opens have the loss of the nearest free cell.
+        self._changes[number] = self._ground.nearest_free_alpha(), 1.0
+        shown = np.where(self._ground.obstacles, np.nan, self._ground.alpha)
+        self._layers[number] = [Layer('terrain', f'{path.name}: loss', shown)]
+
+    def _shapes(self, number: int, name: str, features: GeoDataFrame,
+                values: Mapping[str, Any]) -> None:
+        roads, shown = 'roads' in values, features
+        if roads:
+            width = attribute_values(features, 'width', values['width'])
+            wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
+            features = features.set_geometry(wide)
+        added, factor = np.zeros(self._shape), np.ones(self._shape)
+        for key in ('loss', 'factor'):
+            column = attribute_values(features, key, values[key])
+            for each in np.unique(column):
+                count = self._cover(features[column == each], roads)
+                count = np.minimum(count, 1.0) if roads else count
+                if key == 'loss':
+                    added += each * count
+                else:
+                    factor *= each**count
+        for key, masks in self._masks.items():
+            chosen = features[attribute_values(features, key, values[key]) > 0.0]
+            if len(chosen):
+                masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
+        self._changes[number] = added, factor
+        self._layers[number] = [Layer('roads' if roads else 'polygons', name, self._cover(features, roads), shown)]
+
+    def _incidents(self, number: int, name: str, features: GeoDataFrame,
+                   values: Mapping[str, Any]) -> None:
+        ground = self._ground
+        assert ground is not None
+        places, weights = weighted_incidents(features, values)
+        bandwidth = values['bandwidth']
+        if bandwidth == 'auto':
+            bandwidth, largest = cross_validated_bandwidth(ground, places, weights)
+            self._remarks.append(f'incidents: bandwidth {bandwidth:.4g} m by cross-validation'
+                                 + ', the largest compared: they show no pattern' * largest)
+        bandwidth = _number('bandwidth', bandwidth, ground.resolution)
+        density = kernel_density(ground, places, weights, bandwidth)
+        if not density.max() > 0.0:
+            raise InvalidFeatures('no incident counts on the map; check weight and until')
+        count = count_near(ground, places, NEAR * bandwidth)
+        full = float(weights.sum() / weights.max())
+        thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
+        if full < FEW or thin > 0.5:
+            self._remarks.append(
+                f'few incidents: {len(places)} with the weight of {full:.3g} new ones; '
+                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
+                f'{FEW_NEAR} within {NEAR * bandwidth:.0f} m, so their pattern may be chance')
+        added = _number('loss', values['loss']) * density / density.max()
+        self._changes[number] = added, 1.0
+        self._layers[number] = [
+            Layer('incidents', f'{name}: loss', added, features),
+            Layer('incidents', f'{name}: number within {NEAR * bandwidth:.0f} m', count),
+        ]
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        assert self._ground is not None
+        rows, columns = self._ground.alpha.shape
+        return rows, columns
+
+    def _cover(self, features: GeoDataFrame, touched: bool) -> FloatArray:
+        """How many shapes cover each cell (H, W): its centre, or any part of it if ``touched``."""
+        from rasterio.features import MergeAlg, rasterize
+        from rasterio.transform import from_origin
+
+        ground = self._ground
+        assert ground is not None
+        x, y, _ = ground.origin
+        place = from_origin(x, y + ground.size[1], ground.resolution, ground.resolution)
+        cells = rasterize(((shape, 1.0) for shape in features.geometry), self._shape,
+                          transform=place, all_touched=touched, merge_alg=MergeAlg.add,
+                          dtype='float64')
+        return np.asarray(cells[::-1])
+
+
+def _empty_map(top: Mapping[str, Any]) -> RiskMap:
+    """The grid of a description without terrain."""
+    bounds, resolution = top['bounds'], _number('resolution', top['resolution'])
+    if not isinstance(bounds, list) or len(bounds) != 4 or resolution == 0.0:
+        raise InvalidLayers('without terrain, the file needs resolution: [m] and bounds: [west, '
+                            'south, east, north] [m]')
+    west, south, east, north = (_number('bounds', each, -MOST_METRES) for each in bounds)
+    rows, columns = (round(length / resolution) for length in (north - south, east - west))
+    if min(rows, columns) < 1 or rows * columns > MAX_CELLS:
+        raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
+                            f'at least 1 and at most {MAX_CELLS} are possible')
+    crs = Coordinates(str(top['crs'])).crs.to_string() if top['crs'] else None
+    cells = np.zeros((rows, columns))
+    return RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
+
+
+def _number(name: str, value: Any, least: float = 0.0) -> float:
+    check_at_least(name, value, least)
+    return float(value)
