@@ -109,11 +109,14 @@ def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
                         extent=(left, right, low, high))
     if layer.kind in ('terrain', 'incidents'):
         figure.colorbar(image, ax=axes, shrink=0.7)
+    shapes = layer.features
+    if shapes is None:
+        return
     if layer.kind == 'roads':
-        _draw_parts(axes, roads_from_lines(layer.title, layer.features[['geometry']]))
-    elif layer.features is not None:
-        shapes = layer.features.boundary if layer.kind == 'polygons' else layer.features
-        shapes.plot(ax=axes, aspect=None, color=ROUTES[0], linewidth=1.0, markersize=4.0)
+        _draw_parts(axes, roads_from_lines(layer.title, shapes[['geometry']]))
+    else:
+        outlines = shapes.boundary if layer.kind == 'polygons' else shapes
+        outlines.plot(ax=axes, aspect=None, color=ROUTES[0], linewidth=1.0, markersize=4.0)
 
 
 def _draw_parts(axes: Axes, roads: RoadGraph) -> None:

@@ -235,7 +235,9 @@ class _Joined:
             if len(chosen):
                 masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
         self._changes[number] = added, factor
-        self._layers[number] = [Layer('roads' if roads else 'polygons', name, self._cover(features, roads), shown)]
+        effects = ', '.join(key for key in _SHAPES if values[key] != _SHAPES[key])
+        self._layers[number] = [Layer('roads' if roads else 'polygons', f'{name}: {effects}',
+                                      self._cover(features, roads), shown)]
 
     def _incidents(self, number: int, name: str, features: GeoDataFrame,
                    values: Mapping[str, Any]) -> None:
