@@ -42,16 +42,26 @@ def add_set(parser: argparse.ArgumentParser) -> None:
                         help='options, such as network.spacing=50 strategy.max_detour=1.3')
 
 
-def add_datum(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--datum``, for ``datum_text``."""
+def add_crs(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments ``--crs`` and ``--datum``, for ``crs_text``."""
+    crs = parser.add_mutually_exclusive_group()
+    crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of the map, '
+                     'such as EPSG:32616 (default: as its file says)')
+    add_datum(crs)
+
+
+def add_datum(parser: argparse._ActionsContainer) -> None:
+    """Add the argument ``--datum``, for ``crs_text``."""
     parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
                         help="the map is in a robot's frame: its origin, and the direction of x "
                         "[rad from east], as navsat_transform's parameter datum")
 
 
-def datum_text(datum: Sequence[float]) -> str:
-    """Return the coordinate system of a robot's frame as ``Coordinates`` reads it."""
-    return 'datum ' + ' '.join(f'{number:.12g}' for number in datum)
+def crs_text(arguments: argparse.Namespace) -> str:
+    """Return the coordinate system that the arguments name, as ``Coordinates`` reads it, or ''."""
+    if arguments.datum:
+        return 'datum ' + ' '.join(f'{number:.12g}' for number in arguments.datum)
+    return str(arguments.crs)
 
 
 def options_from(assignments: Sequence[str]) -> SolveOptions:

@@ -23,7 +23,7 @@ from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
-from .inputs import add_datum, datum_text
+from .inputs import add_datum, crs_text
 
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
@@ -75,7 +75,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     elevation, ground = terrain_from(arguments, arguments.elevation, console)
     grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
     if arguments.datum:
-        grid = in_local_frame(grid, datum_text(arguments.datum))
+        grid = in_local_frame(grid, crs_text(arguments))
     files = [
         arguments.output,
         write_map(arguments.output, grid, 'Risk map from an elevation model.'),

@@ -21,7 +21,7 @@ from .risk_map import to_map_axes, to_world
 
 # Projections that stretch lengths by more, such as Web Mercator, are not used for maps.
 MOST_STRETCH = 0.01
-_DEGREES = 'EPSG:4326'
+WGS84 = 'EPSG:4326'
 
 
 class InvalidCoordinates(AmbushPlannerError, ValueError):
@@ -39,8 +39,8 @@ class Coordinates:
     def __init__(self, text: str) -> None:
         self.origin = (0.0, 0.0, 0.0)
         if not text:
-            raise InvalidCoordinates('the coordinate system of the map is unknown; name it with '
-                                     "--set map.crs=EPSG:..., or a robot's frame with --datum")
+            raise InvalidCoordinates('the coordinate system of the map is unknown; name it (--crs '
+                                     "EPSG:32616), or the robot's frame (--datum LAT LON YAW)")
         words = text.split()
         if words[:1] != ['datum']:
             self.crs = _system(text)
@@ -62,7 +62,7 @@ class Coordinates:
     def _to_degrees(self) -> Any:
         from pyproj import Transformer
 
-        return Transformer.from_crs(self.crs, _DEGREES, always_xy=True)
+        return Transformer.from_crs(self.crs, WGS84, always_xy=True)
 
     def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
         """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
@@ -118,7 +118,7 @@ def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
     from pyproj import Transformer
 
     crs = _system(wkt)
-    longitude, latitude = Transformer.from_crs(crs, _DEGREES, always_xy=True).transform(x, y)
+    longitude, latitude = Transformer.from_crs(crs, WGS84, always_xy=True).transform(x, y)
     if crs.is_projected and _is_metre(crs):
         factors = _proj(crs).get_factors(longitude, latitude)
         scales = factors.meridional_scale, factors.parallel_scale

@@ -89,8 +89,10 @@ def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
     from rasterio.vrt import WarpedVRT
     from rasterio.warp import Resampling
 
-    with WarpedVRT(dataset, crs=crs.to_wkt(), add_alpha=dataset.nodata is None, tolerance=0.0,
-                   resampling=Resampling.nearest if nearest else Resampling.bilinear) as warped:
+    # Plain interpolation: an exact transform, and no smoothing across cells.
+    with WarpedVRT(dataset, crs=crs.to_wkt(), nodata=np.nan, dtype='float64',
+                   resampling=Resampling.nearest if nearest else Resampling.bilinear,
+                   tolerance=0.0, XSCALE=1, YSCALE=1) as warped:
         _check_size(path, warped)
         note = (f'{path}: reprojected from {dataset.crs.to_string()} to {crs.to_string()} '
                 f'({crs.name}), cells of {warped.transform.a:.4g} m')

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -81,13 +82,26 @@ def write_geotiff(path: Path, grid: OccupancyMap) -> None:
     import rasterio
 
     system = Coordinates(grid.crs or '')
-    x, y, yaw = grid.origin
-    (left, bottom), turn = system.to_crs((x, y)).tolist(), yaw + system.origin[2]
     rows, columns = grid.values.shape
-    c, s = grid.resolution * math.cos(turn), grid.resolution * math.sin(turn)
-    place = rasterio.Affine(c, s, left - s * rows, s, -c, bottom + c * rows)
     values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
     with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, count=1,
-                       dtype='uint8', crs=system.crs.to_wkt(), transform=place, nodata=_UNKNOWN,
-                       compress='deflate') as file:
+                       dtype='uint8', crs=system.crs.to_wkt(), transform=cell_transform(grid),
+                       nodata=_UNKNOWN, compress='deflate') as file:
         file.write(values, 1)
+
+
+def cell_transform(grid: OccupancyMap | RiskMap) -> Any:
+    """Return the affine transform of rasterio from (column, row from the top) to positions.
+
+    These are in the grid's coordinate system, or world positions if it is unknown.
+    """
+    from rasterio import Affine
+
+    system = Coordinates(grid.crs) if grid.crs else None
+    left, bottom, turn = grid.origin
+    if system:
+        left, bottom = system.to_crs((left, bottom)).tolist()
+        turn += system.origin[2]
+    rows = len(grid.values if isinstance(grid, OccupancyMap) else grid.alpha)
+    c, s = grid.resolution * math.cos(turn), grid.resolution * math.sin(turn)
+    return Affine(c, s, left - s * rows, s, -c, bottom + c * rows)

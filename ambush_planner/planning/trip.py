@@ -80,7 +80,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     else:
         strategy, chosen, found = _StopOrderSearch(risk_map, graph, options).run()
     made = make_plan(risk_map, strategy, options, begin)
-    return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
+    return replace(made, order=tuple(place[k] for k in chosen), order_found=found,
+                   risk_map=risk_map)
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -89,8 +90,9 @@ def plan_from_request(request: PlanRequest) -> Plan:
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, goal_xy = risk_map_and_goal(request)
-    return plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
+    made = plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
                      order=request.order, warm=request.warm)
+    return replace(made, risk_map=None)  # too large to send to another process
 
 
 def trip_network(risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
