@@ -145,9 +145,9 @@ def test_incidents_against_the_sum_over_all(folder, options):
     h = options['bandwidth']
     density = on_grid(np.exp(-(apart**2) / (2.0 * h**2)) @ weight)
     made = joined(folder, {'incidents': 'incidents.gpkg', 'loss': 4, **options}, base=1.5, **GRID)
-    assert np.abs(made.risk_map.alpha - 1.5 - 4.0 * density / density.max()).max() < 0.1
+    assert np.allclose(made.risk_map.alpha, 1.5 + 4.0 * density / density.max())
     counted = on_grid((apart[:, weight > 0.0] <= 2.0 * h).sum(axis=1))
-    assert np.abs(made.layers[1].values - counted).mean() < 0.6
+    assert np.array_equal(made.layers[1].values, counted)
     few = 'half_life' in options
     assert few == (weight.sum() / weight.max() < 20.0)
     assert any('few incidents' in each for each in made.remarks) >= few
@@ -199,7 +199,7 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
      'its coordinate system is unknown, that of the map is EPSG:32633; name it in the file'),
     ('FREE {polygons: x.gpkg}', POLYGON.to_crs(4326), 'in degrees, but .* unknown; name it with'),
     ('GRID {polygons: x.gpkg}', POLYGON.translate(9e3).to_frame('geometry'), 'nothing in it lies'),
-    ('GRID {polygons: x.gpkg, loss: height}', POLYGON, "loss: no attribute 'height'; there is none"),
+    ('GRID {polygons: x.gpkg, loss: height}', POLYGON, "no attribute 'height'; there is none"),
     ('GRID {polygons: x.gpkg, loss: -1}', POLYGON, 'loss must be finite and >= 0, got -1'),
     ('GRID {polygons: x.gpkg, factor: kind}', POLYGON.assign(kind='town'),
      "factor: attribute 'kind' of 1 of 1 features is no number of at least 0"),
@@ -207,6 +207,8 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
     ('GRID {incidents: x.gpkg, half_life: 9}', rows(at(9, 9)), "date: no attribute 'date'"),
     ('GRID {incidents: x.gpkg, half_life: 9}', rows(at(9, 9), date=['May?']),
      'date: 1 of 1 incidents have none such as 2025-03-31'),
+    ('GRID {incidents: x.gpkg, until: 2024-01-01}', rows(at(9, 9), date=['2025-01-01']),
+     'date: no incident until 2024-01-01'),
 ])
 def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_path, capsys):
     grid = {key: GRID[key] for key in ('resolution', 'bounds')}

@@ -270,7 +270,7 @@ STREET = [(10.0, 10.0), (90.0, 10.0)]
 @pytest.mark.parametrize(('file', 'rows', 'words'), [
     ('none.gpkg', None, 'network.graph: .*none.gpkg: no such file|No such file'),
     ('text.gpkg', 'no roads', 'text.gpkg'),
-    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'not a graph in GeoJSON'),
+    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'not a graph or FeatureC'),
     ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: no point has the id 16 of its endid'),
     ('empty.gpkg', geopandas.GeoDataFrame(geometry=[Point(1, 1)], crs=CRS), 'no LineString in it'),
     ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway must be yes, no or -1, got 'somet"),
@@ -318,19 +318,26 @@ def test_roads_are_equal_if_their_contents_are(streets):
     assert hash(again) == hash(replace(one, crs=''))
 
 
-def test_a_node_drives_on_roads_and_its_recording_holds(tmp_path, capsys):
-    """The recording has the roads: the file may change."""
+def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
+    """An obstacle closes a road. The recording has the roads, so the file may change."""
     ros = pytest.importorskip('ros_harness')
     from ambush_planner.commands import verify
 
     file = tmp_path / 'roads.gpkg'
-    lines([(1.0, 5.0), (3.0, 5.0), (5.0, 8.0), (9.0, 5.0)], [(3.0, 5.0), (5.0, 2.0), (9.0, 5.0)],
+    lines([(1.0, 5.0), (3.0, 5.0), (3.5, 8.5), (6.5, 8.5), (9.0, 5.0)],
+          [(3.0, 5.0), (3.5, 2.0), (6.5, 2.0), (9.0, 5.0)],
           crs=None, speed_kph=[5.0, 4.0]).to_file(file)
     parameters = {'network.method': 'graph', 'network.graph': str(file),
                   'network.join_distance': 1.0}
     with ros.stage(tmp_path / 'runs', parameters) as running:
-        answer = running.give(ros.risk_grid(), (1.5, 5.5), (8.5, 5.5)).call('new_route')
-        assert answer.success, answer.message
+        client = running.give(ros.risk_grid(), (1.5, 5.5), (8.5, 5.5))
+        assert client.call('new_route').success
+        for row, high in ((17, False), (3, True)):
+            grid = ros.risk_grid()
+            grid.data[row * grid.info.width + 10] = 100
+            client.publish('alpha_map', grid)
+            client.call_until('new_route', lambda answer, high=high: answer.success and (
+                max(each.pose.position.y for each in client.last('path').poses) > 8.0) == high)
         bad = running.planner.set_parameters([ros.Parameter('network.graph', value='/none')])[0]
         assert not bad.successful and 'network.graph: ' in bad.reason
     file.unlink()

@@ -16,8 +16,8 @@ ROOMS = ('maps', 'network', 'game', 'routes', 'planning', 'worker', 'recordings'
 FILES = sorted(path for room in ROOMS for path in (PACKAGE / room).glob('*.py'))
 # Everything before the worker needs only these; map files also need a YAML reader.
 CORE_NEEDS = {'numpy', 'scipy', *sys.stdlib_module_names}
-MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas', 'pyogrio',
-                  'shapely'}
+MAP_FILES_NEED = {'yaml', 'rasterio', 'pyproj', 'PIL', 'matplotlib', 'geopandas', 'pandas',
+                  'pyogrio', 'shapely'}
 
 NO_ROS = """
 import sys

@@ -21,7 +21,7 @@ from ..planning.trip import ORDERS, plan_trip
 from . import cli
 from .geo_files import FORMATS_HELP, Drawn, add_outputs, write_outputs
 from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, read_risk_map
-from .report_words import distance
+from .report_words import distance, travel
 from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\
@@ -144,7 +144,8 @@ def _tell(plan: Plan, console: cli.Console) -> None:
                   'is known'),
         ('lower bound', f'{strategy.lower_bound:.4g}: no planner can guarantee less on this '
                         'network'),
-        ('mean length', f'{distance(strategy.expected_length)}, {longer:.2f} times the shortest'),
+        ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
+                        'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
         ('assumption', f'nobody waits within {held} of start, stops and goal'
                        if plan.held_radius else 'none: nobody holds the ground at start and goal'),

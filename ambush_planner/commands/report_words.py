@@ -38,7 +38,7 @@ def certificate(section: Section) -> list[str]:
                strategy.game.ambush_radius)
     outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
     length = ('' if strategy.length_budget == math.inf else
-              f' with an expected length of at most {_travel(strategy, strategy.length_budget)}')
+              f' with an expected length of at most {travel(strategy, strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
     reach = strategy.game.ambush_radius
@@ -70,7 +70,7 @@ def tiles(strategy: Strategy) -> list[tuple[str, str]]:
         (_routes(strategy), 'equally likely routes would be as hard to guess'),
         (f'{strategy.expected_length / strategy.shortest_length:.2f} x',
          f'mean length, relative to the shortest route '
-         f'({_travel(strategy, strategy.shortest_length)})'),
+         f'({travel(strategy, strategy.shortest_length)})'),
     ]
 
 
@@ -79,7 +79,7 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     head = ('planner', 'expected length E', 'probability of an ambush P_1',
             'the same once it is known P_inf', 'mean loss then V_inf')
     return [head, *(
-        (PLANNERS[name], _travel(strategy, row.expected_length), percent(row.p_first),
+        (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
          percent(row.p_repeated), f'{row.v_repeated:.3f}')
         for name, row in evaluate(strategy).items()
     )]
@@ -93,9 +93,9 @@ def quantities(strategy: Strategy) -> list[tuple[str, str]]:
         ('value z', f'{strategy.value:.9g}'),
         ('lower bound', f'{strategy.lower_bound:.9g}'),
         ('gap', f'{strategy.gap:.3g}'),
-        ('expected length', _travel(strategy, strategy.expected_length)),
-        ('shortest route', _travel(strategy, strategy.shortest_length)),
-        ('length budget', _travel(strategy, budget) if math.isfinite(budget) else 'none'),
+        ('expected length', travel(strategy, strategy.expected_length)),
+        ('shortest route', travel(strategy, strategy.shortest_length)),
+        ('length budget', travel(strategy, budget) if math.isfinite(budget) else 'none'),
         ('edge entropy', f'{strategy.edge_entropy:.4g} nats'),
         ('route entropy', f'{strategy.route_entropy:.4g} nats'),
         ('effective number of routes', _routes(strategy)),
@@ -127,7 +127,7 @@ def settings(section: Section) -> list[tuple[str, str]]:
             for name, values in sorted(found.items()) if name != 'seed']
 
 
-def _travel(strategy: Strategy, value: float) -> str:
+def travel(strategy: Strategy, value: float) -> str:
     """A length, or a time where budgets are of time."""
     return distance(value) if strategy.network.travel_unit == 'm' else f'{value:.4g} s'
 

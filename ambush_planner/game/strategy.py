@@ -117,8 +117,8 @@ class Strategy(Shown):
         -sum p ln p (the paper's), and the entropy of the drawn route, -sum p_ij ln(p_ij / x_i)
         [nats].
     expected_length, shortest_length, length_budget : float
-        [m]; the shortest route is the whole network's. With ``length_weight`` the budget is the
-        strategy's own expected length.
+        [m], or [s] if the network has driving times (``travel_costs``); the shortest route is the
+        whole network's. With ``length_weight`` the budget is the strategy's own expected length.
     expected_exposure, least_exposure, exposure_budget : float
         Integral of alpha along the route [loss x m]: its mean, the least of any route, the budget.
     length_price, exposure_price : float
@@ -160,8 +160,8 @@ class Strategy(Shown):
     def _summary(self) -> dict[str, str]:
         return {
             'value': f'{self.value:.4g}', 'lower bound': f'{self.lower_bound:.4g}',
-            'mean length': f'{self.expected_length:.0f} m',
-            'shortest route': f'{self.shortest_length:.0f} m',
+            'mean length': f'{self.expected_length:.0f} {self.network.travel_unit}',
+            'shortest route': f'{self.shortest_length:.0f} {self.network.travel_unit}',
             'effective number of routes': f'{math.exp(min(self.route_entropy, 700.0)):.3g}',
             'network': f'{len(self.network.points)} nodes, {len(self.network.edges)} edges',
         }

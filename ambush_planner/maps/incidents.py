@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
-from scipy.signal import fftconvolve
+from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from ..arrays import FloatArray
@@ -19,8 +18,6 @@ from .vector_file import InvalidFeatures, attribute, attribute_values
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# The kernel ends at this distance [bandwidths].
-CUT = 4.0
 # Bandwidths that cross-validation compares, and the number of incidents that it uses.
 BANDWIDTHS, MOST_VALIDATED = 24, 3000
 
@@ -45,6 +42,8 @@ def weighted_incidents(features: GeoDataFrame,
         raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have none such as '
                               '2025-03-31')
     until = dates.max() if values['until'] is None else to_datetime(str(values['until']), utc=True)
+    if not (dates <= until).any():
+        raise InvalidFeatures(f'date: no incident until {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
     return places[days >= 0.0], (weights * 0.5 ** (days / half_life))[days >= 0.0]
 
@@ -52,20 +51,20 @@ def weighted_incidents(features: GeoDataFrame,
 def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,
                    bandwidth: float) -> FloatArray:
     """The density (H, W), up to a constant, of places (K, 2) [m] with weights (K,)."""
-    sigma = bandwidth / ground.resolution
-    margin = math.ceil(CUT * sigma)
-    smooth = gaussian_filter(_binned(ground, places, weights, margin), sigma, mode='constant',
-                             truncate=CUT)
-    return np.asarray(smooth[margin:-margin, margin:-margin])
+    uv, step = ground.to_map_axes(places), ground.resolution
+    across, along = (
+        np.exp(-0.5 * (((np.arange(count) + 0.5) * step - each[:, None]) / bandwidth) ** 2)
+        for each, count in zip(uv.T, ground.alpha.shape[::-1], strict=True)
+    )
+    return np.asarray((along * weights[:, None]).T @ across)
 
 
 def count_near(ground: RiskMap, places: FloatArray, distance: float) -> FloatArray:
-    """The number of places (K, 2) within ``distance`` [m] of each cell (H, W)."""
-    margin = math.ceil(distance / ground.resolution)
-    across = np.arange(-margin, margin + 1) * ground.resolution
-    disc = (np.hypot(across[:, None], across) <= distance).astype(np.float64)
-    binned = _binned(ground, places, np.ones(len(places)), margin)
-    return np.rint(fftconvolve(binned, disc, 'same')[margin:-margin, margin:-margin])
+    """The number of places (K, 2) within ``distance`` [m] of each cell's centre (H, W)."""
+    cells = (np.argwhere(np.ones(ground.alpha.shape))[:, ::-1] + 0.5) * ground.resolution
+    found = cKDTree(ground.to_map_axes(places)).query_ball_point(cells, distance,
+                                                                 return_length=True)
+    return np.asarray(found, dtype=np.float64).reshape(ground.alpha.shape)
 
 
 def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
@@ -85,12 +84,3 @@ def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
     ]
     best = int(np.argmax(likelihood))
     return float(tried[best]), best == len(tried) - 1
-
-
-def _binned(ground: RiskMap, places: FloatArray, weights: FloatArray, margin: int) -> FloatArray:
-    """The sum of weights in each cell of the map with a margin [cells]."""
-    cells = np.zeros(np.array(ground.alpha.shape) + 2 * margin)
-    at = np.floor(ground.to_map_axes(places)[:, ::-1] / ground.resolution).astype(int) + margin
-    inside = ((at >= 0) & (at < cells.shape)).all(axis=1)
-    np.add.at(cells, tuple(at[inside].T), weights[inside])
-    return cells

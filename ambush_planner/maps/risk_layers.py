@@ -121,7 +121,7 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
         kind, values = lines[k]
         try:
             joined.read(k, kind, values)
-        except (AmbushPlannerError, OSError) as error:
+        except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
             raise InvalidLayers(f'layer {k + 1} ({kind}): {error}') from error
     return joined.result()
 

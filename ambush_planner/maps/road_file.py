@@ -107,7 +107,7 @@ def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
             if any('startid' in (each.get('properties') or {}) for each in features):
                 return _nav2_graph(features)
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise InvalidFeatures(f'{path}: not a graph in GeoJSON: {error!r}') from error
+            raise InvalidFeatures(f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
     return roads_from_lines(str(path), read_features(source, 'LineString'))
 
 

@@ -31,9 +31,10 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
     """
     name, _, layer = str(source).partition('|layername=')
     path = Path(name).expanduser()
-    if not path.is_file():
+    if not path.exists():
         raise InvalidFeatures(f'{path}: no such file')
     try:
+        import geopandas  # noqa: F401
         import pyogrio
     except ModuleNotFoundError:
         raise InvalidFeatures(
@@ -50,7 +51,7 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
         if not layers:
             raise InvalidFeatures(f'{path}: no {kind} in it')
         frame = pyogrio.read_dataframe(path, layer=layers[0])
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, ValueError) as error:
+    except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         raise InvalidFeatures(f'{path}: {error}') from error
     frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode(ignore_index=True)
     frame = frame[frame.geometry.geom_type == kind]
