@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from ..figures import OBSTACLE, ROUTES, draw_risk_map, frame
@@ -16,7 +15,6 @@ from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import write_geotiff
-from ..maps.road_file import RoadGraph, roads_from_lines
 from . import cli
 
 EPILOG = """\
@@ -107,28 +105,12 @@ def _draw(figure: Figure, axes: Axes, risk_map: RiskMap, layer: Layer) -> None:
     (left, low), (right, high) = risk_map.bounds
     image = axes.imshow(layer.values, cmap='magma_r', origin='lower', interpolation='nearest',
                         extent=(left, right, low, high))
-    if layer.kind in ('terrain', 'incidents'):
-        figure.colorbar(image, ax=axes, shrink=0.7)
-    shapes = layer.features
-    if shapes is None:
-        return
-    if layer.kind == 'roads':
-        _draw_parts(axes, roads_from_lines(layer.title, shapes[['geometry']]))
-    else:
-        outlines = shapes.boundary if layer.kind == 'polygons' else shapes
-        outlines.plot(ax=axes, aspect=None, color=ROUTES[0], linewidth=1.0, markersize=4.0)
-
-
-def _draw_parts(axes: Axes, roads: RoadGraph) -> None:
-    """Draw the connected parts of roads, the longest ones in colours."""
-    ends = roads.points[roads.pairs]
-    length = np.bincount(roads.parts, np.hypot(*(ends[:, 1] - ends[:, 0]).T)) / 1000.0
-    for part, colour in enumerate(ROUTES[: len(length)]):
-        axes.add_collection(LineCollection(ends[roads.parts == part], colors=colour,
-                                           label=f'{length[part]:.3g} km'))
-    rest = roads.parts >= len(ROUTES)
-    axes.add_collection(LineCollection(ends[rest], colors='white', linestyles='dotted'))
-    axes.legend(title=f'{cli.count(len(length), "separate part")}', fontsize='small')
+    figure.colorbar(image, ax=axes, shrink=0.7)
+    if layer.shapes is not None:
+        parts = {'column': 'part', 'cmap': 'tab10', 'legend': True,
+                 'legend_kwds': {'title': 'connected parts', 'fontsize': 'small'}}
+        style = parts if 'part' in layer.shapes else {'color': ROUTES[0], 'markersize': 4.0}
+        layer.shapes.plot(ax=axes, aspect=None, linewidth=1.0, **style)
 
 
 main = cli.command(parser, _work)

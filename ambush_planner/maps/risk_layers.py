@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -42,12 +42,14 @@ from .incidents import (
 )
 from .occupancy import OccupancyOptions, risk_map_from_occupancy
 from .risk_map import RiskMap
+from .road_file import connected_parts
 from .terrain_risk import TerrainOptions, terrain_map
 from .vector_file import InvalidFeatures, attribute_values, features_on
 from .visibility import ViewOptions
 
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
+    from geopandas.base import GeoPandasBase
 
 # The keys of the file, and of each kind of line, with their defaults.
 _TOP = {'layers': None, 'base': 1.0, 'resolution': 0.0, 'bounds': None, 'crs': None}
@@ -61,8 +63,6 @@ _KINDS: Mapping[str, Mapping[str, Any]] = {
                   'date': 'date', 'weight': 1.0},
 }
 _GEOMETRIES = {'polygons': 'Polygon', 'roads': 'LineString', 'incidents': 'Point'}
-# Largest coordinate of a map [m].
-MOST_METRES = 1e8
 # Incidents count as near a cell up to this distance [bandwidths].
 NEAR = 2.0
 # With fewer incidents of full weight in all, or near most of the cells that they make costly, a
@@ -76,15 +76,15 @@ class InvalidLayers(AmbushPlannerError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Layer:
-    """What a line contributed, for pictures: ``values`` (H, W), and vector ``features`` if any.
+    """What a line contributed, for pictures.
 
-    Values are losses, counts of incidents, or how many shapes cover a cell.
+    ``values`` (H, W) are losses, numbers of incidents, or how many shapes cover a cell; ``shapes``
+    are those of a vector layer, for roads with the length of their connected ``part``.
     """
 
-    kind: str
     title: str
     values: FloatArray
-    features: GeoDataFrame | None = None
+    shapes: GeoPandasBase | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +100,9 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
                      progress: Callable[[float], None] | None = None) -> LayeredRisk:
     """Join the layers of a YAML file, or of its content, by the formulas above.
 
-    The grid is that of the terrain; without one, that of ``bounds`` [west, south, east, north],
-    ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by default that of the YAML
-    file. ``progress`` is called with the completed share of the terrain.
+    The grid is that of the terrain, which must be the first layer; without it, that of ``bounds``
+    [west, south, east, north], ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by
+    default that of the YAML file. ``progress`` is called with the completed share of the terrain.
 
     Raises InvalidLayers, whose message names the layer, InvalidOption or OSError.
     """
@@ -112,17 +112,25 @@ def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path |
     if not isinstance(top['layers'], list) or not top['layers']:
         raise InvalidLayers('layers must be a list with a line for each layer')
     lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]
-    terrains = [k for k, (kind, _) in enumerate(lines) if kind == 'terrain']
-    if len(terrains) > 1:
-        raise InvalidLayers('layers: only one may be terrain, since it gives the grid')
-    joined = _Joined(top, folder or Path(), progress)
-    # The terrain gives the grid, so it is read first; it applies in its turn.
-    for k in sorted(range(len(lines)), key=lambda k: k not in terrains):
-        kind, values = lines[k]
+    base = _number('base', top['base'])
+    joined: _Joined | None = None
+    for number, (kind, values) in enumerate(lines, start=1):
+        path = (folder or Path()) / Path(str(values[kind])).expanduser()
         try:
-            joined.read(k, kind, values)
+            if kind == 'terrain':
+                if joined:
+                    raise InvalidLayers('must be the first layer and the only terrain, since it '
+                                        'gives the grid')
+                joined = _terrain(path, values, _number('resolution', top['resolution']), progress)
+                joined.loss += base
+                continue
+            joined = joined or _without_terrain(top, base)
+            features = features_on(joined.ground, str(path), _GEOMETRIES[kind])
+            add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
+            add(path.name, features, values)
         except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
-            raise InvalidLayers(f'layer {k + 1} ({kind}): {error}') from error
+            raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
+    assert joined is not None  # there is a line
     return joined.result()
 
 
@@ -155,154 +163,117 @@ def _with_defaults(where: str, given: Mapping[str, Any],
     return {**defaults, **given}
 
 
-class _Joined:
-    """The layers that have been read, and how they change the losses."""
-
-    def __init__(self, top: Mapping[str, Any], folder: Path,
-                 progress: Callable[[float], None] | None) -> None:
-        self._top, self._folder, self._progress = top, folder, progress
-        self._ground: RiskMap | None = None
-        self._layers: dict[int, list[Layer]] = {}
-        self._changes: dict[int, tuple[FloatArray, FloatArray | float]] = {}  # loss, factor
-        self._masks: dict[str, list[BoolArray]] = {'passable': [], 'forbidden': [], 'held': []}
-        self._remarks: list[str] = []
-
-    def read(self, number: int, kind: str, values: Mapping[str, Any]) -> None:
-        """Read the file of a line."""
-        path = self._folder / Path(str(values[kind])).expanduser()
-        if kind == 'terrain':
-            self._terrain(number, path, values)
-            return
-        if self._ground is None:
-            self._ground = _empty_map(self._top)
-        features = features_on(self._ground, str(path), _GEOMETRIES[kind])
-        add = self._incidents if kind == 'incidents' else self._shapes
-        add(number, path.name, features, values)
-
-    def result(self) -> LayeredRisk:
-        """Apply all lines in their order."""
-        ground = self._ground
-        assert ground is not None  # there is a line
-        loss = np.full(ground.alpha.shape, _number('base', self._top['base']))
-        for _, (added, factor) in sorted(self._changes.items()):
-            loss = (loss + added) * factor
-        obstacles = ground.obstacles.copy()
-        for mask in self._masks['passable']:
-            obstacles &= ~mask
-        for mask in self._masks['forbidden']:
-            obstacles |= mask
-        for mask in self._masks['held']:
-            loss[mask] = 0.0
-        layers = tuple(layer for _, some in sorted(self._layers.items()) for layer in some)
-        return LayeredRisk(replace(ground, alpha=loss, obstacles=obstacles), layers,
-                           tuple(self._remarks))
-
-    def _terrain(self, number: int, path: Path, values: Mapping[str, Any]) -> None:
-        raster = read_raster(path)
-        self._remarks += [raster.note] * bool(raster.note)
-        elevation = elevation_from_raster(raster, _number('resolution', self._top['resolution']))
-        given = {key: each for key, each in values.items() if each is not None}
-        view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
-        options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
-        made = terrain_map(elevation, TerrainOptions(view, **options), None, self._progress)
-        scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs or '')
-        self._ground = risk_map_from_occupancy(made.values, made.resolution,
-                                               (*elevation.corner, 0.0), scale)
-        # Cells that a road opens have the loss of the nearest free cell.
-        self._changes[number] = self._ground.nearest_free_alpha(), 1.0
-        shown = np.where(self._ground.obstacles, np.nan, self._ground.alpha)
-        self._layers[number] = [Layer('terrain', f'{path.name}: loss', shown)]
-
-    def _shapes(self, number: int, name: str, features: GeoDataFrame,
-                values: Mapping[str, Any]) -> None:
-        roads, shown = 'roads' in values, features
-        if roads:
-            width = attribute_values(features, 'width', values['width'])
-            wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
-            features = features.set_geometry(wide)
-        added, factor = np.zeros(self._shape), np.ones(self._shape)
-        for key in ('loss', 'factor'):
-            column = attribute_values(features, key, values[key])
-            for each in np.unique(column):
-                count = self._cover(features[column == each], roads)
-                count = np.minimum(count, 1.0) if roads else count
-                if key == 'loss':
-                    added += each * count
-                else:
-                    factor *= each**count
-        for key, masks in self._masks.items():
-            chosen = features[attribute_values(features, key, values[key]) > 0.0]
-            if len(chosen):
-                masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
-        self._changes[number] = added, factor
-        effects = ', '.join(key for key in _SHAPES if values[key] != _SHAPES[key])
-        self._layers[number] = [Layer('roads' if roads else 'polygons', f'{name}: {effects}',
-                                      self._cover(features, roads), shown)]
-
-    def _incidents(self, number: int, name: str, features: GeoDataFrame,
-                   values: Mapping[str, Any]) -> None:
-        ground = self._ground
-        assert ground is not None
-        places, weights = weighted_incidents(features, values)
-        bandwidth = values['bandwidth']
-        if bandwidth == 'auto':
-            bandwidth, largest = cross_validated_bandwidth(ground, places, weights)
-            self._remarks.append(f'incidents: bandwidth {bandwidth:.4g} m by cross-validation'
-                                 + ', the largest compared: they show no pattern' * largest)
-        bandwidth = _number('bandwidth', bandwidth, ground.resolution)
-        density = kernel_density(ground, places, weights, bandwidth)
-        if not density.max() > 0.0:
-            raise InvalidFeatures('no incident counts on the map; check weight and until')
-        count = count_near(ground, places, NEAR * bandwidth)
-        full = float(weights.sum() / weights.max())
-        thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
-        if full < FEW or thin > 0.5:
-            self._remarks.append(
-                f'few incidents: {len(places)} with the weight of {full:.3g} new ones; '
-                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
-                f'{FEW_NEAR} within {NEAR * bandwidth:.0f} m, so their pattern may be chance')
-        added = _number('loss', values['loss']) * density / density.max()
-        self._changes[number] = added, 1.0
-        self._layers[number] = [
-            Layer('incidents', f'{name}: loss', added, features),
-            Layer('incidents', f'{name}: number within {NEAR * bandwidth:.0f} m', count),
-        ]
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        assert self._ground is not None
-        rows, columns = self._ground.alpha.shape
-        return rows, columns
-
-    def _cover(self, features: GeoDataFrame, touched: bool) -> FloatArray:
-        """How many shapes cover each cell (H, W): its centre, or any part of it if ``touched``."""
-        from rasterio.features import MergeAlg, rasterize
-        from rasterio.transform import from_origin
-
-        ground = self._ground
-        assert ground is not None
-        x, y, _ = ground.origin
-        place = from_origin(x, y + ground.size[1], ground.resolution, ground.resolution)
-        cells = rasterize(((shape, 1.0) for shape in features.geometry), self._shape,
-                          transform=place, all_touched=touched, merge_alg=MergeAlg.add,
-                          dtype='float64')
-        return np.asarray(cells[::-1])
+def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
+             progress: Callable[[float], None] | None) -> _Joined:
+    raster = read_raster(path)
+    elevation = elevation_from_raster(raster, resolution)
+    given = {key: each for key, each in values.items() if each is not None}
+    view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
+    options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
+    made = terrain_map(elevation, TerrainOptions(view, **options), None, progress)
+    scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs or '')
+    ground = risk_map_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
+    shown = np.where(ground.obstacles, np.nan, ground.alpha)
+    # Cells that a road opens have the loss of the nearest free cell.
+    return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)],
+                   [raster.note] if raster.note else [])
 
 
-def _empty_map(top: Mapping[str, Any]) -> RiskMap:
-    """The grid of a description without terrain."""
+def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
     bounds, resolution = top['bounds'], _number('resolution', top['resolution'])
     if not isinstance(bounds, list) or len(bounds) != 4 or resolution == 0.0:
         raise InvalidLayers('without terrain, the file needs resolution: [m] and bounds: [west, '
                             'south, east, north] [m]')
-    west, south, east, north = (_number('bounds', each, -MOST_METRES) for each in bounds)
+    west, south, east, north = map(float, bounds)
     rows, columns = (round(length / resolution) for length in (north - south, east - west))
     if min(rows, columns) < 1 or rows * columns > MAX_CELLS:
         raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
                             f'at least 1 and at most {MAX_CELLS} are possible')
     crs = Coordinates(str(top['crs'])).crs.to_string() if top['crs'] else None
     cells = np.zeros((rows, columns))
-    return RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
+    ground = RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
+    return _Joined(ground, cells + base)
+
+
+@dataclass(eq=False)
+class _Joined:
+    """The grid with the terrain's obstacles, and what the layers so far make of it."""
+
+    ground: RiskMap
+    loss: FloatArray
+    layers: list[Layer] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    masks: Mapping[str, list[BoolArray]] = field(
+        default_factory=lambda: {'passable': [], 'forbidden': [], 'held': []})
+
+    def result(self) -> LayeredRisk:
+        obstacles = self.ground.obstacles.copy()
+        for mask in self.masks['passable']:
+            obstacles &= ~mask
+        for mask in self.masks['forbidden']:
+            obstacles |= mask
+        for mask in self.masks['held']:
+            self.loss[mask] = 0.0
+        return LayeredRisk(replace(self.ground, alpha=self.loss, obstacles=obstacles),
+                           tuple(self.layers), tuple(self.remarks))
+
+    def add_shapes(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
+        """Apply polygons or roads."""
+        roads, shown = 'roads' in values, features.boundary
+        if roads:
+            shown = connected_parts(features)
+            width = attribute_values(features, 'width', values['width'])
+            wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
+            features = features.set_geometry(wide)
+        for key, apply in (('loss', np.multiply), ('factor', np.power)):
+            column = attribute_values(features, key, values[key])
+            for each in np.unique(column):
+                count = self._cover(features[column == each], roads)
+                effect = apply(each, np.minimum(count, 1.0) if roads else count)
+                self.loss = self.loss + effect if key == 'loss' else self.loss * effect
+        for key, masks in self.masks.items():
+            chosen = features[attribute_values(features, key, values[key]) > 0.0]
+            if len(chosen):
+                masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
+        effects = ', '.join(key for key in _SHAPES if values[key] != _SHAPES[key])
+        self.layers.append(Layer(f'{name}: {effects}', self._cover(features, roads), shown))
+
+    def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
+        """Apply incidents, and remark on few of them."""
+        places, weights = weighted_incidents(features, values)
+        bandwidth = values['bandwidth']
+        if bandwidth == 'auto':
+            bandwidth, largest = cross_validated_bandwidth(self.ground, places, weights)
+            self.remarks.append(f'{name}: bandwidth {bandwidth:.4g} m by cross-validation'
+                                + ', the largest compared: they show no pattern' * largest)
+        bandwidth = _number('bandwidth', bandwidth, self.ground.resolution)
+        density = kernel_density(self.ground, places, weights, bandwidth)
+        if not density.max() > 0.0:
+            raise InvalidFeatures('no incident has a weight above 0')
+        near = NEAR * bandwidth
+        count = count_near(self.ground, places, near)
+        full = float(weights.sum() / weights.max())
+        thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
+        if full < FEW or thin > 0.5:
+            self.remarks.append(
+                f'{name}: few incidents, {len(places)} with the weight of {full:.3g} new ones; '
+                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
+                f'{FEW_NEAR} within {near:.0f} m, so their pattern may be chance')
+        added = _number('loss', values['loss']) * density / density.max()
+        self.loss = self.loss + added
+        self.layers += [Layer(f'{name}: loss', added, features.geometry),
+                        Layer(f'{name}: number within {near:.0f} m', count)]
+
+    def _cover(self, features: GeoDataFrame, touched: bool) -> FloatArray:
+        """How many shapes cover each cell (H, W): its centre, or any part of it if ``touched``."""
+        from rasterio import Affine
+        from rasterio.features import MergeAlg, rasterize
+
+        (x, y, _), step = self.ground.origin, self.ground.resolution
+        cells = rasterize(((shape, 1.0) for shape in features.geometry), self.loss.shape,
+                          transform=Affine(step, 0.0, x, 0.0, step, y), all_touched=touched,
+                          merge_alg=MergeAlg.add, dtype='float64')
+        return np.asarray(cells)
 
 
 def _number(name: str, value: Any, least: float = 0.0) -> float:

@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from hashlib import sha256
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
+from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import InvalidOption
 from .vector_file import InvalidFeatures, read_features
 
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
 # Vertices of lines that agree to so many digits are one place: 1 mm in metres and in degrees.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
+# Connected parts that are told apart in pictures.
+MOST_NAMED = 9
 # Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
 ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,
            'no': 0, 'false': 0, '0': 0, 'b': 0, 'none': 0, 'nan': 0, '': 0}
@@ -27,7 +31,7 @@ ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1
 
 @dataclass(frozen=True, eq=False)
 class RoadGraph:
-    """Roads as straight pieces between places; equal if all contents are.
+    """Roads as straight pieces between places.
 
     Parameters
     ----------
@@ -55,27 +59,6 @@ class RoadGraph:
 
     def __repr__(self) -> str:
         return f'RoadGraph({len(self.pairs)} pieces)'
-
-    @cached_property
-    def parts(self) -> IndexArray:
-        """The connected part (U,) of each piece, the one with most pieces first."""
-        shape = (len(self.points), len(self.points))
-        joined = csr_matrix((np.ones(len(self.pairs)), tuple(self.pairs.T)), shape=shape)
-        part = connected_components(joined, directed=False)[1][self.pairs[:, 0]]
-        _, which, count = np.unique(part, return_inverse=True, return_counts=True)
-        place = np.argsort(np.argsort(-count, kind='stable'))
-        return np.asarray(place[which], dtype=np.int64)
-
-    @cached_property
-    def _digest(self) -> bytes:
-        arrays = b''.join(each.tobytes() for each in (self.points, self.pairs, self.speeds))
-        return sha256(arrays + f'{self.timed}{self.crs}'.encode()).digest()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, RoadGraph) and self._digest == other._digest
-
-    def __hash__(self) -> int:
-        return hash(self._digest)
 
 
 def read_roads(source: str | Path) -> RoadGraph:
@@ -107,7 +90,8 @@ def _read(source: str, path: Path, version: tuple[int, int]) -> RoadGraph:
             if any('startid' in (each.get('properties') or {}) for each in features):
                 return _nav2_graph(features)
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            raise InvalidFeatures(f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
+            raise InvalidFeatures(
+                f'{path}: not a graph or FeatureCollection in GeoJSON: {error!r}') from error
     return roads_from_lines(str(path), read_features(source, 'LineString'))
 
 
@@ -143,8 +127,8 @@ def _nav2_graph(features: list[dict[str, Any]]) -> RoadGraph:
     return _graph(np.array(points, dtype=float), np.array([tails, heads]).T, way, forward, '')
 
 
-def roads_from_lines(path: str, lines: Any) -> RoadGraph:
-    """Join lines (a GeoDataFrame) where they share a vertex; ``path`` is named in errors."""
+def roads_from_lines(path: str, lines: GeoDataFrame) -> RoadGraph:
+    """Join lines where they share a vertex; ``path`` is named in errors."""
     import shapely
 
     crs = lines.crs
@@ -170,6 +154,21 @@ def roads_from_lines(path: str, lines: Any) -> RoadGraph:
     of = line[1:][inner]
     return _graph(coordinates[first], segments, way[of], None if speed is None else speed[of],
                   crs.to_wkt() if crs is not None else '')
+
+
+def connected_parts(lines: GeoDataFrame) -> GeoDataFrame:
+    """The pieces of lines, and the length of the connected ``part`` that each belongs to."""
+    import geopandas
+    import shapely
+
+    roads = roads_from_lines('', lines[['geometry']])
+    joined = coo_matrix((np.ones(len(roads.pairs)), tuple(roads.pairs.T)), [len(roads.points)] * 2)
+    part = connected_components(joined, directed=False)[1][roads.pairs[:, 0]]
+    pieces = shapely.linestrings(roads.points[roads.pairs])
+    km = np.bincount(part, shapely.length(pieces)) / 1000.0
+    least = np.sort(km)[-MOST_NAMED:][0]
+    names = [f'{each:.4g} km' if each >= least else 'shorter' for each in km]
+    return geopandas.GeoDataFrame({'part': [names[k] for k in part]}, geometry=pieces)
 
 
 def _direction(path: str, value: object) -> int:

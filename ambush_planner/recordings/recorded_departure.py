@@ -105,6 +105,7 @@ class SharedParts:
     def __init__(self, most: int | None = None) -> None:
         self.strategy = lru_cache(most)(strategy_from_file)
         self.risk_map = lru_cache(most)(_risk_map)
+        self.roads = lru_cache(most)(roads_from_file)
         self.conditioned = lru_cache(most)(_conditioned)
         self._message = lru_cache(most)(decode)
         self._map = lru_cache(most)(_map)
@@ -124,7 +125,7 @@ def read_departure(path: Path | str, shared: SharedParts | None = None) -> Recor
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     """Return the departure in a file; UnreadableRecording names a part that is malformed."""
     entries = file.entries
-    roads = _part(file, ROADS_FILE, lambda: roads_from_file(file.attachments.get(ROADS_FILE)))
+    roads = _part(file, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
     parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters'], roads))
     game, occupancy = parameters.planning.game, parameters.occupancy
     strategy, stated = _part(file, STRATEGY_FILE,
