@@ -122,7 +122,8 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
 
         _, axes = pyplot.subplots(figsize=(9.0, 8.0), layout='constrained')
     network, q = strategy.network, strategy.ambush_probability
-    title = (f'Value {strategy.value:.3g}, mean length {strategy.expected_length:.0f} m, '
+    unit = strategy.network.travel_unit
+    title = (f'Value {strategy.value:.3g}, mean length {strategy.expected_length:.0f} {unit}, '
              f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest')
     if risk_map is not None:
         frame(axes, risk_map, title)

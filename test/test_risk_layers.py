@@ -197,7 +197,7 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
     ('GRID {polygons: x.gpkg}', rows(at(0, 0)), 'x.gpkg: no Polygon in it'),
     ('GRID {polygons: x.gpkg}', POLYGON.set_crs(None, allow_override=True),
      'its coordinate system is unknown, that of the map is EPSG:32633; name it in the file'),
-    ('FREE {polygons: x.gpkg}', POLYGON.to_crs(4326), 'in degrees, but .* unknown; name it with'),
+    ('FREE {polygons: x.gpkg}', POLYGON.to_crs(4326), 'not in metres .*unknown; name it with'),
     ('GRID {polygons: x.gpkg}', POLYGON.translate(9e3).to_frame('geometry'), 'nothing in it lies'),
     ('GRID {polygons: x.gpkg, loss: height}', POLYGON, "no attribute 'height'; there is none"),
     ('GRID {polygons: x.gpkg, loss: -1}', POLYGON, 'loss must be finite and >= 0, got -1'),

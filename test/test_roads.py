@@ -287,7 +287,8 @@ def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
 
 
 @pytest.mark.parametrize(('rows', 'options', 'error', 'words'), [
-    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'in degrees .*, and the map has no coord'),
+    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84., and the map has'),
+    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83 / New York Long'),
     (lines(STREET, crs=None), {'join_distance': 5.0}, StartBlocked,
      r'start \(20.000, 20.000\) is 10.0 m from the nearest road; move it, or raise join_distance'),
     (lines(STREET, crs=None), {}, GoalBlocked, 'goal .* is 70.0 m from the nearest road'),

@@ -45,17 +45,16 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
             each for each, geometry in pyogrio.list_layers(path)
             if geometry and (kind in geometry or geometry in ('Unknown', 'GeometryCollection'))
         ]
-        if len(layers) > 1:
-            raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with '
-                                  f'NAME one of {", ".join(layers)}')
-        if not layers:
-            raise InvalidFeatures(f'{path}: no {kind} in it')
-        frame = pyogrio.read_dataframe(path, layer=layers[0])
+        frame = pyogrio.read_dataframe(path, layer=layers[0]) if len(layers) == 1 else None
     except (RuntimeError, ValueError) as error:  # pyogrio's are RuntimeErrors
         raise InvalidFeatures(f'{path}: {error}') from error
-    frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode(ignore_index=True)
-    frame = frame[frame.geometry.geom_type == kind]
-    if not len(frame):
+    if len(layers) > 1:
+        raise InvalidFeatures(f'{path}: which layer? Write {path.name}|layername=NAME, with NAME '
+                              f'one of {", ".join(layers)}')
+    if frame is not None:
+        frame = frame[~(frame.geometry.isna() | frame.geometry.is_empty)].explode(ignore_index=True)
+        frame = frame[frame.geometry.geom_type == kind]
+    if frame is None or frame.empty:
         raise InvalidFeatures(f'{path}: no {kind} in it')
     return frame
 
@@ -64,19 +63,23 @@ def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray
     """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
 
     If the map's system is unknown, positions in metres are taken to be in it. Raises
-    InvalidCoordinates if they are in degrees.
+    InvalidCoordinates if they are in another unit.
     """
     from pyproj import CRS, Transformer
 
     own = CRS.from_user_input(crs)
     if not map_crs:
-        if own.is_geographic:
-            raise InvalidCoordinates(f'the positions are in degrees ({own.name}), and the map has '
-                                     'no coordinate system; name it with map.crs')
+        if not _in_metres(own):
+            raise InvalidCoordinates(f'the positions are not in metres ({own.name}), and the map '
+                                     'has no coordinate system; name it with map.crs')
         return points
     system = Coordinates(map_crs)
     to_map = Transformer.from_crs(own, system.crs, always_xy=True)
     return to_map_axes(system.origin, np.stack(to_map.transform(*points.T), axis=-1))
+
+
+def _in_metres(crs: Any) -> bool:
+    return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
 
 
 def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
@@ -92,9 +95,9 @@ def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
                               f'{risk_map.crs}; name it in the file')
     if risk_map.crs:
         features = features.to_crs(risk_map.crs)
-    elif features.crs is not None and features.crs.is_geographic:
-        raise InvalidFeatures(f'{source}: in degrees, but the coordinate system of the map is '
-                              'unknown; name it with crs')
+    elif features.crs is not None and not _in_metres(features.crs):
+        raise InvalidFeatures(f'{source}: not in metres ({features.crs.name}), and the coordinate '
+                              'system of the map is unknown; name it with crs')
     low, high = risk_map.bounds
     if not features.intersects(box(*low, *high)).any():
         raise InvalidFeatures(f'{source}: nothing in it lies on the map, which reaches from '

@@ -42,7 +42,7 @@ def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
     """The roads in the coordinates of a map with the coordinate system ``crs`` [m].
 
     Without one, roads in metres are taken to be in those of the map. Raises InvalidOption if they
-    are in degrees.
+    are in another unit.
     """
     if not roads.crs:
         return roads
@@ -215,4 +215,4 @@ def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
     return (f'they are on two of {parts} separate parts, of {km[part[one]]:.3g} and '
             f'{km[part[other]]:.3g} km, {gap[k]:.3g} m apart at ({here[k][0]:.1f}, '
             f'{here[k][1]:.1f}) and ({there[nearest[k]][0]:.1f}, {there[nearest[k]][1]:.1f}){cut}; '
-            'roads meet only where their lines share a vertex')
+            'lines meet only where they share a vertex (ambush risk draws the parts)')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from io import BytesIO
 
 import numpy as np
@@ -11,6 +12,7 @@ from ..maps.road_file import RoadGraph
 ROADS_FILE = 'roads.npz'
 
 
+@lru_cache(4)
 def roads_file(roads: RoadGraph) -> bytes:
     """Return roads as an npz file."""
     stream = BytesIO()
