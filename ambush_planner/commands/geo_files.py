@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -95,7 +97,9 @@ def _content(path: Path, drawn: Drawn) -> bytes:
         return _geojson(drawn.tables)
     if suffix == '.gpx':
         return _gpx(drawn.routes)
-    with TemporaryDirectory() as folder:  # mode 0700; GDAL makes files that all can read
+    # The folder has mode 0700; GDAL makes files that all can read.
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
         file = Path(folder) / path.name
         if suffix == '.gpkg':
             for name, table in drawn.tables.items():
@@ -116,11 +120,12 @@ def _picture(drawn: Drawn) -> bytes:
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
-    import pandas
-
-    all_rows = pandas.concat([table.assign(layer=name) for name, table in tables.items()])
-    text: str = all_rows.to_json(na='drop', drop_id=True, to_wgs84=all_rows.crs is not None)
-    return text.encode()
+    features = []
+    for name, table in tables.items():
+        shown = table.assign(layer=name)
+        shown = shown.to_crs(WGS84) if shown.crs else shown
+        features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
+    return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
 
 
 def _gpx(routes: Any) -> bytes:
