@@ -7,19 +7,22 @@ import json
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ..arrays import FloatArray
+from ..errors import InvalidOption
 from ..figures import as_png, draw_strategy
 from ..game.strategy import Strategy
 from ..maps.coordinates import WGS84, InvalidCoordinates
 from ..maps.risk_map import RiskMap
+from ..planning.plan import Plan
 from ..planning.route_layers import route_table, strategy_tables
 from .cli import Console, count, place, write_private
 
@@ -70,8 +73,19 @@ def _output(text: str) -> Path:
     return Path(text)
 
 
-def write_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> list[str]:
-    """Write files with mode 0600, say so, and return their names.
+def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
+    """Draw ``n`` departures; without ``rng``, the operating system's entropy makes them fresh.
+
+    Raises InvalidOption if the plan was made in another process, so that its map is missing.
+    """
+    if plan.risk_map is None:
+        raise InvalidOption('the plan has no risk map; make it with plan_trip')
+    times = [datetime.now(timezone.utc)] * n
+    return Drawn(plan.strategy, plan.risk_map, plan.held_radius, plan.paths(n, rng), times)
+
+
+def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
+    """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
 
     Raises InvalidCoordinates, and writes nothing, if a format needs a coordinate system and the
     map has none.
@@ -79,10 +93,14 @@ def write_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> list
     contents = {path: _content(path, drawn) for path in paths}
     for path, data in contents.items():
         write_private(path.parent, {path.name: data})
+
+
+def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
+    """Print what was written, and put it into the result."""
     files = [place(path) for path in paths]
     console.line(f'{", ".join(files)}: {count(len(drawn.paths), "route")}; secret, so only this '
                  'user can read them.')
-    return files
+    console.result |= {'files': files, 'departures': len(drawn.paths)}
 
 
 def _content(path: Path, drawn: Drawn) -> bytes:
