@@ -43,7 +43,8 @@ ROSDEP_KEYS = {
 # Import name -> name on the package index, if they differ.
 REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
-FROM_PIP = dict.fromkeys(('rasterio', 'pyproj'), 'gis')
+FROM_PIP = dict.fromkeys(
+    ('geopandas', 'gpxpy', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 
 
 @cache

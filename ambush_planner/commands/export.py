@@ -8,7 +8,7 @@ from datetime import datetime, timezone
 
 from . import cli
 from .audit import read_all
-from .geo_files import FORMATS_HELP, Drawn, add_outputs, write_outputs
+from .geo_files import FORMATS_HELP, Drawn, add_outputs, tell_outputs, write_outputs
 from .inputs import add_crs, crs_text
 
 EPILOG = f"""\
@@ -41,8 +41,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     held = max(game.secured_radius, last.strategy.game.ambush_radius)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
     drawn = Drawn(last.strategy, risk_map, held, [each.path_poses for each in departures], times)
-    files = write_outputs(options.output, drawn, console)
-    console.result = {'files': files, 'departures': len(departures), 'unreadable': len(unreadable)}
+    write_outputs(options.output, drawn)
+    tell_outputs(options.output, drawn, console)
+    console.result['unreadable'] = len(unreadable)
     return cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
 
 

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import json
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timezone
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from ..arrays import FloatArray
+from ..errors import InvalidOption
 from ..figures import as_png, draw_strategy
 from ..game.strategy import Strategy
 from ..maps.coordinates import WGS84, InvalidCoordinates
 from ..maps.risk_map import RiskMap
+from ..planning.plan import Plan
 from ..planning.route_layers import route_table, strategy_tables
 from .cli import Console, count, place, write_private
 
@@ -68,8 +73,19 @@ def _output(text: str) -> Path:
     return Path(text)
 
 
-def write_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> list[str]:
-    """Write files with mode 0600, say so, and return their names.
+def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
+    """Draw ``n`` departures; without ``rng``, the operating system's entropy makes them fresh.
+
+    Raises InvalidOption if the plan was made in another process, so that its map is missing.
+    """
+    if plan.risk_map is None:
+        raise InvalidOption('the plan has no risk map; make it with plan_trip')
+    times = [datetime.now(timezone.utc)] * n
+    return Drawn(plan.strategy, plan.risk_map, plan.held_radius, plan.paths(n, rng), times)
+
+
+def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
+    """Write files with mode 0600; the suffix of each, one of ``SUFFIXES``, is its format.
 
     Raises InvalidCoordinates, and writes nothing, if a format needs a coordinate system and the
     map has none.
@@ -77,10 +93,14 @@ def write_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> list
     contents = {path: _content(path, drawn) for path in paths}
     for path, data in contents.items():
         write_private(path.parent, {path.name: data})
+
+
+def tell_outputs(paths: Sequence[Path], drawn: Drawn, console: Console) -> None:
+    """Print what was written, and put it into the result."""
     files = [place(path) for path in paths]
     console.line(f'{", ".join(files)}: {count(len(drawn.paths), "route")}; secret, so only this '
                  'user can read them.')
-    return files
+    console.result |= {'files': files, 'departures': len(drawn.paths)}
 
 
 def _content(path: Path, drawn: Drawn) -> bytes:
@@ -95,7 +115,9 @@ def _content(path: Path, drawn: Drawn) -> bytes:
         return _geojson(drawn.tables)
     if suffix == '.gpx':
         return _gpx(drawn.routes)
-    with TemporaryDirectory() as folder:  # mode 0700; GDAL makes files that all can read
+    # The folder has mode 0700; GDAL makes files that all can read.
+    with TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.filterwarnings('ignore', "'crs' was not provided")  # it is unknown
         file = Path(folder) / path.name
         if suffix == '.gpkg':
             for name, table in drawn.tables.items():
@@ -116,11 +138,12 @@ def _picture(drawn: Drawn) -> bytes:
 
 
 def _geojson(tables: Mapping[str, Any]) -> bytes:
-    import pandas
-
-    all_rows = pandas.concat([table.assign(layer=name) for name, table in tables.items()])
-    text: str = all_rows.to_json(na='drop', drop_id=True, to_wgs84=all_rows.crs is not None)
-    return text.encode()
+    features = []
+    for name, table in tables.items():
+        shown = table.assign(layer=name)
+        shown = shown.to_crs(WGS84) if shown.crs else shown
+        features += json.loads(shown.to_json(drop_id=True, show_bbox=False))['features']
+    return json.dumps({'type': 'FeatureCollection', 'features': features}).encode()
 
 
 def _gpx(routes: Any) -> bytes:

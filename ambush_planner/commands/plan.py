@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from ..planning.evaluation import evaluate
 from ..planning.plan import Plan, PlanningOptions
 from ..planning.trip import ORDERS, plan_trip
 from . import cli
-from .geo_files import FORMATS_HELP, Drawn, add_outputs, write_outputs
+from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
 from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, read_risk_map
 from .report_words import distance, travel
 from .terrain import add_terrain, terrain_from
@@ -103,12 +102,10 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anybody who knows the seed can foretell these '
                     'routes. Use it for tests only.')
-    paths = plan.paths(arguments.departures, np.random.default_rng(arguments.seed))
-    times = [datetime.now(timezone.utc)] * len(paths)
+    drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
+    write_outputs(arguments.output, drawn)
     _tell(plan, console)
-    console.result['files'] = write_outputs(
-        arguments.output, Drawn(plan.strategy, risk_map, plan.held_radius, paths, times), console)
-    console.result |= {'departures': len(paths), 'seconds': round(console.seconds, 1)}
+    tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS
 
 
@@ -152,6 +149,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     ):
         console.line(f'{name:<15} {text}')
     console.result = {
+        'seconds': round(console.seconds, 1),
         'value': strategy.value, 'lower_bound': strategy.lower_bound,
         'expected_length': strategy.expected_length, 'shortest_length': strategy.shortest_length,
         'shortest_route_loss': shortest,

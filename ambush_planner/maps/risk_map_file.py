@@ -43,7 +43,8 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
         options = replace(options, crs=options.crs or grid.crs or '')
         return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
     except InvalidRiskMap as error:
-        raise InvalidRiskMap(f'{path}: {error}') from error
+        hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
+        raise InvalidRiskMap(f'{path}: {error}{hint}') from error
 
 
 def _read_npz(path: Path, crs: str) -> RiskMap:
