@@ -123,6 +123,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         pairs, measured = _with_shortcuts(uv, edges, field, clearance)
     else:
         pairs, free = edges, largest_widths(uv, edges, tube)
+        most = most if tube is None else tube
         measured = CorridorWidths(np.minimum(free.widths, most), np.minimum(free.beyond, most))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
