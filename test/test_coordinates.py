@@ -107,8 +107,12 @@ def test_files_keep_map_and_system(tmp_path, crs):
     write_map(tmp_path / 'm.yaml', grid)
     for name in ('m.npz', 'm.yaml'):
         assert read_risk_map(tmp_path / name).crs == crs
-        named = read_risk_map(tmp_path / name, OccupancyOptions(crs='EPSG:32734'))
-        assert named.crs == 'EPSG:32734'
+        given = OccupancyOptions(crs='EPSG:32734')
+        if crs is None:
+            assert read_risk_map(tmp_path / name, given).crs == 'EPSG:32734'
+        else:
+            with pytest.raises(InvalidRiskMap, match=f'is in {crs}, not in EPSG:32734; leave out'):
+                read_risk_map(tmp_path / name, given)
     if crs == 'EPSG:32616':
         write_geotiff(tmp_path / 'm.tif', grid)
         one, other = (read_risk_map(tmp_path / name) for name in ('m.tif', 'm.yaml'))

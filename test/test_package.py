@@ -41,10 +41,11 @@ ROSDEP_KEYS = {
     'zstandard': 'mcap-ros2-support',
 }
 # Import name -> name on the package index, if they differ.
-REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas': 'geopandas',
+                'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
 FROM_PIP = dict.fromkeys(
-    ('geopandas', 'gpxpy', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
+    ('geopandas', 'gpxpy', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 
 
 @cache

@@ -100,6 +100,12 @@ def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(
     np.testing.assert_allclose(raster.values[inner], expected[inner], atol=1e-3)
 
 
+def test_a_geotiff_with_a_system_of_its_own_has_an_unknown_one(tmp_path):
+    path = write_geotiff(tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'LOCAL_CS["site"]',
+                         (10, 0, 0, 0, -10, 0))
+    assert read_raster(path).crs is None
+
+
 def test_no_utm_zone_near_the_poles(tmp_path):
     path = write_geotiff(tmp_path / 'a.tif', np.zeros((12, 12), np.float32), 'EPSG:4326',
                          (0.001, 0, 179.95, 0, -0.001, -85.0))

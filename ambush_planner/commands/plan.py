@@ -14,6 +14,7 @@ from ..errors import GoalOutsideMap, StartOutsideMap, StopOutsideMap
 from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import agreed_crs
 from ..planning.evaluation import evaluate
 from ..planning.plan import Plan, PlanningOptions
 from ..planning.trip import ORDERS, plan_trip
@@ -112,7 +113,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                     console: cli.Console) -> RiskMap:
     elevation, ground = terrain_from(arguments, arguments.map, console)
-    options = replace(options, crs=options.crs or elevation.crs or '')
+    options = replace(options, crs=agreed_crs(elevation.crs, options.crs))
     return risk_map_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
                                    options)
 

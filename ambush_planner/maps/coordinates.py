@@ -3,7 +3,8 @@
 A system is a text in a map file. It is whatever pyproj reads (``EPSG:32616``, WKT), with metres as
 its unit, or ``datum LAT LON YAW``: the local frame of a robot whose navsat_transform (package
 robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is at that place;
-its x axis points YAW [rad] counterclockwise from true east. Lengths are those of the UTM zone.
+its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
+``magnetic_declination_radians``). Lengths are those of the UTM zone.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def _read_geotiff(path: Path, nearest: bool) -> Raster:
 def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
     """The first band of an open rasterio dataset, in metres."""
     _check_size(path, dataset)
-    if dataset.crs is None:
+    if not (dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic)):
         return _band(path, dataset, None)
     left, bottom, right, top = dataset.bounds
     x, y = (left + right) / 2.0, (bottom + top) / 2.0

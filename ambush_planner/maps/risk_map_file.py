@@ -23,7 +23,8 @@ _UNKNOWN = 255  # in a GeoTIFF
 def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> RiskMap:
     """Read a map of map_server, a GeoTIFF of its values (nodata: unknown), or an npz file.
 
-    The npz file has the fields of ``RiskMap``. ``options.crs`` takes precedence over the file's.
+    The npz file has the fields of ``RiskMap``. A file without a coordinate system gets
+    ``options.crs``.
 
     Raises InvalidTerrain, InvalidRiskMap or OSError if the file is not such a map.
     """
@@ -40,11 +41,21 @@ def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> 
                                      f'{raster.row_step:g} m')
         else:
             grid = read_map(path)
-        options = replace(options, crs=options.crs or grid.crs or '')
+        options = replace(options, crs=agreed_crs(grid.crs, options.crs))
         return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
     except InvalidRiskMap as error:
         hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
         raise InvalidRiskMap(f'{path}: {error}{hint}') from error
+
+
+def agreed_crs(known: str | None, given: str) -> str:
+    """Return the coordinate system of a file, or the given one if it has none; '' if unknown.
+
+    Raises InvalidRiskMap if both are known and differ.
+    """
+    if known and given and known != given:
+        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
+    return known or given
 
 
 def _read_npz(path: Path, crs: str) -> RiskMap:
@@ -53,7 +64,7 @@ def _read_npz(path: Path, crs: str) -> RiskMap:
             content = dict(file)
         x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
         return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
-                       (x, y, yaw), crs or str(content.get('crs', '')) or None)
+                       (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs) or None)
     except KeyError as error:
         raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
     except (BadZipFile, EOFError, TypeError, ValueError) as error:

@@ -11,7 +11,6 @@ from datetime import datetime
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..game.strategy import Strategy
@@ -23,18 +22,6 @@ from ..maps.risk_map_file import cell_transform
 LEAST_PROBABILITY = 1e-6
 
 
-class _Place:
-    """Converts world positions to those of a table."""
-
-    def __init__(self, crs: str | None) -> None:
-        self._system = Coordinates(crs) if crs else None
-        self.crs = self._system.crs if self._system else None
-
-    def __call__(self, xy: npt.ArrayLike) -> FloatArray:
-        xy = np.asarray(xy, dtype=np.float64)
-        return self._system.to_crs(xy) if self._system else xy
-
-
 def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str | None) -> Any:
     """Return paths (L, 2 or 3) [m] as lines with ``departure`` (from 1), ``length`` [m], ``time``.
 
@@ -43,14 +30,15 @@ def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str
     import geopandas
     import shapely
 
-    place = _Place(crs)
+    system = Coordinates(crs) if crs else None
     columns = {
         'departure': np.arange(1, len(paths) + 1),
         'length': [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths],
         'time': [time.isoformat(timespec='seconds') for time in times],
     }
-    lines = [shapely.LineString(place(path[:, :2])) for path in paths]
-    return geopandas.GeoDataFrame(columns, geometry=lines, crs=place.crs)
+    lines = [shapely.LineString(system.to_crs(path[:, :2]) if system else path[:, :2])
+             for path in paths]
+    return geopandas.GeoDataFrame(columns, geometry=lines, crs=system and system.crs)
 
 
 def strategy_tables(strategy: Strategy, risk_map: RiskMap, held: float) -> Mapping[str, Any]:
@@ -63,8 +51,9 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap, held: float) -> Mappi
     import geopandas
     import shapely
 
-    place, network = _Place(risk_map.crs), strategy.network
-    points, p, q = place(network.points), strategy.edge_probability, strategy.ambush_probability
+    network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
+    system = Coordinates(risk_map.crs) if risk_map.crs else None
+    points = system.to_crs(network.points) if system else network.points
     used = np.flatnonzero(p > LEAST_PROBABILITY)
     waits = np.flatnonzero(q > LEAST_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
     ends = shapely.points(points[[network.source, *network.stops, network.target]])
@@ -75,7 +64,8 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap, held: float) -> Mappi
         'held_ground': ({'radius': [held] * len(ends)}, shapely.buffer(ends, held, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),
     }
-    return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes), crs=place.crs)
+    return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes),
+                                         crs=system and system.crs)
             for name, (columns, shapes) in tables.items()
             if len(shapes) and not (name == 'held_ground' and held <= 0.0)}
 
