@@ -126,7 +126,8 @@ def test_all_imports_are_declared_for_pip():
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
     assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
     for name, extra in FROM_PIP.items():
-        assert any(requirement.startswith(name) for requirement in extras[extra])
+        wanted = REQUIREMENTS.get(name, name)
+        assert any(requirement.startswith(wanted) for requirement in extras[extra])
 
 
 def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):
