@@ -8,7 +8,10 @@ from tempfile import TemporaryDirectory
 from setuptools import find_packages, setup
 
 package_name = 'ambush_planner'
-commands = ('audit', 'demo', 'frontier', 'replay', 'report', 'table', 'terrain', 'verify', 'views')
+commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk', 'table',
+            'terrain', 'verify', 'views')
+gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
+       'shapely>=2.0']
 
 # pip builds in the checkout; its build results go to a temporary folder.
 options = {}
@@ -54,11 +57,13 @@ setup(
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
-        'terrain': ['rasterio>=1.3'],  # ambush_terrain reads GeoTIFF
+        # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX, KML.
+        'gis': gis,
         # Completion after `register-python-argcomplete ambush`, and progress bars.
         'terminal': ['argcomplete', 'tqdm'],
         # colcon test runs pytest only if an extra of this name has it.
         'test': [
+            *gis,
             'argcomplete',
             'pytest>=7.4',
             'pytest-timeout',
@@ -68,7 +73,6 @@ setup(
             'highspy',
             'clarabel',
             'distributed>=2024.1',  # an executor for solve_many
-            'rasterio>=1.3',
             'rosbags',
             'setuptools>=70.1',  # makes wheels without the package wheel
             'tqdm',

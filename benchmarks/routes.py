@@ -20,7 +20,7 @@ from scenarios import SCENARIOS, Scenario
 
 from ambush_planner import Network, NetworkOptions, SolverFailed, Strategy, StrategyOptions, solve
 from ambush_planner.arrays import FloatArray
-from ambush_planner.commands.figures import draw_ends, draw_risk_map, draw_routes, frame
+from ambush_planner.figures import draw_ends, draw_risk_map, draw_routes, frame
 from ambush_planner.network.construction import chosen_spacing
 from ambush_planner.planning.evaluation import energy_efficient_route
 from ambush_planner.routes.corridors import make_corridors

@@ -15,7 +15,7 @@ from report import conditions, new_parser, publish, table
 from scenarios import Scenario, terrain
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.commands.figures import (
+from ambush_planner.figures import (
     AMBUSHER,
     draw_ends,
     draw_risk_map,

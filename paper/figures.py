@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 from scipy.sparse import csr_matrix
 
-from ambush_planner.commands.figures import (
+from ambush_planner.figures import (
     PROBABILITY,
     FloatArray,
     draw_ends,

@@ -223,7 +223,7 @@ def program_value(network: Network, hits: csr_matrix | None = None, budget: floa
     parts = (
         (hits.data * network.alpha[hits.row], hits.row, hits.col),
         (-np.ones(n), every, np.full(n, m)), (-np.ones(len(slack)), slack, m + 1 + slack),
-        *[(network.lengths / budget, np.full(m, n), each)] * budgets,
+        *[(network.travel_costs / budget, np.full(m, n), each)] * budgets,
     )
     data, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
     rows = csr_matrix((data, (row, column)), shape=(n + budgets, width))

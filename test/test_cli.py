@@ -102,6 +102,7 @@ def inputs(tmp_path_factory):
     ])
     write_map(folder / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
     np.savez(folder / 'dem.npz', elevation=np.zeros((40, 40)), resolution=50.0)
+    (folder / 'layers.yaml').write_text('layers: [{terrain: dem.npz}]')
     (folder / 'from.csv').write_text('name,x,y\na,15,15\n')
     (folder / 'to.csv').write_text('name,x,y\nb,285,185\n')
     return folder
@@ -110,6 +111,7 @@ def inputs(tmp_path_factory):
 LINES = {
     'audit': 'runs', 'replay': 'runs --every 0 --rate 1e9', 'report': 'runs -o reported',
     'verify': 'runs', 'terrain': 'dem.npz -o made.yaml', 'views': 'map.yaml -o viewed',
+    'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',
     'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',

@@ -9,7 +9,7 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from matplotlib.figure import Figure
 
-from ambush_planner.commands import figures
+from ambush_planner import figures
 from ambush_planner.maps.risk_map import RiskMap
 from paper.figures import binned_directions
 

@@ -41,9 +41,11 @@ ROSDEP_KEYS = {
     'zstandard': 'mcap-ros2-support',
 }
 # Import name -> name on the package index, if they differ.
-REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'yaml': 'PyYAML'}
+REQUIREMENTS = {'PIL': 'matplotlib', 'mcap_ros2': 'mcap-ros2-support', 'pandas': 'geopandas',
+                'yaml': 'PyYAML'}
 # Import name -> extra, for packages that only pip has.
-FROM_PIP = {'rasterio': 'terrain'}
+FROM_PIP = dict.fromkeys(
+    ('geopandas', 'gpxpy', 'pandas', 'pyogrio', 'pyproj', 'rasterio', 'shapely'), 'gis')
 
 
 @cache
@@ -124,7 +126,8 @@ def test_all_imports_are_declared_for_pip():
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names
     assert not [name for name in arguments['install_requires'] if 'ros-' in name or 'rcl' in name]
     for name, extra in FROM_PIP.items():
-        assert any(requirement.startswith(name) for requirement in extras[extra])
+        wanted = REQUIREMENTS.get(name, name)
+        assert any(requirement.startswith(wanted) for requirement in extras[extra])
 
 
 def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):

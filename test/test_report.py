@@ -134,10 +134,11 @@ def test_departures_and_settings_are_listed_without_routes_and_seeds(made):
         assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
 
 
-def test_a_fixed_seed_is_warned_about(tmp_path, a_plan, made):
-    entries = {'parameters': parameters(seed=77123)}
+def test_a_fixed_seed_and_an_unusable_system_are_warned_about(tmp_path, a_plan, made):
+    entries = {'parameters': parameters(seed=77123, **{'map.crs': 'nonsense'})}
     page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
     assert 'fixed seed' in page.text and '77123' not in page.html
+    assert 'No latitude and longitude at the pointer: ' in page.text
     assert '1 departure,' in page.text and '1 departures' not in page.text
     assert 'fixed seed' not in made[0].text
 

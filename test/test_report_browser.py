@@ -19,7 +19,8 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 from audit_samples import departure, drawn, parameters, record, sample_plan
 
 from ambush_planner.commands import report
-from ambush_planner.commands.figures import AMBUSHER, ROUTES
+from ambush_planner.figures import AMBUSHER, ROUTES
+from ambush_planner.maps.coordinates import Coordinates
 
 MAP = 'figure.map'
 BINARY = next(
@@ -230,7 +231,8 @@ def test_the_page_fits_and_requests_nothing(browser, page, width):
 @pytest.mark.parametrize('reach', [0.0, 25.0])
 def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, reach):
     """An ambush at each site costs what the planner's core says, by the page's own sums."""
-    entries = {'parameters': parameters(**{'game.ambush_radius': reach})}
+    crs = 'datum -33.9 18.4 0.3' if reach else ''
+    entries = {'parameters': parameters(**{'game.ambush_radius': reach, 'map.crs': crs})}
     a_plan = sample_plan(reach=reach)
     record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0], entries=entries)])
     assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'out')]) == 0
@@ -244,6 +246,13 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
     assert costs.max() == pytest.approx(a_plan.strategy.value, rel=1e-4)
     ends = a_plan.network.points[[a_plan.network.source, a_plan.network.target]].tolist()
     assert all(browser.evaluate(f'map.measure({x}, {y}).held') for x, y in ends)
+    browser.evaluate('map.tell(200, 100)')
+    shown = re.search(r' m \((-33\.\d{6}), (18\.\d{6})\): ', readout(browser))
+    assert bool(shown) == bool(crs)
+    if crs:
+        pytest.importorskip('pyproj')
+        expected = Coordinates(crs).to_lat_lon(browser.evaluate('map.place(200, 100)'))
+        assert [float(text) for text in shown.groups()] == pytest.approx(expected, abs=6e-7)
 
 
 def test_layers_can_be_switched_by_clicking(browser, page):

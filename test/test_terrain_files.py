@@ -49,7 +49,7 @@ def test_rejects_a_truncated_npz_file(tmp_path):
 
 
 def write_geotiff(path, heights, crs, transform, nodata=None):
-    rasterio = pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "terrain"')
+    rasterio = pytest.importorskip('rasterio', reason='GeoTIFF takes the extra "gis"')
     with rasterio.open(
         path, 'w', driver='GTiff', height=heights.shape[0], width=heights.shape[1], count=1,
         dtype=heights.dtype, crs=crs, transform=rasterio.Affine(*transform), nodata=nodata,
@@ -67,20 +67,49 @@ def test_geotiff_in_metres_with_nodata(tmp_path):
     raster = read_raster(path)
     assert (raster.row_step, raster.column_step) == (30.0, 25.0)
     assert np.isnan(raster.values[2, 1]) and raster.values[0, 3] == 11.0
-    assert raster.place == '500000 3999910 EPSG:32632'
+    assert (raster.corner, raster.crs) == ((500000.0, 3999910.0), 'EPSG:32632')
 
 
 @pytest.mark.parametrize(
-    ('west', 'north', 'utm'), [(10.0, 60.05, 'EPSG:32632'), (179.95, -85.0, 'EPSG:32760')]
+    ('crs', 'west', 'north', 'step', 'utm'),
+    [
+        ('EPSG:4326', -84.2, 36.5, 1 / 1200, 'EPSG:32616'),
+        ('EPSG:4326', 18.4, -33.9, 1 / 1200, 'EPSG:32734'),
+        ('EPSG:4326', 5.3, 60.4, 1 / 1200, 'EPSG:32632'),
+        ('EPSG:3857', -9.37e6, 4.37e6, 100.0, 'EPSG:32616'),  # its metres are 0.81 m there
+        ('EPSG:2264', 1.5e6, 6e5, 300.0, 'EPSG:32617'),  # feet
+    ],
 )
-def test_rejects_a_geotiff_in_degrees_and_says_how_to_reproject_it(tmp_path, west, north, utm):
-    step = 1.0 / 1200.0
-    path = write_geotiff(
-        tmp_path / 'a.tif', np.zeros((12, 12), np.float32), 'EPSG:4326',
-        (step, 0, west, 0, -step, north),
-    )
-    command = rf'gdalwarp -t_srs {utm} -r bilinear a\.tif a_utm\.tif'
-    with pytest.raises(InvalidTerrain, match=rf'in degrees \(EPSG:4326\).*: {command}$'):
+def test_a_geotiff_without_true_metres_is_reprojected_to_its_utm_zone(
+    tmp_path, crs, west, north, step, utm
+):
+    """Heights that are a plane in the source come out as pyproj says, cell by cell."""
+    pyproj = pytest.importorskip('pyproj')
+    rows, columns = np.mgrid[:40, :40] + 0.5
+    path = write_geotiff(tmp_path / 'a.tif', 3.0 * rows - columns, crs,
+                         (step, 0, west, 0, -step, north))
+    raster = read_raster(path)
+    assert raster.crs == utm and crs in raster.note and utm in raster.note
+    assert np.isnan(raster.values[[0, 0, -1, -1], [0, -1, 0, -1]]).any()  # the area is rotated
+    inner = (slice(8, -8),) * 2
+    row, column = np.mgrid[: raster.values.shape[0], : raster.values.shape[1]] + 0.5
+    back = pyproj.Transformer.from_crs(utm, crs, always_xy=True)
+    x, y = back.transform(raster.corner[0] + column * raster.column_step,
+                          raster.corner[1] + row * raster.row_step)
+    expected = 3.0 * (north - y) / step - (x - west) / step
+    np.testing.assert_allclose(raster.values[inner], expected[inner], atol=1e-3)
+
+
+def test_a_geotiff_with_a_system_of_its_own_has_an_unknown_one(tmp_path):
+    path = write_geotiff(tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'LOCAL_CS["site"]',
+                         (10, 0, 0, 0, -10, 0))
+    assert read_raster(path).crs is None
+
+
+def test_no_utm_zone_near_the_poles(tmp_path):
+    path = write_geotiff(tmp_path / 'a.tif', np.zeros((12, 12), np.float32), 'EPSG:4326',
+                         (0.001, 0, 179.95, 0, -0.001, -85.0))
+    with pytest.raises(InvalidTerrain, match=r'a\.tif: no UTM zone contains latitude -85'):
         read_raster(path)
 
 
@@ -88,13 +117,6 @@ def test_rejects_arrays_that_are_too_large_before_loading_them(tmp_path, monkeyp
     monkeypatch.setattr(elevation_file, 'MAX_CELLS', 1000)
     with pytest.raises(InvalidTerrain, match='limit of 1000 cells; crop'):
         read_raster(save(tmp_path / 'a.npz', elevation=np.zeros((40, 40)), resolution=1.0))
-
-
-def test_geotiff_in_feet_becomes_metres(tmp_path):
-    path = write_geotiff(
-        tmp_path / 'a.tif', np.zeros((4, 4), np.float32), 'EPSG:2264', (10, 0, 0, 0, -10, 0)
-    )
-    assert read_raster(path).row_step == pytest.approx(3.048, abs=1e-4)
 
 
 def test_rejects_a_rotated_geotiff(tmp_path):

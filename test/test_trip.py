@@ -27,7 +27,7 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.network.construction import TripGraph
+from ambush_planner.network.trip_graph import TripGraph
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.plan import depart, departure_path
 from ambush_planner.planning.solving import solve_on_network
@@ -52,13 +52,14 @@ def roads_of(seed, stops, count=14):
     triangles = Delaunay(points).simplices
     pairs = np.unique(np.sort(
         np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])), axis=0)
-    return TripGraph(points, alpha, pairs, tuple(range(count, count + stops + 2)))
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    return TripGraph(points, alpha, edges, tuple(range(count, count + stops + 2)))
 
 
 def least_value(roads, radius=0.0, detour=math.inf):
     """The trip's value by a program with a flow of its own for each leg, by HiGHS."""
     points, count, legs = roads.points, len(roads.points), len(roads.visits) - 1
-    edges = np.concatenate((roads.pairs, roads.pairs[:, ::-1]))
+    edges = roads.edges
     tail, head = edges.T
     used = len(edges)
     # Row i: what leaves node i less what enters it.
@@ -146,7 +147,8 @@ def there_and_back(first, second):
     """A stop with two sites on all ways from the start and to the goal."""
     points = np.array([(1, 1), (1, -1), (0, 0), (2, 0), (0, 0.1)], float)
     pairs = np.array([(2, 0), (2, 1), (0, 3), (1, 3), (0, 4), (1, 4)])
-    return TripGraph(points, np.array([first, second, 0, 0, 0], float), pairs, (2, 3, 4))
+    edges = np.concatenate((pairs, pairs[:, ::-1]))
+    return TripGraph(points, np.array([first, second, 0, 0, 0], float), edges, (2, 3, 4))
 
 
 def test_a_site_that_two_legs_pass_counts_once():

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, probability_scale
 from ..maps.risk_map import RiskMap
 from ..recordings import (
     RecordedDeparture,
@@ -19,7 +20,6 @@ from ..recordings import (
 )
 from ..recordings.audit import Audit, NotAuditable, audit
 from . import cli
-from .figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, probability_scale
 
 PICTURE = 'audit.png'
 NUMBERS = ('left_out', 'p_value', 'impossible', 'value', 'observer_loss', 'observer_range')

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from enum import IntEnum
@@ -26,9 +27,12 @@ from .console import place as place
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
     'demo': 'departures on real terrain, through the real node',
+    'export': 'recorded routes for a GPS or a GIS',
     'frontier': 'value, length and entropy of other budgets',
+    'plan': 'from a map to drawn routes for a GPS or a GIS',
     'replay': 'publish recorded departures again',
     'report': 'recorded departures on one page for any browser',
+    'risk': 'a risk map from terrain, polygons, roads and incidents',
     'table': 'value and length for all pairs of depots and customers',
     'terrain': 'a risk map from an elevation model',
     'verify': 'check that recorded departures follow from their inputs',
@@ -38,6 +42,7 @@ EXIT_CODES = (
     'Exit codes: 0 all holds; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
     '4 not enough data to decide. A finding takes precedence.'
 )
+_SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
 _BROKEN_PIPE, _INTERRUPTED = 141, 130  # exit codes of a shell after SIGPIPE and SIGINT
 
 
@@ -120,7 +125,9 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
     """Parse the arguments, do the work, report errors, and return the exit code."""
     parser = make_parser()
     _complete(parser)
-    options = parser.parse_args(arguments)
+    # argparse takes a token that begins with a minus for an option unless it is a number.
+    given = sys.argv[1:] if arguments is None else arguments
+    options = parser.parse_args([f' {each}' if _SOUTHERN.match(each) else each for each in given])
     console = Console(parser.prog, as_json=options.json, quiet=options.quiet)
     try:
         code = work(options, console)
@@ -187,7 +194,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
     except ModuleNotFoundError as error:
         package = str(error.name).partition('.')[0]
         print(f"ambush_{name}: {package} is not installed; try: pip install "
-              "'ambush_planner[jazzy,figures]'", file=sys.stderr)
+              "'ambush_planner[jazzy,figures,gis]'", file=sys.stderr)
         return Exit.UNREADABLE
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import fill
 from typing import Any, TypeVar
@@ -75,6 +77,25 @@ class Console:
                 bar.close()
 
         return show
+
+    @contextmanager
+    def waiting(self, what: str) -> Iterator[None]:
+        """Say after two seconds, and again whenever the time has doubled, what takes so long."""
+        done = threading.Event()
+
+        def tell() -> None:
+            pause = 2.0
+            while not done.wait(pause):
+                self.step(f'{what} ...')
+                pause *= 2.0
+
+        thread = threading.Thread(target=tell, daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            done.set()
+            thread.join()
 
     def result_as_json(self, verdict: str) -> None:
         """Print the verdict and the result as JSON if requested."""

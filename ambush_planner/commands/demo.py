@@ -15,6 +15,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
+from ..figures import as_png
 from ..game.strategy import Strategy, StrategyOptions
 from ..maps.ros_messages import path_from_ros
 from ..planning.evaluation import evaluate
@@ -24,7 +25,6 @@ from . import cli
 from . import report_words as words
 from .demo_figures import fixed_routes, routes_figure
 from .demo_ground import GOAL, OPTIONS, RESOLUTION, START, load_ground
-from .figures import as_png
 from .frontier import write_frontier
 from .node_process import NodeProcess, free_domain
 from .report import write_report

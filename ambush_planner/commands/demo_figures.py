@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from .. import figures
 from ..arrays import FloatArray
+from ..figures import AMBUSHER, OBSTACLE, SECURED_DASHES
 from ..game.hits import largest_losses
 from ..game.route_sampler import route_strategy
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
-from . import figures
-from .figures import AMBUSHER, OBSTACLE, SECURED_DASHES
 
 # Colours and dashes of the fixed routes.
 FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))))

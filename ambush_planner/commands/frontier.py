@@ -14,19 +14,19 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from ..errors import InvalidOption
+from ..figures import AMBUSHER, PROBABILITY
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .figures import AMBUSHER, PROBABILITY
 from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
 {MAP_HELP}
 A strategy is solved for each detour with the given slack, and for each slack with the given detour.
-The table has a row for each: value and lower_bound, expected_length [m], expected_exposure
-[loss x m], route_entropy [nats], and error if there is no strategy, which is a finding. TABLE.png
-shows the same as curves.
+The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
+expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
+finding. TABLE.png shows the same as curves.
 {OPTIONS_HELP}
 --json: {{"verdict", "table", "rows": [{{...}}]}}
 """ + cli.EXIT_CODES

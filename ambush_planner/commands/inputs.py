@@ -6,24 +6,21 @@ import argparse
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
 import yaml
 
-from ..errors import InvalidOption, InvalidRiskMap
+from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
-from ..maps.map_file import read_map
-from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
-from ..maps.risk_map import RiskMap
+from ..maps.occupancy import OccupancyOptions
+from ..maps.risk_map_file import read_risk_map as read_risk_map
 from ..network.construction import NetworkOptions
 
 MAP_HELP = """\
-MAP is a YAML file for map_server (ambush_terrain makes such maps), or an npz file with alpha and
-obstacles (H, W), row 0 the lowest, resolution [m] and, if it is not 0, origin (x, y, yaw)."""
+MAP is a YAML file for map_server (ambush_terrain makes such maps), a GeoTIFF of the same values,
+-1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution [m] and, if
+they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
 Options are named like the node's parameters (map., network., game., strategy.) and have the
 defaults of the Python functions."""
@@ -43,6 +40,28 @@ def add_set(parser: argparse.ArgumentParser) -> None:
     """Add the argument ``--set``, for ``options_from``."""
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
                         help='options, such as network.spacing=50 strategy.max_detour=1.3')
+
+
+def add_crs(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments ``--crs`` and ``--datum``, for ``crs_text``."""
+    crs = parser.add_mutually_exclusive_group()
+    crs.add_argument('--crs', default='', metavar='SYSTEM', help='coordinate system of the map, '
+                     'such as EPSG:32616 (default: as its file says)')
+    add_datum(crs)
+
+
+def add_datum(parser: argparse._ActionsContainer) -> None:
+    """Add the argument ``--datum``, for ``crs_text``."""
+    parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
+                        help="the map is in a robot's frame: its origin, and the direction of x "
+                        "[rad from east], as navsat_transform's parameter datum")
+
+
+def crs_text(arguments: argparse.Namespace) -> str:
+    """Return the coordinate system that the arguments name, as ``Coordinates`` reads it, or ''."""
+    if arguments.datum:
+        return 'datum ' + ' '.join(f'{number:.12g}' for number in arguments.datum)
+    return str(arguments.crs)
 
 
 def options_from(assignments: Sequence[str]) -> SolveOptions:
@@ -70,23 +89,3 @@ def _value(name: str, text: str, kind: type) -> Any:
     if type(value) is not kind:
         raise InvalidOption(f'{name} must be of type {kind.__name__}, got {text!r}')
     return value
-
-
-def read_risk_map(path: Path, options: OccupancyOptions) -> RiskMap:
-    """Read a map of map_server, or the fields of a ``RiskMap`` from an npz file.
-
-    Raises InvalidTerrain, InvalidRiskMap or OSError if the file is not such a map.
-    """
-    if path.suffix != '.npz':
-        grid = read_map(path)
-        return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
-    try:
-        with np.load(path) as file:
-            content = dict(file)
-        x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
-        return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
-                       (x, y, yaw))
-    except KeyError as error:
-        raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
-    except (BadZipFile, EOFError, TypeError, ValueError) as error:
-        raise InvalidRiskMap(f'{path}: {error}') from error

@@ -283,6 +283,17 @@ class View {
 
   #far(metres) { return metres >= 1000 ? `${digits(metres / 1000)} km` : `${digits(metres)} m`; }
 
+  // Latitude and longitude of world coordinates, as text; '' if they are unknown.
+  #degrees(x, y) {
+    const { degrees } = this.data;
+    if (!degrees) return '';
+    const [s, t] = [x, y].map((at, k) => (at - degrees.middle[k]) / degrees.half[k]);
+    const horner = (terms, at) => terms.reduceRight((sum, term) => sum * at + term, 0);
+    const [lat, lon] = [degrees.lat, degrees.lon].map(
+      (rows) => horner(rows.map((row) => horner(row, t)), s).toFixed(6));
+    return ` (${lat}, ${lon})`;
+  }
+
   // Say what is at a place of the canvas.
   tell(px, py) {
     const [x, y] = this.place(px, py), { reach, held, origin, value } = this.data;
@@ -292,7 +303,8 @@ class View {
       height: across, display: 'block' });
     if (found.here === undefined) this.readout.textContent = 'Outside the map.';
     else {
-      const where = `x ${(x + origin[0]).toFixed(1)} m, y ${(y + origin[1]).toFixed(1)} m: `;
+      const [u, v] = [x + origin[0], y + origin[1]];
+      const where = `x ${u.toFixed(1)} m, y ${v.toFixed(1)} m${this.#degrees(u, v)}: `;
       const loss = Number.isNaN(found.here) ? 'impassable. ' : `loss ${digits(found.here)}. `;
       const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
       let cost = ` An ambush causes a mean loss of ${digits(found.cost)} (the best one ${digits(value)}).`;

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from html import escape
 from string import Template
 
+from ..figures import ROUTES
+from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
 from .cli import count, resource
-from .figures import ROUTES
 
 SEVERAL = (
     'The start, the goal or the settings moved a little, so {} strategies were computed for this '
@@ -90,7 +91,12 @@ def _section(section: Section, name: str) -> str:
         warnings.append(_warning(FIXED_SEED))
     if (strategies := len({id(each.strategy) for each in departures})) > 1:
         warnings += _paragraphs([SEVERAL.format(strategies)])
-    coloured, data, rows = colours(section), map_data(section), words.departures(section)
+    try:
+        data = map_data(section)
+    except InvalidCoordinates as error:
+        warnings.append(_warning(f'No latitude and longitude at the pointer: {error}.'))
+        data = map_data(section, with_degrees=False)
+    coloured, rows = colours(section), words.departures(section)
     data['colours'] = [coloured.get(k) for k in range(len(departures))]
     dots = {k: f'&nbsp;<span style="color:{colour}">●</span>' for k, colour in coloured.items()}
     return Template(resource('report_section.html')).substitute(

@@ -36,7 +36,7 @@ def certificate(section: Section) -> list[str]:
     held = strategy.game.options.held_radius
     outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
     length = ('' if strategy.length_budget == math.inf else
-              f' with an expected length of at most {distance(strategy.length_budget)}')
+              f' with an expected length of at most {travel(strategy, strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
     reach = strategy.game.reach
@@ -67,7 +67,8 @@ def tiles(strategy: Strategy) -> list[tuple[str, str]]:
         (f'{shortest:.2f}', 'the same if the shortest route were always driven'),
         (_routes(strategy), 'equally likely routes would be as hard to guess'),
         (f'{strategy.expected_length / strategy.shortest_length:.2f} x',
-         f'mean length, relative to the shortest route ({distance(strategy.shortest_length)})'),
+         f'mean length, relative to the shortest route '
+         f'({travel(strategy, strategy.shortest_length)})'),
     ]
 
 
@@ -76,7 +77,7 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     head = ('planner', 'expected length E', 'probability of an ambush P_1',
             'the same once it is known P_inf', 'mean loss then V_inf')
     return [head, *(
-        (PLANNERS[name], distance(row.expected_length), percent(row.p_first),
+        (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
          percent(row.p_repeated), f'{row.v_repeated:.3f}')
         for name, row in evaluate(strategy).items()
     )]
@@ -90,9 +91,9 @@ def quantities(strategy: Strategy) -> list[tuple[str, str]]:
         ('value z', f'{strategy.value:.9g}'),
         ('lower bound', f'{strategy.lower_bound:.9g}'),
         ('gap', f'{strategy.gap:.3g}'),
-        ('expected length', distance(strategy.expected_length)),
-        ('shortest route', distance(strategy.shortest_length)),
-        ('length budget', distance(budget) if math.isfinite(budget) else 'none'),
+        ('expected length', travel(strategy, strategy.expected_length)),
+        ('shortest route', travel(strategy, strategy.shortest_length)),
+        ('length budget', travel(strategy, budget) if math.isfinite(budget) else 'none'),
         ('edge entropy', f'{strategy.edge_entropy:.4g} nats'),
         ('route entropy', f'{strategy.route_entropy:.4g} nats'),
         ('effective number of routes', _routes(strategy)),
@@ -122,6 +123,11 @@ def settings(section: Section) -> list[tuple[str, str]]:
             found.setdefault(name, set()).add(str(value))
     return [(name, values.pop() if len(values) == 1 else 'differs between departures')
             for name, values in sorted(found.items()) if name != 'seed']
+
+
+def travel(strategy: Strategy, value: float) -> str:
+    """A length, or a time where budgets are of time."""
+    return distance(value) if strategy.network.travel_unit == 'm' else f'{value:.4g} s'
 
 
 def _routes(strategy: Strategy) -> str:

@@ -24,8 +24,8 @@ COLUMNS = ('depot', 'customer', *NUMBERS, 'error')
 EPILOG = f"""\
 DEPOTS.csv and CUSTOMERS.csv have the columns name, x, y (world positions [m]).
 {MAP_HELP}
-The table has a row for each pair: value, lower_bound, expected_length and shortest_length [m],
-route_entropy [nats], and error if there is no strategy, which is a finding.
+The table has a row for each pair: value, lower_bound, expected_length and shortest_length [m; s on
+roads with speeds], route_entropy [nats], and error if there is no strategy, which is a finding.
 {OPTIONS_HELP}
 --json: {{"verdict", "table", "pairs", "failed", "seconds"}}
 """ + cli.EXIT_CODES

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..figures import OBSTACLE, draw_risk_map, frame
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -20,20 +21,22 @@ from ..maps import (
 from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
+from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
-from .figures import OBSTACLE, draw_risk_map, frame
+from .inputs import add_datum, crs_text
 
 EPILOG = """\
-DEM is a GeoTIFF (pip install 'ambush_planner[terrain]'), or an npz file with elevation (H, W) [m],
+DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
 the northernmost row first, NaN where unknown, and resolution [m] (or dx and dy [m]). --roads takes
 the same kinds of files (npz: roads); cells with a road are not 0.
 
 Map values: 0..99 risk, 100 too steep, -1 unknown. Risk is the weighted mean of four shares: depth
 of the cell below the ground within weapon range, share of that ground that sees a vehicle, how
 close a person can come unseen, and slope. The package ambush_planner.maps documents the formulas.
-The map's origin is its south-west corner.
+A GeoTIFF in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
-It also writes MAP.pgm, in map_server's mode raw, and a preview, MAP.png.
+It also writes MAP.pgm, in map_server's mode raw, a preview, MAP.png, and, if the coordinate system
+is known, a GeoTIFF, MAP.tif.
 --json: {"verdict", "files"}
 """ + cli.EXIT_CODES
 # Maximum cells across a panel of the preview; larger maps are subsampled.
@@ -46,6 +49,13 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('elevation', type=Path, metavar='DEM', help='GeoTIFF or npz')
     made.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
                       help='the map to write')
+    add_terrain(made)
+    add_datum(made)
+    return made
+
+
+def add_terrain(made: argparse.ArgumentParser) -> None:
+    """Add the options that convert an elevation model to risk."""
     made.add_argument('--roads', type=Path, metavar='FILE', help='cells with roads')
     for name, default, text in (
         ('--resolution', 0.0, "cell size [m] (default: the DEM's)"),
@@ -59,28 +69,42 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('--weights', type=float, nargs=4, default=(0.4, 0.2, 0.2, 0.2),
                       metavar=('DEPTH', 'EXPOSURE', 'APPROACH', 'SLOPE'),
                       help='weights of the four shares (default: 0.4 0.2 0.2 0.2)')
-    return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    views = ViewOptions(arguments.weapon_range, arguments.vehicle_height, arguments.person_height)
-    options = TerrainOptions(views, arguments.slope_limit, tuple(arguments.weights),
-                             arguments.road_factor)
-    elevation = elevation_from_raster(read_raster(arguments.elevation), arguments.resolution)
-    roads = arguments.roads and mask_from_raster(read_raster(arguments.roads, 'roads'), elevation)
-    ground = terrain_map(elevation, options, roads, console.bar('lines of sight'))
-    place = f'; its lower left corner is at {elevation.place}' if elevation.place else ''
+    elevation, ground = terrain_from(arguments, arguments.elevation, console)
+    grid = OccupancyMap(ground.values, ground.resolution, (*elevation.corner, 0.0), elevation.crs)
+    if arguments.datum:
+        grid = in_local_frame(grid, crs_text(arguments))
     files = [
         arguments.output,
-        write_map(arguments.output, OccupancyMap(ground.values, ground.resolution),
-                  f'Risk map from an elevation model{place}.'),
+        write_map(arguments.output, grid, 'Risk map from an elevation model.'),
         arguments.output.with_suffix('.png'),
     ]
     terrain_figure(elevation, ground).savefig(files[-1])
+    if grid.crs:
+        files.append(arguments.output.with_suffix('.tif'))
+        write_geotiff(files[-1], grid)
     console.line(_summary(ground))
     console.result = {'files': [cli.place(path) for path in files]}
     console.line(', '.join(console.result['files']))
     return cli.Exit.HOLDS
+
+
+def terrain_from(arguments: argparse.Namespace, path: Path,
+                 console: cli.Console) -> tuple[Elevation, TerrainMap]:
+    """Make the risk map of an elevation model with the options of ``add_terrain``."""
+    views = ViewOptions(arguments.weapon_range, arguments.vehicle_height, arguments.person_height)
+    options = TerrainOptions(views, arguments.slope_limit, tuple(arguments.weights),
+                             arguments.road_factor)
+    raster = read_raster(path)
+    if raster.note:
+        console.say(raster.note)
+    elevation = elevation_from_raster(raster, arguments.resolution)
+    roads = arguments.roads and mask_from_raster(
+        read_raster(arguments.roads, 'roads', nearest=True), elevation
+    )
+    return elevation, terrain_map(elevation, options, roads, console.bar('lines of sight'))
 
 
 def _summary(ground: TerrainMap) -> str:

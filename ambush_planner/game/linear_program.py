@@ -55,7 +55,7 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     """
     network = game.network
     edge = np.flatnonzero(game.playable)
-    lengths = network.lengths[edge]
+    lengths = network.travel_costs[edge]
     cost = np.append(length_weight / unit * lengths, 1.0 - length_weight)
     per_loss = -np.minimum(unit / game.loss[game.sites], MOST_VISITS)
     inequalities = hstack((game.hits[:, edge], csr_matrix(per_loss[:, None])))
@@ -84,7 +84,7 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
         game = _avoiding_all_sites(game, length.limit) or game
     program = linear_program(game, length_weight, np.inf, _loss_unit(game))
     result = _run(program, solver, deadline)
-    lengths = game.network.lengths
+    lengths = game.network.travel_costs
     row_added = float(lengths[program.edge] @ result.x[:-1]) > length.limit * (1 + 1e-9)
     if row_added:
         program, result = _within_budget(game, solver, length, length_weight, deadline)
@@ -106,7 +106,8 @@ def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
     Its value is exactly 0; on all edges, rounding would decide.
     """
     safe = game.avoiding_all_sites()
-    if safe is None or shortest_route_strategy(safe) @ game.network.lengths > budget * (1 + 1e-9):
+    costs = game.network.travel_costs
+    if safe is None or shortest_route_strategy(safe) @ costs > budget * (1 + 1e-9):
         return None
     return safe
 

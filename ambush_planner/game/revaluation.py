@@ -22,8 +22,8 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     Raises BudgetInfeasible if the best playable route exceeds a budget.
     """
     network, most = game.network, strategy.exposure_budget
-    length = Budget(game, network.lengths, strategy.length_budget, strategy.shortest_length,
-                    'length', 'm')
+    length = Budget(game, network.travel_costs, strategy.length_budget, strategy.shortest_length,
+                    'length', network.travel_unit)
     least = strategy.least_exposure
     if math.isfinite(most) and network is not strategy.network:
         factor = most / max(least, np.finfo(float).tiny)

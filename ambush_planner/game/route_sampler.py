@@ -114,7 +114,7 @@ def route_edges(network: Network, route: IndexArray) -> IndexArray:
 
 def shortest_route(network: Network, edge: IndexArray) -> IndexArray:
     """Nodes (K,) of a shortest route that uses only the edges with indices ``edge``."""
-    return shortest_path(network.edges[edge], network.lengths[edge], len(network.points),
+    return shortest_path(network.edges[edge], network.travel_costs[edge], len(network.points),
                          network.source, network.target)
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit
-from ..maps.risk_map import LEAST_LOSS, MOST_LOSS
+from ..maps.risk_map import LEAST_LOSS, MOST_LOSS, RiskMap
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
+from ..notebook import Shown
 from ..option_checks import check_at_least
 from .budget import Budget
 from .certificate import certify
@@ -90,8 +92,8 @@ class StrategyOptions:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Strategy:
+@dataclass(frozen=True, eq=False, repr=False)
+class Strategy(Shown):
     """A mixed strategy with its certificate.
 
     Attributes
@@ -115,8 +117,8 @@ class Strategy:
         -sum p ln p (the paper's), and the entropy of the drawn route, -sum p_ij ln(p_ij / x_i)
         [nats].
     expected_length, shortest_length, length_budget : float
-        [m]; the shortest route is the whole network's. With ``length_weight`` the budget is the
-        strategy's own expected length.
+        [m], or [s] if the network has driving times (``travel_costs``); the shortest route is the
+        whole network's. With ``length_weight`` the budget is the strategy's own expected length.
     expected_exposure, least_exposure, exposure_budget : float
         Integral of alpha along the route [loss x m]: its mean, the least of any route, the budget.
     length_price, exposure_price : float
@@ -151,9 +153,24 @@ class Strategy:
     exposure_budget: float
     exposure_price: float
     iterations: int
-    multipliers: Multipliers | None = field(repr=False)
+    multipliers: Multipliers | None
     counting_gap: bool = False
     entropy_gap: float = math.nan
+
+    def _summary(self) -> dict[str, str]:
+        return {
+            'value': f'{self.value:.4g}', 'lower bound': f'{self.lower_bound:.4g}',
+            'mean length': f'{self.expected_length:.0f} {self.network.travel_unit}',
+            'shortest route': f'{self.shortest_length:.0f} {self.network.travel_unit}',
+            'effective number of routes': f'{math.exp(min(self.route_entropy, 700.0)):.3g}',
+            'network': f'{len(self.network.points)} nodes, {len(self.network.edges)} edges',
+        }
+
+    def plot(self, risk_map: RiskMap | None = None, axes: Any = None) -> Any:
+        """Draw edges by probability and ambush sites on matplotlib axes; returns the axes."""
+        from ..figures import draw_strategy
+
+        return draw_strategy(axes, self, risk_map)
 
     @property
     def network(self) -> Network:
@@ -230,7 +247,8 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
     """
     network = game.network
     return (
-        _budget(game, network.lengths, options.max_detour, 'length', 'm'),
+        _budget(game, network.travel_costs, options.max_detour, 'length',
+                network.travel_unit),
         _budget(game, network.edge_exposure, options.max_exposure, 'exposure', 'loss x m'),
     )
 

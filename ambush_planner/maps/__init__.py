@@ -1,18 +1,19 @@
 """From an occupancy grid or an elevation model to a risk map.
 
 ``risk_map`` defines the map, ``occupancy`` converts cell values to losses, ``ros_messages`` and
-``map_file`` read grids from messages and from map_server files. ``elevation``, ``relief`` and
-``visibility`` describe the terrain; ``terrain_risk`` converts it to a risk map.
+``map_file`` read grids from messages and from map_server files, ``risk_map_file`` reads risk maps
+from files of several kinds, and ``coordinates`` converts to latitude and longitude. ``elevation``,
+``relief`` and ``visibility`` describe the terrain; ``terrain_risk`` converts it to a risk map.
 """
 
 from .elevation import Elevation, InvalidTerrain, Raster, elevation_from_raster, mask_from_raster
-from .occupancy import OccupancyMap
+from .occupancy import OccupancyMap, OccupancyOptions
 from .relief import relative_depth, slope
 from .terrain_risk import TerrainMap, TerrainOptions, terrain_map
 from .visibility import ViewOptions, Views, viewshed
 
 __all__ = [
-    'Elevation', 'InvalidTerrain', 'OccupancyMap', 'Raster', 'TerrainMap', 'TerrainOptions',
-    'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster', 'relative_depth', 'slope',
-    'terrain_map', 'viewshed',
+    'Elevation', 'InvalidTerrain', 'OccupancyMap', 'OccupancyOptions', 'Raster', 'TerrainMap',
+    'TerrainOptions', 'ViewOptions', 'Views', 'elevation_from_raster', 'mask_from_raster',
+    'relative_depth', 'slope', 'terrain_map', 'viewshed',
 ]

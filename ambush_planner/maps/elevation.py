@@ -34,15 +34,18 @@ class Elevation:
         Height at the centre of each cell [m], row 0 in the south; NaN if unknown.
     resolution : float
         Cell size [m].
-    place : str
-        World position of the lower left corner, for display only.
+    corner : (x, y)
+        World position of the lower left corner [m].
+    crs : str or None
+        Coordinate system of world positions; None if unknown.
 
     Raises InvalidTerrain if the shape or the resolution is invalid, or no height is known.
     """
 
     heights: HeightArray
     resolution: float
-    place: str = ''
+    corner: tuple[float, float] = (0.0, 0.0)
+    crs: str | None = None
 
     def __post_init__(self) -> None:
         heights = frozen_array(self.heights, np.float32)
@@ -65,13 +68,16 @@ class Raster:
     """A raster as read from a file.
 
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
-    from south to north and from west to east.
+    from south to north and from west to east. ``corner`` is the world position of the lower left
+    corner [m], in the coordinate system ``crs``; ``note`` says if the raster was reprojected.
     """
 
     values: FloatArray
     row_step: float
     column_step: float
-    place: str = ''
+    corner: tuple[float, float] = (0.0, 0.0)
+    crs: str | None = None
+    note: str = ''
 
 
 def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
@@ -87,7 +93,7 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     resolution = resolution or min(raster.row_step, raster.column_step)
     row, column = _positions(raster, resolution)
     if _is_same_grid(raster, row, column):
-        return Elevation(raster.values.astype(np.float32), resolution, raster.place)
+        return Elevation(raster.values.astype(np.float32), resolution, raster.corner, raster.crs)
     # The odd reflection extrapolates linearly by one cell.
     values = np.pad(raster.values, 1, 'reflect', reflect_type='odd')
     positions = np.meshgrid(row + 1.0, column + 1.0, indexing='ij')
@@ -97,7 +103,7 @@ def elevation_from_raster(raster: Raster, resolution: float = 0.0) -> Elevation:
     if unknown.any():
         share = map_coordinates(unknown.astype(np.float32), positions, order=1, mode='nearest')
         heights[share > _LEAST_WEIGHT] = np.nan
-    return Elevation(heights, resolution, raster.place)
+    return Elevation(heights, resolution, raster.corner, raster.crs)
 
 
 def mask_from_raster(raster: Raster, elevation: Elevation) -> BoolArray:

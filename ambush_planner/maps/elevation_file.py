@@ -9,24 +9,28 @@ from __future__ import annotations
 
 import math
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .coordinates import InvalidCoordinates, metric_system
 from .elevation import MAX_CELLS, InvalidTerrain, Raster
 
 
-def read_raster(path: Path, name: str = 'elevation') -> Raster:
+def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> Raster:
     """Read the array ``name`` of an .npz file, or the first band of a GeoTIFF.
 
-    Raises InvalidTerrain if the file is malformed, too large, in degrees (reproject it to metres
-    first, for example with gdalwarp), or a GeoTIFF and rasterio is not installed; OSError if it
-    cannot be opened.
+    A GeoTIFF whose units are not metres on the ground (degrees, feet, Web Mercator) is reprojected
+    to its UTM zone, by bilinear interpolation or, if ``nearest``, with the values of nearest cells.
+
+    Raises InvalidTerrain if the file is malformed or too large, or a GeoTIFF and rasterio is not
+    installed; OSError if it cannot be opened.
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'
-    return _read_npz(path, name) if is_zip else _read_geotiff(path)
+    return _read_npz(path, name) if is_zip else _read_geotiff(path, nearest)
 
 
 def _read_npz(path: Path, name: str) -> Raster:
@@ -59,43 +63,53 @@ def _checked(path: Path, raster: Raster) -> Raster:
     return raster
 
 
-def _read_geotiff(path: Path) -> Raster:
+def _read_geotiff(path: Path, nearest: bool) -> Raster:
     try:
         import rasterio
     except ModuleNotFoundError:
         raise InvalidTerrain(f'{path}: not an .npz file; other formats need rasterio: '
-                             "pip install 'ambush_planner[terrain]'") from None
+                             "pip install 'ambush_planner[gis]'") from None
     try:
         with rasterio.open(path) as dataset:
-            return _checked(path, _raster_of(path, dataset))
-    except rasterio.errors.RasterioError as error:
+            return _checked(path, _raster_of(path, dataset, nearest))
+    except (rasterio.errors.RasterioError, InvalidCoordinates) as error:
         raise InvalidTerrain(f'{path}: {error}') from error
 
 
-def _raster_of(path: Path, dataset: Any) -> Raster:
-    """The first band of an open rasterio dataset."""
+def _raster_of(path: Path, dataset: Any, nearest: bool) -> Raster:
+    """The first band of an open rasterio dataset, in metres."""
+    _check_size(path, dataset)
+    if not (dataset.crs and (dataset.crs.is_projected or dataset.crs.is_geographic)):
+        return _band(path, dataset, None)
+    left, bottom, right, top = dataset.bounds
+    x, y = (left + right) / 2.0, (bottom + top) / 2.0
+    crs, is_other = metric_system(dataset.crs.to_wkt(), x, y)
+    if not is_other:
+        return _band(path, dataset, crs.to_string())
+    from rasterio.vrt import WarpedVRT
+    from rasterio.warp import Resampling
+
+    # Plain interpolation: an exact transform, and no smoothing across cells.
+    with WarpedVRT(dataset, crs=crs.to_wkt(), nodata=np.nan, dtype='float64',
+                   resampling=Resampling.nearest if nearest else Resampling.bilinear,
+                   tolerance=0.0, XSCALE=1, YSCALE=1) as warped:
+        _check_size(path, warped)
+        note = (f'{path}: reprojected from {dataset.crs.to_string()} to {crs.to_string()} '
+                f'({crs.name}), cells of {warped.transform.a:.4g} m')
+        return replace(_band(path, warped, crs.to_string()), note=note)
+
+
+def _band(path: Path, dataset: Any, crs: str | None) -> Raster:
     grid = dataset.transform
     if grid.b or grid.d or grid.a <= 0.0 or grid.e >= 0.0:
         raise InvalidTerrain(f'{path}: rows must run from north to south and columns from west to '
                              'east; convert the raster with gdalwarp')
+    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
+    corner = dataset.bounds.left, dataset.bounds.bottom
+    return Raster(north_up[::-1], -grid.e, grid.a, corner, crs)
+
+
+def _check_size(path: Path, dataset: Any) -> None:
     if dataset.width * dataset.height > MAX_CELLS:
         raise InvalidTerrain(f'{path}: {dataset.width} x {dataset.height} cells exceed the limit '
                              f'of {MAX_CELLS}; crop the raster')
-    crs, bounds = dataset.crs, dataset.bounds
-    if crs and crs.is_geographic:
-        raise InvalidTerrain(
-            f'{path}: the cells are in degrees ({crs.to_string()}); reproject the raster to '
-            f'metres, for instance: {_reprojection(path, bounds)}'
-        )
-    north_up = dataset.read(1, masked=True).astype(np.float64).filled(np.nan)
-    place = f'{bounds.left:.9g} {bounds.bottom:.9g} {crs.to_string() if crs else ""}'.strip()
-    metres = crs.linear_units_factor[1] if crs else 1.0
-    return Raster(north_up[::-1], -grid.e * metres, grid.a * metres, place)
-
-
-def _reprojection(path: Path, bounds: Any) -> str:
-    """The command that reprojects a raster with ``bounds`` in degrees to its UTM zone."""
-    longitude = (bounds.left + bounds.right) / 2.0
-    zone = math.floor((longitude + 180.0) / 6.0) % 60 + 1
-    code = (32600 if bounds.bottom + bounds.top >= 0.0 else 32700) + zone
-    return f'gdalwarp -t_srs EPSG:{code} -r bilinear {path.name} {path.stem}_utm.tif'

@@ -1,7 +1,8 @@
 """Map files of Nav2's map_server: a YAML file that names an image.
 
 Maps are written in mode ``raw``, which preserves all values: a pixel of 0..100 is the cell value,
-any other is unknown. The image is PGM (P5), top row first. ``trinary`` and ``scale`` are read as
+any other is unknown. The image is PGM (P5), top row first. The key ``crs``, which map_server
+ignores, names the coordinate system of the map's origin. ``trinary`` and ``scale`` are read as
 map_server reads them. Source: navigation2 (jazzy), nav2_map_server/src/map_io.cpp.
 """
 
@@ -44,6 +45,7 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
         'image': picture.name, 'mode': 'raw', 'resolution': float(occupancy.resolution),
         'origin': [float(value) for value in occupancy.origin], 'negate': 0,
         'occupied_thresh': 0.65, 'free_thresh': 0.196,
+        **({'crs': occupancy.crs} if occupancy.crs else {}),
     }
     comments = ''.join(f'# {line}\n' for line in remark.splitlines())
     path.write_text(comments + yaml.safe_dump(fields, sort_keys=False), encoding='utf-8')
@@ -73,7 +75,9 @@ def read_map(path: Path) -> OccupancyMap:
     resolution = _numbers(path, fields, 'resolution', 1)[0]
     if resolution <= 0.0:
         raise InvalidTerrain(f'{path}: resolution must be positive [m], got {resolution}')
-    return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]))
+    crs = fields.get('crs')
+    return OccupancyMap(values[::-1], resolution, (origin[0], origin[1], origin[2]),
+                        str(crs) if crs else None)
 
 
 def _numbers(path: Path, fields: dict[str, Any], name: str, count: int) -> list[float]:

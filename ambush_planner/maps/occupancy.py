@@ -15,11 +15,15 @@ from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap:
-    """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad]."""
+    """Values (H, W) with row 0 the lowest, cell size [m] and origin (x, y, yaw) [m, m, rad].
+
+    ``crs`` is the coordinate system of world positions; None if unknown.
+    """
 
     values: npt.NDArray[np.int8]
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    crs: str | None = None
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class OccupancyOptions:
 
     A value v in 0..100 gives alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
     least ``obstacle_threshold`` are obstacles. Unknown cells (-1) are obstacles unless
-    ``unknown_alpha`` >= 0 gives them a loss.
+    ``unknown_alpha`` >= 0 gives them a loss. ``crs`` is the coordinate system of maps that have
+    none ('': unknown).
 
     Raises InvalidOption if a number is not finite or out of range.
     """
@@ -37,6 +42,7 @@ class OccupancyOptions:
     alpha_max: float = 10.0
     obstacle_threshold: int = 100
     unknown_alpha: float = -1.0
+    crs: str = ''
 
     def __post_init__(self) -> None:
         for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
@@ -76,7 +82,7 @@ def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
         alpha = np.where(unknown, options.unknown_alpha, alpha)
     else:
         obstacles = obstacles | unknown
-    return RiskMap(alpha, obstacles, resolution, origin)
+    return RiskMap(alpha, obstacles, resolution, origin, options.crs or None)
 
 
 def check_occupancy(values: npt.NDArray[np.number[Any]], resolution: float,

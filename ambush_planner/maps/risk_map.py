@@ -36,6 +36,8 @@ class RiskMap:
         Cell size [m].
     origin : (x, y, yaw)
         World pose of the lower left corner of cell (0, 0) [m, m, rad].
+    crs : str or None
+        Coordinate system of world positions, as ``coordinates`` reads it; None if unknown.
 
     Raises InvalidRiskMap if a shape, the resolution, the origin or a loss is invalid.
     """
@@ -44,6 +46,7 @@ class RiskMap:
     obstacles: BoolArray
     resolution: float
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    crs: str | None = None
 
     def __post_init__(self) -> None:
         try:

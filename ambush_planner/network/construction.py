@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,28 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import (
-    AmbushPlannerError,
-    GoalBlocked,
-    GoalOutsideMap,
-    InvalidNetwork,
-    InvalidOption,
-    NoRoute,
-    StartBlocked,
-    StartOutsideMap,
-    StopBlocked,
-    StopOutsideMap,
-)
+from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
+from ..maps.road_file import RoadGraph, read_roads
 from ..option_checks import check_at_least, check_flag, check_whole
 from .layout import FreeSpace, connect_nodes
 from .network import Network
 from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
+from .road_network import road_length, road_trip_graph, roads_on_map
 from .shortest_paths import reachable_from
+from .trip_graph import TripGraph, position_errors
 
 METHODS = ('uniform_delaunay', 'lattice_delaunay', 'uniform_grid8', 'random_delaunay',
-           'gradient_delaunay')
+           'gradient_delaunay', 'graph')
 
 
 @dataclass(frozen=True)
@@ -43,10 +35,11 @@ class NetworkOptions:
     ----------
     method
         'uniform_delaunay' (an isotropic lattice), 'lattice_delaunay' (a square lattice, the paper's
-        Method 3), 'uniform_grid8' (Method 2), 'random_delaunay' (Method 1) or 'gradient_delaunay'
-        (the paper's outlook).
+        Method 3), 'uniform_grid8' (Method 2), 'random_delaunay' (Method 1), 'gradient_delaunay'
+        (the paper's outlook), or 'graph' (the roads of ``graph``).
     spacing
-        Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has.
+        Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has. On
+        roads, the largest distance of nodes, which are also at all junctions and bends.
         0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
         Minimum distance of nodes and edges from obstacle cells [m]; 0: they do not touch any.
@@ -54,6 +47,10 @@ class NetworkOptions:
         Also keep the clearance from the map's outer edge, which is never touched in any case.
     seed
         Seed of random sampling. It affects node positions, never which route is drawn.
+    graph
+        Roads for the method 'graph': a ``RoadGraph``, or the file that ``read_roads`` reads.
+    join_distance
+        Largest distance of start, stops and goal from the nearest road [m].
 
     Raises InvalidOption if a value is out of range or of another type.
     """
@@ -64,6 +61,8 @@ class NetworkOptions:
     seed: int = 0
     target_nodes: int = 2500
     clear_of_edge: bool = True
+    graph: str | RoadGraph = ''
+    join_distance: float = 50.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:
@@ -73,49 +72,18 @@ class NetworkOptions:
         check_whole('seed', self.seed, 0)
         check_whole('target_nodes', self.target_nodes, 2)
         check_flag('clear_of_edge', self.clear_of_edge)
+        check_at_least('join_distance', self.join_distance, 0.0, 'm')
+        if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
+            object.__setattr__(self, 'graph', read_roads(self.graph))
+
+    @property
+    def roads(self) -> RoadGraph | None:
+        """The roads of the method 'graph'; None for all others."""
+        return self.graph if isinstance(self.graph, RoadGraph) and self.method == 'graph' else None
 
 
 # Largest number of lattice nodes; more suggest a mistyped spacing.
 MAX_CANDIDATES = 20_000_000
-# Errors raised for an end off the map and for a blocked one; all other positions are stops.
-POSITION_ERRORS: dict[str, tuple[type[AmbushPlannerError], type[AmbushPlannerError]]] = {
-    'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class TripGraph:
-    """Undirected graph of the drivable places of a trip, for any order of its stops.
-
-    Parameters
-    ----------
-    points : (N, 2), alpha : (N,)
-        The nodes [m] and their losses; 0 at start, stops and goal.
-    pairs : (P, 2)
-        The pairs of joined nodes.
-    visits : tuple of int
-        The nodes of start, stops and goal in the given order; equal positions share a node.
-    """
-
-    points: FloatArray
-    alpha: FloatArray
-    pairs: IndexArray
-    visits: tuple[int, ...]
-
-    def network(self, visits: Sequence[int]) -> Network:
-        """The network for driving from each of these nodes to the next: a layer for each leg."""
-        count, legs = len(self.points), len(visits) - 1
-        both = np.concatenate((self.pairs, self.pairs[:, ::-1]))
-        layers = []
-        for leg, (source, target) in enumerate(pairwise(visits)):
-            edges = both[(both[:, 1] != source) & (both[:, 0] != target)]
-            layers.append(edges + leg * count)
-            if leg + 1 < legs:
-                layers[-1][edges[:, 1] == target, 1] += count
-        edges = np.concatenate(layers)
-        return Network(np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs),
-                       edges[np.lexsort((edges[:, 1], edges[:, 0]))], visits[0],
-                       visits[-1] + (legs - 1) * count, legs=legs)
 
 
 def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
@@ -147,6 +115,12 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     places = list(dict.fromkeys([positions[-1], *positions[:1], *positions[-2:0:-1]]))[::-1]
     ends = np.array(places)
     uv_ends = risk_map.to_map_axes(ends)
+    if options.roads:
+        names = ['start', *(f'stop {k}' for k in range(1, len(positions) - 1)), 'goal']
+        return road_trip_graph(risk_map, field, options.roads,
+                               dict(zip(names, positions, strict=True)),
+                               chosen_spacing(risk_map, options), options.clearance,
+                               options.join_distance)
     space = FreeSpace(risk_map, field, uv_ends, chosen_spacing(risk_map, options), options)
     start = places.index(positions[0])
     uv, pairs = connect_nodes(space, np.empty((0, 2)))
@@ -158,7 +132,8 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
     alpha = risk_map.alpha[risk_map.cells(uv)]
     alpha[first:] = 0.0
     visits = tuple(first + places.index(position) for position in positions)
-    return TripGraph(points, alpha, pairs, visits)
+    both = np.concatenate((pairs, pairs[:, ::-1]))
+    return TripGraph(points, alpha, both, visits)
 
 
 def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> list[int]:
@@ -214,12 +189,15 @@ def _cell_path_between(space: FreeSpace, start: int, end: int) -> tuple[FloatArr
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
     """Spacing [m] as given, or for about ``target_nodes`` nodes on the free cells if it is 0."""
-    spacing = options.spacing
+    spacing, roads = options.spacing, options.roads
+    length = road_length(roads_on_map(roads, risk_map)) if roads else 0.0
     if spacing == 0.0:
         free_area = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
-        spacing = max(risk_map.resolution, math.sqrt(free_area / options.target_nodes))
+        spacing = length / options.target_nodes if roads else math.sqrt(
+            free_area / options.target_nodes)
+        spacing = max(risk_map.resolution, spacing)
     width, height = risk_map.size
-    if width / spacing * height / spacing > MAX_CANDIDATES:
+    if (length / spacing if roads else width / spacing * height / spacing) > MAX_CANDIDATES:
         raise InvalidOption(
             f'spacing {spacing} m on a map of {width:g} m x {height:g} m asks for more than '
             f'{MAX_CANDIDATES} nodes; choose a larger spacing'
@@ -243,7 +221,7 @@ def _checked_positions(risk_map: RiskMap, field: ObstacleField, given: list[npt.
 
 def _check_position(risk_map: RiskMap, field: ObstacleField, xy: npt.ArrayLike, name: str,
                     options: NetworkOptions) -> None:
-    off_map, blocked = POSITION_ERRORS.get(name, (StopOutsideMap, StopBlocked))
+    off_map, blocked = position_errors(name)
     try:
         position = np.asarray(xy, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as cause:

@@ -37,7 +37,8 @@ def with_places(network: Network, points: FloatArray, alpha: FloatArray) -> Netw
     layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
     return Network(np.concatenate(layers, 1).reshape(-1, 2),
                    on_places(network, network.alpha, alpha), moved[network.edges],
-                   int(moved[network.source]), int(moved[network.target]), legs=legs)
+                   int(moved[network.source]), int(moved[network.target]), legs=legs,
+                   seconds=network.seconds)
 
 
 def on_places(network: Network, values: FloatArray, added: FloatArray) -> FloatArray:

@@ -36,6 +36,8 @@ class Network:
         First and last node of every route.
     legs : int
         Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
+    seconds : (M,) float, >= 0, optional
+        Driving time of each edge [s]. Budgets are then of time instead of length.
 
     Raises InvalidNetwork if an input is invalid; the message names the field, the index and the
     value.
@@ -47,6 +49,7 @@ class Network:
     source: int
     target: int
     legs: int = 1
+    seconds: FloatArray | None = None
     dropped_edges: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -66,6 +69,9 @@ class Network:
                 f'{target} were dropped: no route uses them',
                 stacklevel=3,
             )
+        if self.seconds is not None:
+            seconds = _seconds(self.seconds, len(edges))
+            object.__setattr__(self, 'seconds', frozen_array(seconds[~outside], np.float64))
         object.__setattr__(self, 'points', points)
         object.__setattr__(self, 'alpha', alpha)
         object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))
@@ -78,6 +84,16 @@ class Network:
         """Length of each edge (M,) [m]."""
         tail, head = self.edges.T
         return frozen_array(np.hypot(*(self.points[head] - self.points[tail]).T), np.float64)
+
+    @property
+    def travel_costs(self) -> FloatArray:
+        """What the length budget counts of each edge (M,): time [s] if known, else length [m]."""
+        return self.lengths if self.seconds is None else self.seconds
+
+    @property
+    def travel_unit(self) -> str:
+        """Unit of ``travel_costs``, 's' or 'm'."""
+        return 'm' if self.seconds is None else 's'
 
     @cached_property
     def edge_exposure(self) -> FloatArray:
@@ -146,6 +162,13 @@ def _check_nodes(points: FloatArray, alpha: FloatArray) -> None:
     if bad.any():
         node = int(np.argmax(bad))
         raise InvalidNetwork(f'alpha must be finite and >= 0, got {alpha[node]} at node {node}')
+
+
+def _seconds(values: npt.ArrayLike, count: int) -> FloatArray:
+    seconds = _floats('seconds', values)
+    if seconds.shape != (count,) or not (np.isfinite(seconds) & (seconds >= 0.0)).all():
+        raise InvalidNetwork(f'seconds must be finite and >= 0, one for each of the {count} edges')
+    return seconds
 
 
 def _node(name: str, value: object, count: int) -> int:

@@ -240,7 +240,7 @@ class ChangedGround:
         """Return the assessment of drawing clear routes, which use the edges with p (M,)."""
         plan = self._plan
         return Assessment(certificate.value, certificate.bound, clear_share,
-                          float(p @ plan.network.lengths) if p.any() else math.inf,
+                          float(p @ plan.network.travel_costs) if p.any() else math.inf,
                           plan.options.strategy.max_detour * plan.strategy.shortest_length)
 
     def _reach(self, newest: OccupancyMap) -> float:

@@ -66,5 +66,5 @@ def risk_avoiding_route(game: Game) -> IndexArray:
 def _fixed(planner: str, game: Game, route: IndexArray, q: FloatArray) -> Measures:
     p = route_strategy(game.network, route)
     worst = worst_loss(game, p)
-    return Measures(planner, float(p @ game.network.lengths), meeting_probability(game, p, q),
+    return Measures(planner, float(p @ game.network.travel_costs), meeting_probability(game, p, q),
                     1.0 if worst > 0.0 else 0.0, worst)

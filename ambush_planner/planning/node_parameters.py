@@ -14,6 +14,7 @@ from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
+from ..maps.road_file import RoadGraph
 from ..network.construction import NetworkOptions
 from .options import DriveOptions, PlanningOptions
 from .parameters import AUTOMATIC, PARAMETERS
@@ -77,8 +78,8 @@ class NodeParameters:
     values: Mapping[str, Any]
 
 
-def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
-    """Read the values of all ``PARAMETERS`` as a set.
+def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -> NodeParameters:
+    """Read the values of all ``PARAMETERS`` as a set; ``roads`` replace the file network.graph.
 
     Raises InvalidOption if a value is out of range, or values contradict each other.
     """
@@ -98,7 +99,8 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
     return NodeParameters(
         occupancy=occupancy,
         planning=PlanningOptions(
-            _options(NetworkOptions, 'network', values),
+            _options(NetworkOptions, 'network',
+                     values if roads is None else {**values, 'network.graph': roads}),
             _options(GameOptions, 'game', values),
             _options(StrategyOptions, 'strategy', values, time_limit=limit),
             _drive_options(values),

@@ -13,6 +13,8 @@ from ..option_checks import check_at_least
 
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
+# Largest distance of paths from the line of a road, unless a tube is set [m].
+ROAD_TUBE = 1.0
 # Largest start tolerance, as a share of the reach: what held ground loses by it stays small.
 LARGEST_TOLERANCE = 0.25
 
@@ -26,7 +28,8 @@ class DriveOptions:
     tube
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
         game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
-        spacings; without one, the path only avoids nodes that its route does not use.
+        spacings, on roads at most ``ROAD_TUBE``; without one, the path only avoids nodes that its
+        route does not use, and on roads keeps as close to their lines.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
@@ -73,7 +76,12 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:
-    """How far start and goal of a departure may be from the plan's [m]."""
+    """How far start and goal of a departure may be from the plan's [m].
+
+    On roads they may not move: a straight way to the next node could leave the road.
+    """
+    if options.network.roads:
+        return 0.0
     game = replace(options.game, tube=tube(options, spacing) or 0.0)
     most = math.inf
     if game.reach > 0.0:
@@ -84,8 +92,13 @@ def start_tolerance(options: PlanningOptions, spacing: float) -> float:
 def tube(options: PlanningOptions, spacing: float) -> float | None:
     """The tube [m]; None if the game stays the plain one."""
     if options.drive.tube is None and options.game.ambush_radius > 0.0:
-        return DEFAULT_TUBE * spacing
+        return automatic_tube(options, spacing)
     return options.drive.tube
+
+
+def automatic_tube(options: PlanningOptions, spacing: float) -> float:
+    """The tube that is used with a reach if none is set [m]."""
+    return min(DEFAULT_TUBE * spacing, ROAD_TUBE if options.network.roads else math.inf)
 
 
 def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:

@@ -41,6 +41,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _MAP.alpha_min, 'Loss from an ambush in a cell of value 0.'),
     'map.alpha_max': Declaration(
         _MAP.alpha_max, 'Loss from an ambush in a cell of value 100; at least map.alpha_min.'),
+    'map.crs': Declaration(
+        _MAP.crs,
+        "Coordinate system of the map's frame for reports and exports, such as EPSG:32616, or "
+        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.'),
     'map.obstacle_threshold': Declaration(
         _MAP.obstacle_threshold,
         'Cells of at least this value are obstacles; 101: none are.', 1, 101),
@@ -56,8 +60,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
     'network.spacing': Declaration(
         _NETWORK.spacing,
-        'Distance between nodes [m]; 0: chosen for about network.target_nodes nodes, at least the '
-        "map's resolution."),
+        'Distance between nodes [m], on roads the largest; 0: chosen for about '
+        "network.target_nodes nodes, at least the map's resolution."),
     'network.target_nodes': Declaration(
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),
@@ -66,6 +70,13 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'network.clear_of_edge': Declaration(
         _NETWORK.clear_of_edge,
         "Whether routes also keep this distance from the map's outer edge."),
+    'network.graph': Declaration(
+        '',
+        'File with roads, for network.method graph: lines (GeoPackage, GeoJSON, ...) or a graph of '
+        'nav2_route (GeoJSON).'),
+    'network.join_distance': Declaration(
+        _NETWORK.join_distance,
+        'Maximum distance of start, stops and goal from the nearest road [m].'),
     'game.ambush_radius': Declaration(
         _GAME.ambush_radius,
         'An ambush hits every route that passes within this distance [m]; 0: routes through its '

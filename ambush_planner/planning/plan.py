@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from datetime import datetime, timezone
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +17,10 @@ from ..maps.obstacles import nearest_free_cell
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..network.network import Network
+from ..notebook import Shown
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
-from .options import PlanningOptions, node_spacing, start_tolerance, tube
+from .options import PlanningOptions, automatic_tube, node_spacing, start_tolerance, tube
 from .solving import WarmStart
 
 # Number of routes drawn to count the different paths.
@@ -59,13 +62,14 @@ class PlanRequest:
     warm: WarmStart | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Shown):
     """The strategy for a map, a start and a goal, with all that departures need.
 
     ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
     distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts
     those of ``DRAWN`` routes; None: the time limit had passed. ``seconds`` is the planning time.
+    ``risk_map`` is the map if the plan was made in this process, else None.
     ``order`` has the indices of a trip's stops as they are visited, and ``order_found`` is 'given',
     'best' or 'heuristic'.
     """
@@ -80,6 +84,40 @@ class Plan:
     seconds: float
     order: tuple[int, ...] = ()
     order_found: str = 'given'
+    risk_map: RiskMap | None = None
+
+    def _summary(self) -> dict[str, str]:
+        return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
+                'held ground': f'{self.held_radius:g} m', 'planned in': f'{self.seconds:.2g} s'}
+
+    @property
+    def held_radius(self) -> float:
+        """Nobody waits within this distance of start, stops and goal [m]."""
+        return self.strategy.game.options.held_radius
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw map, strategy and ambush sites on matplotlib axes, by default new ones.
+
+        Positions are world positions, as in ``routes`` unless the map is in a robot's frame.
+        Returns the axes.
+        """
+        from ..figures import draw_strategy
+
+        return draw_strategy(axes, self.strategy, self.risk_map, self.held_radius)
+
+    def paths(self, n: int, rng: np.random.Generator | None = None) -> list[FloatArray]:
+        """Draw ``n`` routes and return their paths (L, 3) = (x, y, yaw), one pose per spacing."""
+        return departure_paths(self, n, self.spacing, rng or np.random.default_rng())
+
+    def routes(self, n: int, rng: np.random.Generator | None = None) -> Any:
+        """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.
+
+        Without ``rng``, the operating system's entropy makes them unpredictable.
+        """
+        from .route_layers import route_table
+
+        times = [datetime.now(timezone.utc)] * n
+        return route_table(self.paths(n, rng), times, self.risk_map.crs if self.risk_map else None)
 
     @property
     def stops_xy(self) -> tuple[tuple[float, float], ...]:
@@ -116,10 +154,8 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
               begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
-    wide = tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
-    corridors = make_corridors(strategy.network, risk_map, options.network.clearance, wide,
-                               options.network.clear_of_edge)
+    corridors = plan_corridors(strategy.network, risk_map, options)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
         # A fixed seed keeps the count independent of the departures' draws.
@@ -127,6 +163,14 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         different = different_paths(corridors, drawn)
     return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
                 time.monotonic() - begin)
+
+
+def plan_corridors(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Corridors:
+    """The corridors of a plan's network."""
+    spacing = node_spacing(risk_map, options.network)
+    most = automatic_tube(options, spacing) if options.network.roads else np.inf
+    return make_corridors(network, risk_map, options.network.clearance, tube(options, spacing),
+                          options.network.clear_of_edge, most)
 
 
 def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

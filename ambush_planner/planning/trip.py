@@ -17,15 +17,16 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import InvalidNetwork, InvalidOption, TimeLimit
+from ..errors import InvalidNetwork, InvalidOption, NoRoute, TimeLimit
 from ..game.cut import solve_by_min_cut
 from ..game.flow_program import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
+from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
+from ..network.trip_graph import TripGraph
 from .options import PlanningOptions, solved_game
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
@@ -71,7 +72,8 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     else:
         strategy, chosen, found = _StopOrderSearch(risk_map, graph, options).run()
     made = make_plan(risk_map, strategy, options, begin)
-    return replace(made, order=tuple(place[k] for k in chosen), order_found=found)
+    return replace(made, order=tuple(place[k] for k in chosen), order_found=found,
+                   risk_map=risk_map)
 
 
 def plan_from_request(request: PlanRequest) -> Plan:
@@ -80,8 +82,9 @@ def plan_from_request(request: PlanRequest) -> Plan:
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, goal_xy = risk_map_and_goal(request)
-    return plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
+    made = plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
                      order=request.order, warm=request.warm)
+    return replace(made, risk_map=None)  # too large to send to another process
 
 
 def trip_network(risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
@@ -125,9 +128,11 @@ class _StopOrderSearch:
         self._ends = sorted(set(graph.visits))
         at = {node: k for k, node in enumerate(self._ends)}
         self._visits = np.array([at[node] for node in graph.visits])
-        both = np.concatenate((graph.pairs, graph.pairs[:, ::-1]))
-        steps = np.hypot(*(graph.points[both[:, 1]] - graph.points[both[:, 0]]).T)
-        self._lengths = self._end_distances(both, steps, len(graph.points))
+        steps = graph.seconds
+        if steps is None:
+            tails, heads = graph.points[graph.edges[:, 0]], graph.points[graph.edges[:, 1]]
+            steps = np.hypot(*(heads - tails).T)
+        self._lengths = self._end_distances(graph.edges, steps, len(graph.points))
 
     def run(self) -> tuple[Strategy, tuple[int, ...], str]:
         """Return the strategy, its order of stops, and 'best' or 'heuristic'."""
@@ -202,7 +207,10 @@ class _StopOrderSearch:
         k = game.ambushers
         options = replace(self._game, ambush_radius=0.0, tube=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
-            cut = solve_by_min_cut(make_game(self._graph.network(pair), options))
+            try:
+                cut = solve_by_min_cut(make_game(self._graph.network(pair), options))
+            except NoRoute:  # one-way roads
+                continue
             q = np.zeros(game.node_count)
             q[: len(cut.q)] = capped_at_one(k * cut.q, k)
             yield self._bound_of(game, q)
@@ -213,7 +221,7 @@ class _StopOrderSearch:
         edges = network.places[network.edges]
         # Each place's edges cost the same in all layers, so one copy suffices.
         _, once = np.unique(edges[:, 0] * network.place_count + edges[:, 1], return_index=True)
-        weights = game.mean_loss_on_edges(q) + price * network.lengths
+        weights = game.mean_loss_on_edges(q) + price * network.travel_costs
         costs = self._end_distances(edges[once], weights[once], network.place_count)
         return _OrderBound(costs, price * limit if price > 0.0 else 0.0)
 
@@ -232,9 +240,12 @@ class _StopOrderSearch:
         while shorter:
             shorter = False
             for i, j in combinations(range(1, count + 1), 2):
-                before = far[tour[i - 1], tour[i]] + far[tour[j], tour[j + 1]]
-                after = far[tour[i - 1], tour[j]] + far[tour[i], tour[j + 1]]
-                if after < before * (1.0 - ROUNDING):
-                    tour[i : j + 1] = tour[i : j + 1][::-1]
-                    shorter = True
+                other = [*tour[:i], *tour[i : j + 1][::-1], *tour[j + 1 :]]
+                # On one-way roads, the reversed part has another length.
+                if _tour_length(far, other) < _tour_length(far, tour) * (1.0 - ROUNDING):
+                    tour, shorter = other, True
         return np.array(tour[1:-1]) - 1
+
+
+def _tour_length(far: FloatArray, tour: list[int]) -> float:
+    return float(far[tour[:-1], tour[1:]].sum())

@@ -22,11 +22,11 @@ from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.options import PlanningOptions, node_spacing
-from ..planning.plan import Plan
-from ..routes.corridors import make_corridors
+from ..planning.plan import Plan, plan_corridors
 from .map_changes import MAP_CHANGES_FILE, changed_map
 from .recording_errors import UnreadableRecording
 from .recording_file import RecordingFile, decode, read_recording
+from .roads_file import ROADS_FILE, roads_from_file
 from .strategy_file import STRATEGY_FILE, strategy_from_file
 
 Position = tuple[float, float]
@@ -106,6 +106,7 @@ class SharedParts:
     def __init__(self, most: int | None = None) -> None:
         self.strategy = lru_cache(most)(strategy_from_file)
         self.risk_map = lru_cache(most)(_risk_map)
+        self.roads = lru_cache(most)(roads_from_file)
         self.conditioned = lru_cache(most)(_conditioned)
         self._message = lru_cache(most)(decode)
         self._map = lru_cache(most)(_map)
@@ -125,7 +126,8 @@ def read_departure(path: Path | str, shared: SharedParts | None = None) -> Recor
 def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
     """Return the departure in a file; UnreadableRecording names a part that is malformed."""
     entries = file.entries
-    parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters']))
+    roads = _part(file, ROADS_FILE, lambda: shared.roads(file.attachments.get(ROADS_FILE)))
+    parameters = _part(file, 'parameters', lambda: parameters_from(entries['parameters'], roads))
     game, occupancy = parameters.planning.game, parameters.occupancy
     strategy, stated = _part(file, STRATEGY_FILE,
                              lambda: shared.strategy(file.attachments[STRATEGY_FILE], game))
@@ -179,13 +181,11 @@ def _risk_map(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
 def ground_of(strategy: Strategy, planned_on: OccupancyMap, options: OccupancyOptions,
               planning: PlanningOptions) -> tuple[Plan, ChangedGround]:
     """Return a recorded strategy as a plan with corridors, and its ground."""
-    risk_map, network = _risk_map(planned_on, options), planning.network
+    risk_map = _risk_map(planned_on, options)
     unused: Any = None  # neither routes nor paths depend on the bottleneck
     plan = Plan(strategy.network, strategy, unused, unused, planning,
-                node_spacing(risk_map, network), None, 0.0)
-    plan = replace(plan, corridors=make_corridors(
-        strategy.network, risk_map, network.clearance, plan.tube, network.clear_of_edge
-    ))
+                node_spacing(risk_map, planning.network), None, 0.0)
+    plan = replace(plan, corridors=plan_corridors(strategy.network, risk_map, planning))
     return plan, ChangedGround(plan, planned_on, options)
 
 

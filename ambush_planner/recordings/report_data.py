@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..game.strategy import Strategy
+from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
 from .recorded_departure import RecordedDeparture
 
@@ -66,10 +67,11 @@ def sections_of(departures: Iterable[RecordedDeparture]) -> list[Section]:
     return sections
 
 
-def map_data(section: Section) -> dict[str, Any]:
+def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     """Return what the script of the map draws; positions are relative to the map's corner [m].
 
     Arrays are deflated, little-endian and base64. ``cells`` are indices into the losses ``levels``.
+    Raises InvalidCoordinates if the map's coordinate system cannot be used.
     """
     risk_map, strategy = section.risk_map, section.strategy
     network, game = strategy.network, strategy.game
@@ -77,6 +79,7 @@ def map_data(section: Section) -> dict[str, Any]:
     used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
+    degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
     routes = [each.strategy.network.points[each.route] - corner for each in section.departures]
     ends = [network.source, network.target, *network.stops]
     return {
@@ -85,7 +88,7 @@ def map_data(section: Section) -> dict[str, Any]:
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
         'reach': game.reach, 'held': game.options.held_radius,
-        'value': strategy.value,
+        'value': strategy.value, 'degrees': degrees,
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
         'chances': packed(strategy.edge_probability[used], '<f4'),

@@ -39,6 +39,8 @@ def strategy_file(strategy: Strategy) -> bytes:
         **{name: getattr(strategy.game.options, name) for name in _PLANNED},
         _COUNTING_GAP: strategy.counting_gap,
     }
+    if strategy.network.seconds is not None:
+        arrays['seconds'] = strategy.network.seconds
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
 
@@ -53,7 +55,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         content = {name: archive[name] for name in archive.files}
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
-                      int(content['target']), legs=int(content['legs']))
+                      int(content['target']), legs=int(content['legs']),
+                      seconds=content.get('seconds'))
     tube, held = (float(content[name]) for name in _PLANNED)
     game = make_game(network, replace(options, tube=tube, secured_radius=held))
     stated = {name: float(content[name]) for name in NUMBERS}
@@ -61,8 +64,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):
         raise ValueError('its probabilities are not those of its network')
     budgets = (
-        Budget(game, network.lengths, stated['length_budget'], stated['shortest_length'],
-               'detour', 'm'),
+        Budget(game, network.travel_costs, stated['length_budget'], stated['shortest_length'],
+               'detour', network.travel_unit),
         Budget(game, network.edge_exposure, stated['exposure_budget'], stated['least_exposure'],
                'exposure', 'loss x m'),
     )

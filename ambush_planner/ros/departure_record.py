@@ -17,10 +17,12 @@ from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
 
+from ..network.road_network import in_map_frame
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
+from ..recordings.roads_file import ROADS_FILE, roads_file
 from ..recordings.strategy_file import STRATEGY_FILE
 from .conversions import fields_of
 from .current_map import ReceivedMessage
@@ -119,6 +121,8 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
 def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
     """Return the attached files: the strategy, and changes of the map since the plan, if any."""
     files = {STRATEGY_FILE: strategy}
+    if roads := departure.held.plan.options.network.roads:
+        files[ROADS_FILE] = roads_file(in_map_frame(roads, departure.held.parameters.occupancy.crs))
     newest, planned_on = departure.trip.map, departure.held.trip.map
     if newest is not planned_on and (
         changes := map_changes_file(planned_on.values, newest.values)

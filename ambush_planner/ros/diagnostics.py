@@ -112,7 +112,9 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     waiting = (f'waiting for {", ".join(status.missing)}',) if status.missing else ()
     if status.warnings or waiting:
         return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
-    changed = '; '.join(filter(None, (status.stale, _length_warning(status.assessment))))
+    changed = '; '.join(filter(None, (
+        status.stale, _length_warning(status.plan, status.assessment)
+    )))
     warning = (changed or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
                or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan))
     if warning:
@@ -142,13 +144,15 @@ def _counting_gap_warning(plan: Plan | None) -> str:
     )
 
 
-def _length_warning(assessment: Assessment | None) -> str:
+def _length_warning(plan: Plan | None, assessment: Assessment | None) -> str:
     """Return a warning if the routes that are still clear are longer than the budget allows."""
-    if assessment is None or not assessment.is_over_budget:
+    if plan is None or assessment is None or not assessment.is_over_budget:
         return ''
+    unit = plan.network.travel_unit
     length, budget = assessment.expected_length, assessment.length_budget
-    return (f'the routes that are clear on the current map have a mean length of {length:.4g} m, '
-            f'{length / budget:.3g} times the budget of {budget:.4g} m (strategy.max_detour)')
+    return (f'the routes that are clear on the current map have a mean length of {length:.4g} '
+            f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} '
+            '(strategy.max_detour)')
 
 
 def _tight_turns_warning(count: int) -> str:

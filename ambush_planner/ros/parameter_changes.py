@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -18,10 +19,13 @@ from rclpy.parameter import Parameter
 from ..errors import InvalidOption
 from ..game.strategy import SOLVERS
 from ..maps.risk_map import MOST_LOSS
+from ..maps.road_file import RoadGraph
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.parameters import PARAMETERS, Declaration
 
 _INT64_MAX = 2**63 - 1
+# Stands for any file with roads.
+_SOME_ROADS = RoadGraph(np.eye(2), np.array([[0, 1]]), np.ones((1, 2)))
 
 
 class NodeSettings:
@@ -103,8 +107,10 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
 
 def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if the changes contradict all values of the other parameters."""
-    others = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS}
+    others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS, 'network.graph': _SOME_ROADS}
+    if changes.get('network.graph'):
+        others['network.method'] = 'graph'  # so that the file is read
     for solver in reversed(SOLVERS):  # the reason given is that of the first solver
         try:
             parameters_from({**others, 'strategy.solver': solver, **changes})

@@ -99,7 +99,8 @@ class Corridors:
 
 
 def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
-                   tube: float | None = None, clear_of_edge: bool = True) -> Corridors:
+                   tube: float | None = None, clear_of_edge: bool = True,
+                   most: float = np.inf) -> Corridors:
     """Measure the strips and quarters of a network on its map.
 
     Parameters
@@ -108,6 +109,8 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         As the network was built with.
     tube
         Largest distance from the drawn route [m]; None: up to the nearest other nodes.
+    most
+        Largest distance from the drawn route if there is no tube [m]; inf: paths take shortcuts.
 
     Raises InvalidOption if the tube is negative or not finite.
     """
@@ -115,11 +118,13 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
     uv = risk_map.to_map_axes(network.points[: network.place_count])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
-    if tube is None:
+    if tube is None and most == np.inf:
         field = ObstacleField(risk_map, clear_of_edge)
         pairs, measured = _with_shortcuts(uv, edges, field, clearance)
     else:
-        pairs, measured = edges, largest_widths(uv, edges, tube)
+        pairs, free = edges, largest_widths(uv, edges, tube)
+        most = most if tube is None else tube
+        measured = CorridorWidths(np.minimum(free.widths, most), np.minimum(free.beyond, most))
     measured = limit_to_map(measured, uv, pairs, risk_map, clearance, clear_of_edge)
     links = np.concatenate((pairs, pairs[:, ::-1]))
     order = np.lexsort((links[:, 1], links[:, 0]))
@@ -128,7 +133,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
-                     np.full(len(links), tube is None), _keys(links, len(uv)))
+                     np.full(len(links), tube is None and most == np.inf), _keys(links, len(uv)))
 
 
 def _keys(links: IndexArray, count: int) -> IndexArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +23,11 @@ from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
-from ..arrays import FloatArray
-from ..maps.risk_map import RiskMap
+from .arrays import FloatArray
+from .maps.risk_map import RiskMap
+
+if TYPE_CHECKING:
+    from .game.strategy import Strategy
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'
@@ -108,6 +112,38 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     for k, route in enumerate(routes):
         axes.plot(*np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
                   path_effects=HALO, solid_joinstyle='round', zorder=4)
+
+
+def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
+                  held: float = 0.0, routes: Sequence[FloatArray] = ()) -> Axes:
+    """Draw a strategy on its map, or alone, with ambush sites; on new axes of pyplot if None."""
+    if axes is None:
+        from matplotlib import pyplot
+
+        _, axes = pyplot.subplots(figsize=(9.0, 8.0), layout='constrained')
+    network, q = strategy.network, strategy.ambush_probability
+    unit = strategy.network.travel_unit
+    title = (f'Value {strategy.value:.3g}, mean length {strategy.expected_length:.0f} {unit}, '
+             f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest')
+    if risk_map is not None:
+        frame(axes, risk_map, title)
+        draw_risk_map(axes, risk_map)
+    else:
+        axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
+    edges = draw_segments(axes, network.points[network.edges], strategy.edge_probability)
+    axes.figure.colorbar(edges, ax=axes, shrink=0.6, label='probability that the convoy passes')
+    if strategy.value > 0.0:
+        share = q / q.max()
+        waits = share > LEAST_PROBABILITY
+        axes.scatter(*network.points[waits].T, s=90.0 * share[waits], color=AMBUSHER,
+                     edgecolors='white', linewidths=0.6, zorder=5)
+    draw_routes(axes, routes)
+    ends = network.points[[network.source, network.target]]
+    stops = network.points[network.stops]
+    if held > 0.0:
+        draw_secured(axes, [*ends, *stops], held)
+    draw_ends(axes, ends[0], ends[1], stops)
+    return axes
 
 
 def as_png(figure: Figure) -> bytes:

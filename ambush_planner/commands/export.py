@@ -1,0 +1,50 @@
+"""``ambush_export``: recorded departures for GIS programs, phones and GPS receivers."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from datetime import datetime, timezone
+
+from . import cli
+from .audit import read_all
+from .geo_files import FORMATS_HELP, Drawn, add_outputs, tell_outputs, write_outputs
+from .inputs import add_crs, crs_text
+
+EPILOG = f"""\
+Routes are the recorded paths, numbered in order of time; strategy, map and ground are those of the
+last departure. The coordinate system is the node's parameter map.crs, unless --crs or --datum names
+another one.
+{FORMATS_HELP}
+--json: {{"verdict", "files", "departures", "unreadable"}}
+""" + cli.EXIT_CODES
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.reader_parser('export', 'Recorded routes for a GPS or a GIS.', EPILOG)
+    add_outputs(made)
+    add_crs(made)
+    return made
+
+
+def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    departures, unreadable = read_all(options.recordings, console)
+    for error in unreadable:
+        console.error(error)
+    if not departures:
+        console.error('no recording could be read, so nothing was exported')
+        return cli.Exit.UNREADABLE
+    last = departures[-1]
+    risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
+    game = last.parameters.planning.game
+    held = max(game.secured_radius, last.strategy.game.reach)
+    times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
+    drawn = Drawn(last.strategy, risk_map, held, [each.path_poses for each in departures], times)
+    write_outputs(options.output, drawn)
+    tell_outputs(options.output, drawn, console)
+    console.result['unreadable'] = len(unreadable)
+    return cli.Exit.UNREADABLE if unreadable else cli.Exit.HOLDS
+
+
+main = cli.command(parser, _work)

@@ -1,0 +1,178 @@
+"""Coordinate systems: world positions of a map to latitude and longitude, and back.
+
+A system is a text in a map file. It is whatever pyproj reads (``EPSG:32616``, WKT), with metres as
+its unit, or ``datum LAT LON YAW``: the local frame of a robot whose navsat_transform (package
+robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is at that place;
+its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
+``magnetic_declination_radians``). Lengths are those of the UTM zone.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import FloatArray
+from ..errors import AmbushPlannerError
+from .risk_map import to_map_axes, to_world
+
+# Projections that stretch lengths by more, such as Web Mercator, are not used for maps.
+MOST_STRETCH = 0.01
+WGS84 = 'EPSG:4326'
+_TERMS = 8  # of a polynomial, in each direction
+
+
+class InvalidCoordinates(AmbushPlannerError, ValueError):
+    """A coordinate system or a position in it cannot be used."""
+
+
+class Coordinates:
+    """The coordinate system of a map's world positions (x, y) [m].
+
+    ``crs`` is its ``pyproj.CRS``, and ``origin`` (x, y, yaw) the pose of the world frame in it.
+
+    Raises InvalidCoordinates if the text is no coordinate system in metres, or pyproj is missing.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.origin = (0.0, 0.0, 0.0)
+        if not text:
+            raise InvalidCoordinates('the coordinate system of the map is unknown; name it (--crs '
+                                     "EPSG:32616), or the robot's frame (--datum LAT LON YAW)")
+        words = text.split()
+        if words[:1] != ['datum']:
+            self.crs = _system(text)
+            if not (self.crs.is_projected and _is_metre(self.crs)):
+                raise InvalidCoordinates(f'{self.crs.to_string()}: the unit of a map must be the '
+                                         'metre; reproject the map, for example to its UTM zone')
+            return
+        try:
+            latitude, longitude, yaw = map(float, words[1:])
+        except ValueError:
+            raise InvalidCoordinates(
+                f'a datum is "datum LAT LON YAW" [degrees, degrees, rad], got {text!r}') from None
+        self.crs = utm_zone(latitude, longitude)
+        turn = _proj(self.crs).get_factors(longitude, latitude).meridian_convergence
+        (x, y), = self.from_lat_lon([(latitude, longitude)])
+        self.origin = x, y, yaw + math.radians(turn)
+
+    @cached_property
+    def _to_degrees(self) -> Any:
+        from pyproj import Transformer
+
+        return Transformer.from_crs(self.crs, WGS84, always_xy=True)
+
+    def to_crs(self, xy: npt.ArrayLike) -> FloatArray:
+        """Convert world positions (..., 2) to easting and northing in ``crs`` (..., 2) [m]."""
+        return to_world(self.origin, xy)
+
+    def to_lat_lon(self, xy: npt.ArrayLike) -> FloatArray:
+        """Convert world positions (..., 2) to WGS 84 latitude and longitude (..., 2) [degrees]."""
+        east, north = np.moveaxis(self.to_crs(xy), -1, 0)
+        longitude, latitude = self._to_degrees.transform(east, north)
+        return np.stack((latitude, longitude), axis=-1)
+
+    def from_lat_lon(self, lat_lon: npt.ArrayLike) -> FloatArray:
+        """Convert WGS 84 latitude and longitude (..., 2) [degrees] to world positions [m].
+
+        Raises InvalidCoordinates if a position is not on the Earth, or not in the system's area.
+        """
+        latitude, longitude = np.moveaxis(np.asarray(lat_lon, dtype=np.float64), -1, 0)
+        if not (np.all(np.abs(latitude) <= 90.0) and np.all(np.abs(longitude) <= 360.0)):
+            raise InvalidCoordinates('latitude must be in -90..90 and longitude in -180..180, got '
+                                     f'{np.asarray(lat_lon).tolist()}')
+        xy = np.stack(self._to_degrees.transform(longitude, latitude, direction='INVERSE'), axis=-1)
+        if not np.isfinite(xy).all():
+            raise InvalidCoordinates(f'{np.asarray(lat_lon).tolist()} is too far from the area of '
+                                     f'{self.crs.to_string()}')
+        return to_map_axes(self.origin, xy)
+
+
+def degrees_polynomial(crs: str, low: FloatArray, high: FloatArray) -> dict[str, Any]:
+    """Return a polynomial for latitude and longitude in the box ``low`` to ``high`` (2,) [m].
+
+    With s and t in -1..1 over the box, latitude is the sum of ``lat[i][j] s^i t^j``, interpolated
+    at Chebyshev points. The error is under 1 mm in boxes of 300 km. Raises InvalidCoordinates.
+    """
+    middle, half = (high + low) / 2.0, (high - low) / 2.0
+    at = np.cos(math.pi * (np.arange(_TERMS) + 0.5) / _TERMS)
+    s, t = np.meshgrid(at, at, indexing='ij')
+    powers = np.linalg.inv(np.vander(at, increasing=True))
+    degrees = Coordinates(crs).to_lat_lon(middle + half * np.stack((s, t), axis=-1))
+    # Continuous across the antimeridian.
+    first = degrees[0, 0, 1]
+    degrees[..., 1] = (degrees[..., 1] - first + 180.0) % 360.0 + first - 180.0
+    latitude, longitude = (powers @ degrees[..., k] @ powers.T for k in (0, 1))
+    return {'middle': middle.tolist(), 'half': half.tolist(), 'lat': latitude.tolist(),
+            'lon': longitude.tolist()}
+
+
+def utm_zone(latitude: float, longitude: float) -> Any:
+    """Return the ``pyproj.CRS`` of the UTM zone (WGS 84) of a place.
+
+    Raises InvalidCoordinates if there is none: beyond 84 degrees north or 80 degrees south.
+    """
+    _import_pyproj()
+    from pyproj import CRS
+    from pyproj.aoi import AreaOfInterest
+    from pyproj.database import query_utm_crs_info
+
+    if 56.0 <= latitude < 64.0 and 3.0 <= longitude < 12.0:
+        longitude = 9.0  # zone 32 is widened for the Norwegian coast
+    here = AreaOfInterest(longitude, latitude, longitude, latitude)
+    found = query_utm_crs_info('WGS 84', here)
+    if not found:
+        raise InvalidCoordinates(f'no UTM zone contains latitude {latitude:g}, longitude '
+                                 f'{longitude:g}; reproject the map by hand')
+    return CRS.from_authority(found[0].auth_name, found[0].code)
+
+
+def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
+    """Return a ``pyproj.CRS`` for lengths around (x, y), and whether it is another than ``wkt``.
+
+    It is the system itself if its metres are metres on the ground, else the UTM zone.
+    """
+    from pyproj import Transformer
+
+    crs = _system(wkt)
+    longitude, latitude = Transformer.from_crs(crs, WGS84, always_xy=True).transform(x, y)
+    if crs.is_projected and _is_metre(crs):
+        factors = _proj(crs).get_factors(longitude, latitude)
+        scales = factors.meridional_scale, factors.parallel_scale
+        if max(abs(scale - 1.0) for scale in scales) <= MOST_STRETCH:
+            return crs, False
+    return utm_zone(latitude, longitude), True
+
+
+def _system(text: str) -> Any:
+    _import_pyproj()
+    from pyproj import CRS
+    from pyproj.exceptions import CRSError
+
+    try:
+        crs = CRS.from_user_input(text)
+    except CRSError as error:
+        raise InvalidCoordinates(f'not a coordinate system: {text!r} ({error})') from error
+    return crs.sub_crs_list[0] if crs.is_compound else crs
+
+
+def _import_pyproj() -> None:
+    try:
+        import pyproj  # noqa: F401
+    except ModuleNotFoundError:
+        raise InvalidCoordinates(
+            "coordinate systems need pyproj: pip install 'ambush_planner[gis]'") from None
+
+
+def _is_metre(crs: Any) -> bool:
+    return all(axis.unit_conversion_factor == 1.0 for axis in crs.axis_info[:2])
+
+
+def _proj(crs: Any) -> Any:
+    from pyproj import Proj
+
+    return Proj(crs)

@@ -1,0 +1,86 @@
+"""Density of past incidents: a Gaussian kernel on the cells of a map, and its bandwidth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
+
+from ..arrays import FloatArray
+from ..option_checks import check_at_least
+from .risk_map import RiskMap
+from .vector_file import InvalidFeatures, attribute, attribute_values
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+
+# Bandwidths that cross-validation compares, and the number of incidents that it uses.
+BANDWIDTHS, MOST_VALIDATED = 24, 3000
+
+
+def weighted_incidents(features: GeoDataFrame,
+                       values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
+    """Places (K, 2) [m] and weights (K,) of the incidents that count, as ``risk_layers`` says.
+
+    Raises InvalidFeatures if an attribute is missing or malformed.
+    """
+    from pandas import to_datetime
+
+    places = np.stack((features.geometry.x, features.geometry.y), axis=1)
+    weights = attribute_values(features, 'weight', values['weight'])
+    half_life = values['half_life']
+    check_at_least('half_life', half_life, 1e-3, 'days', finite=False)
+    if half_life == math.inf and values['until'] is None:
+        return places, weights
+    dates = to_datetime(attribute(features, 'date', values['date']), errors='coerce', utc=True,
+                        format='mixed')
+    if missing := int(dates.isna().sum()):
+        raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have none such as '
+                              '2025-03-31')
+    until = dates.max() if values['until'] is None else to_datetime(str(values['until']), utc=True)
+    if not (dates <= until).any():
+        raise InvalidFeatures(f'date: no incident until {until:%Y-%m-%d}')
+    days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
+    return places[days >= 0.0], (weights * 0.5 ** (days / half_life))[days >= 0.0]
+
+
+def kernel_density(ground: RiskMap, places: FloatArray, weights: FloatArray,
+                   bandwidth: float) -> FloatArray:
+    """The density (H, W), up to a constant, of places (K, 2) [m] with weights (K,)."""
+    uv, step = ground.to_map_axes(places), ground.resolution
+    across, along = (
+        np.exp(-0.5 * (((np.arange(count) + 0.5) * step - each[:, None]) / bandwidth) ** 2)
+        for each, count in zip(uv.T, ground.alpha.shape[::-1], strict=True)
+    )
+    return np.asarray((along * weights[:, None]).T @ across)
+
+
+def count_near(ground: RiskMap, places: FloatArray, distance: float) -> FloatArray:
+    """The number of places (K, 2) within ``distance`` [m] of each cell's centre (H, W)."""
+    cells = (np.argwhere(np.ones(ground.alpha.shape))[:, ::-1] + 0.5) * ground.resolution
+    found = cKDTree(ground.to_map_axes(places)).query_ball_point(cells, distance,
+                                                                 return_length=True)
+    return np.asarray(found, dtype=np.float64).reshape(ground.alpha.shape)
+
+
+def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
+                              weights: FloatArray) -> tuple[float, bool]:
+    """The bandwidth [m] under which each incident is likeliest given all others.
+
+    Also returns whether it is the largest of those compared: then there is no pattern to see.
+    """
+    heaviest = np.argsort(-weights, kind='stable')[:MOST_VALIDATED]
+    places, weights = places[heaviest], weights[heaviest]
+    squared = cdist(places, places, 'sqeuclidean')
+    np.fill_diagonal(squared, np.inf)
+    tried = np.geomspace(ground.resolution, max(ground.size) / 2.0, BANDWIDTHS)
+    likelihood = [
+        weights @ np.log(np.maximum(np.exp(-squared / (2.0 * h**2)) @ weights / h**2, 1e-300))
+        for h in tried
+    ]
+    best = int(np.argmax(likelihood))
+    return float(tried[best]), best == len(tried) - 1

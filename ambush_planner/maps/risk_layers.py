@@ -1,0 +1,281 @@
+"""Risk maps joined from layers: terrain, polygons, roads and incidents.
+
+A YAML file has one line for each layer. Each cell begins with the loss ``base``, and the lines
+apply from top to bottom:
+
+* ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
+  that are too steep or unknown are obstacles.
+* ``polygons: FILE`` adds the ``loss`` of each polygon around the cell's centre, then multiplies by
+  its ``factor``.
+* ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
+  with the same value count once.
+* ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
+  ``weight`` * 2^(-age / half_life) * exp(-distance^2 / (2 bandwidth^2)). Ages are in days before
+  ``until``, by default the newest incident; later ones are left out.
+
+Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
+touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A value
+that is a text names the attribute that has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..errors import AmbushPlannerError
+from ..option_checks import check_at_least
+from .coordinates import Coordinates
+from .elevation import MAX_CELLS, elevation_from_raster
+from .elevation_file import read_raster
+from .incidents import (
+    count_near,
+    cross_validated_bandwidth,
+    kernel_density,
+    weighted_incidents,
+)
+from .occupancy import OccupancyOptions, risk_map_from_occupancy
+from .risk_map import RiskMap
+from .road_file import connected_parts
+from .terrain_risk import TerrainOptions, terrain_map
+from .vector_file import InvalidFeatures, attribute_values, features_on
+from .visibility import ViewOptions
+
+if TYPE_CHECKING:
+    from geopandas import GeoDataFrame
+    from geopandas.base import GeoPandasBase
+
+# The keys of the file, and of each kind of line, with their defaults.
+_TOP = {'layers': None, 'base': 1.0, 'resolution': 0.0, 'bounds': None, 'crs': None}
+_VIEW = ('weapon_range', 'vehicle_height', 'person_height')
+_SHAPES = {'loss': 0.0, 'factor': 1.0, 'passable': False, 'forbidden': False, 'held': False}
+_KINDS: Mapping[str, Mapping[str, Any]] = {
+    'terrain': {'loss': 9.0, **dict.fromkeys((*_VIEW, 'slope_limit', 'weights'))},
+    'polygons': _SHAPES,
+    'roads': {**_SHAPES, 'width': 0.0},
+    'incidents': {'loss': 9.0, 'bandwidth': 'auto', 'half_life': math.inf, 'until': None,
+                  'date': 'date', 'weight': 1.0},
+}
+_GEOMETRIES = {'polygons': 'Polygon', 'roads': 'LineString', 'incidents': 'Point'}
+# Incidents count as near a cell up to this distance [bandwidths].
+NEAR = 2.0
+# With fewer incidents of full weight in all, or near most of the cells that they make costly, a
+# density is mostly chance.
+FEW, FEW_NEAR = 20.0, 5
+
+
+class InvalidLayers(AmbushPlannerError, ValueError):
+    """The description of layers is malformed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layer:
+    """What a line contributed, for pictures.
+
+    ``values`` (H, W) are losses, numbers of incidents, or how many shapes cover a cell; ``shapes``
+    are those of a vector layer, for roads with the length of their connected ``part``.
+    """
+
+    title: str
+    values: FloatArray
+    shapes: GeoPandasBase | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredRisk:
+    """A risk map with its layers, and remarks on how it was made."""
+
+    risk_map: RiskMap
+    layers: tuple[Layer, ...]
+    remarks: tuple[str, ...]
+
+
+def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path | None = None,
+                     progress: Callable[[float], None] | None = None) -> LayeredRisk:
+    """Join the layers of a YAML file, or of its content, by the formulas above.
+
+    The grid is that of the terrain, which must be the first layer; without it, that of ``bounds``
+    [west, south, east, north], ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by
+    default that of the YAML file. ``progress`` is called with the completed share of the terrain.
+
+    Raises InvalidLayers, whose message names the layer, InvalidOption or OSError.
+    """
+    if not isinstance(description, Mapping):
+        folder, description = folder or Path(description).parent, _read(Path(description))
+    top = _with_defaults('the file', description, _TOP)
+    if not isinstance(top['layers'], list) or not top['layers']:
+        raise InvalidLayers('layers must be a list with a line for each layer')
+    lines = [_line(k, line) for k, line in enumerate(top['layers'], start=1)]
+    base = _number('base', top['base'])
+    joined: _Joined | None = None
+    for number, (kind, values) in enumerate(lines, start=1):
+        path = (folder or Path()) / Path(str(values[kind])).expanduser()
+        try:
+            if kind == 'terrain':
+                if joined:
+                    raise InvalidLayers('must be the first layer and the only terrain, since it '
+                                        'gives the grid')
+                joined = _terrain(path, values, _number('resolution', top['resolution']), progress)
+                joined.loss += base
+                continue
+            joined = joined or _without_terrain(top, base)
+            features = features_on(joined.ground, str(path), _GEOMETRIES[kind])
+            add = joined.add_incidents if kind == 'incidents' else joined.add_shapes
+            add(path.name, features, values)
+        except (AmbushPlannerError, OSError, TypeError, ValueError) as error:
+            raise InvalidLayers(f'layer {number} ({kind}): {error}') from error
+    assert joined is not None  # there is a line
+    return joined.result()
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    import yaml
+
+    try:
+        content = yaml.safe_load(path.read_text(encoding='utf-8'))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InvalidLayers(f'{path}: not YAML: {" ".join(str(error).split())}') from error
+    if not isinstance(content, Mapping):
+        raise InvalidLayers(f'{path}: not a description of layers')
+    return content
+
+
+def _line(number: int, line: Any) -> tuple[str, Mapping[str, Any]]:
+    """The kind of a line, and its values with defaults."""
+    kinds = [kind for kind in _KINDS if isinstance(line, Mapping) and kind in line]
+    if len(kinds) != 1:
+        raise InvalidLayers(f'layer {number} needs one of {", ".join(_KINDS)}, with a file')
+    (kind,) = kinds
+    return kind, _with_defaults(f'layer {number} ({kind})', line, {kind: '', **_KINDS[kind]})
+
+
+def _with_defaults(where: str, given: Mapping[str, Any],
+                   defaults: Mapping[str, Any]) -> Mapping[str, Any]:
+    if unknown := [str(key) for key in given if key not in defaults]:
+        raise InvalidLayers(f'{where}: unknown {", ".join(unknown)}; choose from '
+                            f'{", ".join(defaults)}')
+    return {**defaults, **given}
+
+
+def _terrain(path: Path, values: Mapping[str, Any], resolution: float,
+             progress: Callable[[float], None] | None) -> _Joined:
+    raster = read_raster(path)
+    elevation = elevation_from_raster(raster, resolution)
+    given = {key: each for key, each in values.items() if each is not None}
+    view = ViewOptions(**{key: given[key] for key in _VIEW if key in given})
+    options = {key: given[key] for key in ('slope_limit', 'weights') if key in given}
+    made = terrain_map(elevation, TerrainOptions(view, **options), None, progress)
+    scale = OccupancyOptions(0.0, _number('loss', values['loss']), crs=elevation.crs or '')
+    ground = risk_map_from_occupancy(made.values, made.resolution, (*elevation.corner, 0.0), scale)
+    shown = np.where(ground.obstacles, np.nan, ground.alpha)
+    # Cells that a road opens have the loss of the nearest free cell.
+    return _Joined(ground, ground.nearest_free_alpha(), [Layer(f'{path.name}: loss', shown)],
+                   [raster.note] if raster.note else [])
+
+
+def _without_terrain(top: Mapping[str, Any], base: float) -> _Joined:
+    bounds, resolution = top['bounds'], _number('resolution', top['resolution'])
+    if not isinstance(bounds, list) or len(bounds) != 4 or resolution == 0.0:
+        raise InvalidLayers('without terrain, the file needs resolution: [m] and bounds: [west, '
+                            'south, east, north] [m]')
+    west, south, east, north = map(float, bounds)
+    rows, columns = (round(length / resolution) for length in (north - south, east - west))
+    if min(rows, columns) < 1 or rows * columns > MAX_CELLS:
+        raise InvalidLayers(f'bounds {bounds} have {columns} x {rows} cells of {resolution:g} m; '
+                            f'at least 1 and at most {MAX_CELLS} are possible')
+    crs = Coordinates(str(top['crs'])).crs.to_string() if top['crs'] else None
+    cells = np.zeros((rows, columns))
+    ground = RiskMap(cells, cells.astype(bool), resolution, (west, south, 0.0), crs)
+    return _Joined(ground, cells + base)
+
+
+@dataclass(eq=False)
+class _Joined:
+    """The grid with the terrain's obstacles, and what the layers so far make of it."""
+
+    ground: RiskMap
+    loss: FloatArray
+    layers: list[Layer] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    masks: Mapping[str, list[BoolArray]] = field(
+        default_factory=lambda: {'passable': [], 'forbidden': [], 'held': []})
+
+    def result(self) -> LayeredRisk:
+        obstacles = self.ground.obstacles.copy()
+        for mask in self.masks['passable']:
+            obstacles &= ~mask
+        for mask in self.masks['forbidden']:
+            obstacles |= mask
+        for mask in self.masks['held']:
+            self.loss[mask] = 0.0
+        return LayeredRisk(replace(self.ground, alpha=self.loss, obstacles=obstacles),
+                           tuple(self.layers), tuple(self.remarks))
+
+    def add_shapes(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
+        """Apply polygons or roads."""
+        roads, shown = 'roads' in values, features.boundary
+        if roads:
+            shown = connected_parts(features)
+            width = attribute_values(features, 'width', values['width'])
+            wide = features.buffer(width / 2.0).where(width > 0.0, features.geometry)
+            features = features.set_geometry(wide)
+        for key, apply in (('loss', np.multiply), ('factor', np.power)):
+            column = attribute_values(features, key, values[key])
+            for each in np.unique(column):
+                count = self._cover(features[column == each], roads)
+                effect = apply(each, np.minimum(count, 1.0) if roads else count)
+                self.loss = self.loss + effect if key == 'loss' else self.loss * effect
+        for key, masks in self.masks.items():
+            chosen = features[attribute_values(features, key, values[key]) > 0.0]
+            if len(chosen):
+                masks.append(self._cover(chosen, roads or key == 'forbidden') > 0.0)
+        effects = ', '.join(key for key in _SHAPES if values[key] != _SHAPES[key])
+        self.layers.append(Layer(f'{name}: {effects}', self._cover(features, roads), shown))
+
+    def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
+        """Apply incidents, and remark on few of them."""
+        places, weights = weighted_incidents(features, values)
+        bandwidth = values['bandwidth']
+        if bandwidth == 'auto':
+            bandwidth, largest = cross_validated_bandwidth(self.ground, places, weights)
+            self.remarks.append(f'{name}: bandwidth {bandwidth:.4g} m by cross-validation'
+                                + ', the largest compared: they show no pattern' * largest)
+        bandwidth = _number('bandwidth', bandwidth, self.ground.resolution)
+        density = kernel_density(self.ground, places, weights, bandwidth)
+        if not density.max() > 0.0:
+            raise InvalidFeatures('no incident has a weight above 0')
+        near = NEAR * bandwidth
+        count = count_near(self.ground, places, near)
+        full = float(weights.sum() / weights.max())
+        thin = float(np.mean(count[density > 0.1 * density.max()] < FEW_NEAR))
+        if full < FEW or thin > 0.5:
+            self.remarks.append(
+                f'{name}: few incidents, {len(places)} with the weight of {full:.3g} new ones; '
+                f'{100.0 * thin:.0f} % of the ground that they make costly has fewer than '
+                f'{FEW_NEAR} within {near:.0f} m, so their pattern may be chance')
+        added = _number('loss', values['loss']) * density / density.max()
+        self.loss = self.loss + added
+        self.layers += [Layer(f'{name}: loss', added, features.geometry),
+                        Layer(f'{name}: number within {near:.0f} m', count)]
+
+    def _cover(self, features: GeoDataFrame, touched: bool) -> FloatArray:
+        """How many shapes cover each cell (H, W): its centre, or any part of it if ``touched``."""
+        from rasterio import Affine
+        from rasterio.features import MergeAlg, rasterize
+
+        (x, y, _), step = self.ground.origin, self.ground.resolution
+        cells = rasterize(((shape, 1.0) for shape in features.geometry), self.loss.shape,
+                          transform=Affine(step, 0.0, x, 0.0, step, y), all_touched=touched,
+                          merge_alg=MergeAlg.add, dtype='float64')
+        return np.asarray(cells)
+
+
+def _number(name: str, value: Any, least: float = 0.0) -> float:
+    check_at_least(name, value, least)
+    return float(value)

@@ -1,0 +1,119 @@
+"""Risk maps from and to files: map_server's YAML, GeoTIFF, and npz with the fields of RiskMap."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from ..errors import InvalidRiskMap
+from .coordinates import Coordinates, InvalidCoordinates
+from .elevation_file import read_raster
+from .map_file import read_map
+from .occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from .risk_map import RiskMap, to_map_axes
+
+_UNKNOWN = 255  # in a GeoTIFF
+
+
+def read_risk_map(path: Path | str, options: OccupancyOptions | None = None) -> RiskMap:
+    """Read a map of map_server, a GeoTIFF of its values (nodata: unknown), or an npz file.
+
+    The npz file has the fields of ``RiskMap``. A file without a coordinate system gets
+    ``options.crs``.
+
+    Raises InvalidTerrain, InvalidRiskMap or OSError if the file is not such a map.
+    """
+    path, options = Path(path), options or OccupancyOptions()
+    if path.suffix == '.npz':
+        return _read_npz(path, options.crs)
+    try:
+        if path.suffix in ('.tif', '.tiff'):
+            raster = read_raster(path, nearest=True)
+            grid = OccupancyMap(np.nan_to_num(raster.values, nan=-1.0), raster.column_step,
+                                (*raster.corner, 0.0), raster.crs)
+            if not np.isclose(raster.row_step, raster.column_step):
+                raise InvalidRiskMap(f'the cells are not square: {raster.column_step:g} m x '
+                                     f'{raster.row_step:g} m')
+        else:
+            grid = read_map(path)
+        options = replace(options, crs=agreed_crs(grid.crs, options.crs))
+        return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+    except InvalidRiskMap as error:
+        hint = '; is it an elevation model (--terrain)?' if 'cell values' in str(error) else ''
+        raise InvalidRiskMap(f'{path}: {error}{hint}') from error
+
+
+def agreed_crs(known: str | None, given: str) -> str:
+    """Return the coordinate system of a file, or the given one if it has none; '' if unknown.
+
+    Raises InvalidRiskMap if both are known and differ.
+    """
+    if known and given and known != given:
+        raise InvalidRiskMap(f'the file is in {known}, not in {given}; leave out --crs and --datum')
+    return known or given
+
+
+def _read_npz(path: Path, crs: str) -> RiskMap:
+    try:
+        with np.load(path) as file:
+            content = dict(file)
+        x, y, yaw = map(float, content.get('origin', (0.0, 0.0, 0.0)))
+        return RiskMap(content['alpha'], content['obstacles'], float(content['resolution']),
+                       (x, y, yaw), agreed_crs(str(content.get('crs', '')), crs) or None)
+    except KeyError as error:
+        raise InvalidRiskMap(f'{path}: no {error}; it has {", ".join(content)}') from error
+    except (BadZipFile, EOFError, TypeError, ValueError) as error:
+        raise InvalidRiskMap(f'{path}: {error}') from error
+
+
+def in_local_frame(grid: OccupancyMap, crs: str) -> OccupancyMap:
+    """Return the same map with its origin in another frame, such as ``datum LAT LON YAW``.
+
+    Raises InvalidCoordinates if the map's coordinate system is unknown, or not the UTM zone that
+    the frame is based on.
+    """
+    old, new = Coordinates(grid.crs or ''), Coordinates(crs)
+    if old.crs != new.crs:
+        raise InvalidCoordinates(f'the map is in {old.crs.to_string()}, but the frame {crs!r} is '
+                                 f'based on {new.crs.to_string()}; reproject the map to it')
+    x, y = to_map_axes(new.origin, old.to_crs(grid.origin[:2])).tolist()
+    yaw = grid.origin[2] + old.origin[2] - new.origin[2]
+    return replace(grid, origin=(x, y, yaw), crs=crs)
+
+
+def write_geotiff(path: Path, grid: OccupancyMap) -> None:
+    """Write the values of a map as a GeoTIFF (nodata: unknown) in its coordinate system.
+
+    Raises InvalidCoordinates if the map has no such system.
+    """
+    import rasterio
+
+    system = Coordinates(grid.crs or '')
+    rows, columns = grid.values.shape
+    values = np.where(grid.values < 0, _UNKNOWN, grid.values).astype(np.uint8)[::-1]
+    with rasterio.open(path, 'w', driver='GTiff', height=rows, width=columns, count=1,
+                       dtype='uint8', crs=system.crs.to_wkt(), transform=cell_transform(grid),
+                       nodata=_UNKNOWN, compress='deflate') as file:
+        file.write(values, 1)
+
+
+def cell_transform(grid: OccupancyMap | RiskMap) -> Any:
+    """Return the affine transform of rasterio from (column, row from the top) to positions.
+
+    These are in the grid's coordinate system, or world positions if it is unknown.
+    """
+    from rasterio import Affine
+
+    system = Coordinates(grid.crs) if grid.crs else None
+    left, bottom, turn = grid.origin
+    if system:
+        left, bottom = system.to_crs((left, bottom)).tolist()
+        turn += system.origin[2]
+    rows = len(grid.values if isinstance(grid, OccupancyMap) else grid.alpha)
+    c, s = grid.resolution * math.cos(turn), grid.resolution * math.sin(turn)
+    return Affine(c, s, left - s * rows, s, -c, bottom + c * rows)

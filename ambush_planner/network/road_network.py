@@ -1,0 +1,218 @@
+"""The network of a trip on roads: a node at each junction and bend, and at least every spacing.
+
+The edges lie on the roads' own lines. Start, stops and goal are joined to the nearest place on a
+road by an edge of their own, unless they lie on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray, IndexArray
+from ..errors import InvalidOption, NoRoute
+from ..maps.coordinates import InvalidCoordinates
+from ..maps.obstacles import ObstacleField
+from ..maps.risk_map import RiskMap
+from ..maps.road_file import RoadGraph
+from ..maps.vector_file import from_system
+from .shortest_paths import edge_matrix, reachable_from
+from .trip_graph import TripGraph, position_errors
+
+# Distance at which a position is on a road, or at one of its nodes [m].
+ON_ROAD = 1e-3
+
+Position = tuple[float, float]
+
+
+def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
+    """The roads in the map's coordinates, without the pieces beyond its bounds."""
+    roads = in_map_frame(roads, risk_map.crs)
+    uv = risk_map.to_map_axes(roads.points)[roads.pairs]
+    inside = ((uv.max(axis=1) >= 0.0) & (uv.min(axis=1) <= risk_map.size)).all(axis=1)
+    return replace(roads, pairs=roads.pairs[inside], speeds=roads.speeds[inside])
+
+
+@lru_cache(4)
+def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
+    """The roads in the coordinates of a map with the coordinate system ``crs`` [m].
+
+    Without one, roads in metres are taken to be in those of the map. Raises InvalidOption if they
+    are in another unit.
+    """
+    if not roads.crs:
+        return roads
+    try:
+        return replace(roads, points=from_system(roads.points, roads.crs, crs), crs='')
+    except InvalidCoordinates as error:
+        raise InvalidOption(f'graph: {error}') from error
+
+
+def road_length(roads: RoadGraph) -> float:
+    """The length of all roads [m], in one direction."""
+    return float(np.hypot(*(roads.points[roads.pairs[:, 1]] - roads.points[roads.pairs[:, 0]]).T)
+                 .sum())
+
+
+@dataclass(eq=False)
+class _Pieces:
+    """Roads cut into pieces between nodes, as in ``RoadGraph``, while ends are joined to them."""
+
+    points: FloatArray
+    pairs: IndexArray
+    speeds: FloatArray
+
+    def add_node(self, place: FloatArray) -> int:
+        self.points = np.vstack((self.points, place))
+        return len(self.points) - 1
+
+    def replace_piece(self, piece: int, pairs: list[tuple[int, int]]) -> None:
+        """Put other pieces with the same speeds in the place of one."""
+        self.speeds = np.vstack((np.delete(self.speeds, piece, axis=0),
+                                 np.tile(self.speeds[piece], (len(pairs), 1))))
+        self.pairs = np.vstack((np.delete(self.pairs, piece, axis=0), pairs))
+
+    def nearest(self, place: FloatArray) -> tuple[float, int, FloatArray]:
+        """Distance, number and nearest point of the piece that is nearest to a place."""
+        a, b = self.points[self.pairs[:, 0]], self.points[self.pairs[:, 1]]
+        along = b - a
+        squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+        share = np.clip(((place - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+        feet = a + share[:, None] * along
+        far = np.hypot(*(feet - place).T)
+        piece = int(np.argmin(far))
+        return float(far[piece]), piece, feet[piece]
+
+    def node_at(self, piece: int, foot: FloatArray) -> int:
+        """The node at a point of a piece, which is cut there unless it ends there."""
+        a, b = self.pairs[piece].tolist()
+        for node in (a, b):
+            if np.hypot(*(self.points[node] - foot)) <= ON_ROAD:
+                return int(node)
+        node = self.add_node(foot)
+        self.replace_piece(piece, [(a, node), (node, b)])
+        return node
+
+
+def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
+                    ends: dict[str, Position], spacing: float, clearance: float,
+                    join_distance: float) -> TripGraph:
+    """Cut the roads, join the ends, which are named as in error messages, and check the way.
+
+    Raises StartBlocked, StopBlocked or GoalBlocked if no road is within ``join_distance`` [m], or
+    an obstacle lies in between; NoRoute if the roads do not connect the ends.
+    """
+    whole = _cut(roads_on_map(roads, risk_map), spacing)
+    uv = risk_map.to_map_axes(whole.points)
+    tails, heads = uv[whole.pairs.T]
+    clear = field.clear_segments(tails, heads, clearance)
+    pieces = replace(whole, pairs=whole.pairs[clear], speeds=whole.speeds[clear])
+    visits: dict[Position, int] = {}
+    links, link_speeds = [], []
+    for name, position in ends.items():
+        if position in visits:
+            continue
+        node, place = _joined(pieces, name, position, join_distance), np.array(position)
+        if np.hypot(*(pieces.points[node] - place)) <= ON_ROAD:
+            pieces.points[node] = place
+            visits[position] = node
+            continue
+        tail, head = risk_map.to_map_axes(np.stack((place, pieces.points[node])))
+        if not field.clear_segments(tail[None], head[None], clearance)[0]:
+            raise position_errors(name)[1](
+                f'{_at(name, position)}: an obstacle lies between it and the nearest road; move it')
+        links.append((node, pieces.add_node(place)))
+        link_speeds.append(pieces.speeds[(pieces.pairs == node).any(axis=1)].max())
+        visits[position] = links[-1][1]
+    if links:
+        pieces.pairs = np.vstack((pieces.pairs, links))
+        pieces.speeds = np.vstack((pieces.speeds, np.tile(link_speeds, (2, 1)).T))
+    graph = _graph(risk_map, pieces, tuple(visits[each] for each in ends.values()), roads.timed)
+    _check_connected(graph, ends, int((~clear).sum()))
+    return graph
+
+
+def _cut(roads: RoadGraph, spacing: float) -> _Pieces:
+    """Cut the roads into equal parts of at most ``spacing`` [m] between their own places."""
+    a, b = roads.points[roads.pairs[:, 0]], roads.points[roads.pairs[:, 1]]
+    count = np.maximum(np.ceil(np.hypot(*(b - a).T) / spacing - 1e-9), 1.0).astype(np.int64)
+    of = np.repeat(np.arange(len(count)), count)
+    k = np.arange(len(of)) - np.repeat(np.cumsum(count) - count, count)
+    inner = k > 0
+    share = (k / count[of])[inner, None]
+    added = a[of[inner]] * (1.0 - share) + b[of[inner]] * share
+    number = len(roads.points) + np.cumsum(inner) - 1
+    tails = np.where(inner, number, roads.pairs[of, 0])
+    last = k == count[of] - 1
+    heads = np.where(last, roads.pairs[of, 1], number + 1)
+    return _Pieces(np.concatenate((roads.points, added)), np.stack((tails, heads), axis=1),
+                   roads.speeds[of])
+
+
+def _joined(pieces: _Pieces, name: str, position: Position, join_distance: float) -> int:
+    """The node on the nearest road to a position."""
+    far, piece, foot = np.inf, 0, np.zeros(2)
+    if len(pieces.pairs):
+        far, piece, foot = pieces.nearest(np.array(position))
+    if far > join_distance:
+        nearest = f'{far:.1f} m from the nearest road' if far < np.inf else 'on a map without roads'
+        raise position_errors(name)[1](
+            f'{_at(name, position)} is {nearest}; move it, or raise join_distance '
+            f'({join_distance:g} m)')
+    return pieces.node_at(piece, foot)
+
+
+def _at(name: str, position: Position) -> str:
+    return f'{name} ({position[0]:.3f}, {position[1]:.3f})'
+
+
+def _graph(risk_map: RiskMap, pieces: _Pieces, visits: tuple[int, ...], timed: bool) -> TripGraph:
+    """The graph of the pieces, without places that no piece leads to."""
+    used, pairs = np.unique(pieces.pairs, return_inverse=True)
+    pairs = pairs.reshape(-1, 2)
+    points = pieces.points[used]
+    ends = np.searchsorted(used, visits)
+    alpha = risk_map.alpha[risk_map.cells(risk_map.to_map_axes(points))]
+    alpha[ends] = 0.0
+    speeds = np.concatenate(pieces.speeds.T)
+    edges = np.concatenate((pairs, pairs[:, ::-1]))[speeds > 0.0]
+    lengths = np.hypot(*(points[edges[:, 1]] - points[edges[:, 0]]).T)
+    seconds = lengths / speeds[speeds > 0.0] if timed else None
+    return TripGraph(points, alpha, edges, tuple(ends.tolist()), seconds)
+
+
+def _check_connected(graph: TripGraph, ends: dict[str, Position], blocked: int) -> None:
+    count, (start, *_, goal) = len(graph.points), graph.visits
+    ahead = reachable_from(graph.edges, count, start)
+    behind = reachable_from(graph.edges[:, ::-1], count, goal)
+    for name, node in zip(ends, graph.visits, strict=True):
+        for reached, one, other in ((ahead, 'start', name), (behind, name, 'goal')):
+            if not reached[node]:
+                nodes = dict(zip(ends, graph.visits, strict=True))
+                raise NoRoute(f'no road leads from {_at(one, ends[one])} to '
+                              f'{_at(other, ends[other])}: '
+                              f'{_why(graph, nodes[one], nodes[other], blocked)}')
+
+
+def _why(graph: TripGraph, one: int, other: int, blocked: int) -> str:
+    """Why no road leads from one node to another: one-way roads, or a gap."""
+    count = len(graph.points)
+    matrix = edge_matrix(graph.edges, np.ones(len(graph.edges)), count)
+    parts, part = connected_components(matrix, directed=False)
+    if part[one] == part[other]:
+        return 'the roads between them are one-way in the other direction'
+    pairs = np.unique(np.sort(graph.edges, axis=1), axis=0)
+    length = np.hypot(*(graph.points[pairs[:, 1]] - graph.points[pairs[:, 0]]).T)
+    km = np.bincount(part[pairs[:, 0]], length, parts) / 1000.0
+    here, there = (graph.points[part == part[node]] for node in (one, other))
+    gap, nearest = cKDTree(there).query(here)
+    k = int(np.argmin(gap))
+    cut = f'; obstacles of the map block {blocked} pieces of road' if blocked else ''
+    return (f'they are on two of {parts} separate parts, of {km[part[one]]:.3g} and '
+            f'{km[part[other]]:.3g} km, {gap[k]:.3g} m apart at ({here[k][0]:.1f}, '
+            f'{here[k][1]:.1f}) and ({there[nearest[k]][0]:.1f}, {there[nearest[k]][1]:.1f}){cut}; '
+            'lines meet only where they share a vertex (ambush risk draws the parts)')

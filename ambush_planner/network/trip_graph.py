@@ -1,0 +1,68 @@
+"""The drivable places of a trip, and the network for any order of its stops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from ..errors import (
+    AmbushPlannerError,
+    GoalBlocked,
+    GoalOutsideMap,
+    StartBlocked,
+    StartOutsideMap,
+    StopBlocked,
+    StopOutsideMap,
+)
+from .network import Network
+
+
+@dataclass(frozen=True, eq=False)
+class TripGraph:
+    """Directed graph of the drivable places of a trip, for any order of its stops.
+
+    Parameters
+    ----------
+    points : (N, 2), alpha : (N,)
+        The nodes [m] and their losses; 0 at start, stops and goal.
+    edges : (E, 2)
+        (tail, head) of each directed edge.
+    visits : tuple of int
+        The nodes of start, stops and goal in the given order; equal positions share a node.
+    seconds : (E,), optional
+        Driving time of each edge [s].
+    """
+
+    points: FloatArray
+    alpha: FloatArray
+    edges: IndexArray
+    visits: tuple[int, ...]
+    seconds: FloatArray | None = None
+
+    def network(self, visits: Sequence[int]) -> Network:
+        """The network for driving from each of these nodes to the next: a layer for each leg."""
+        count, legs = len(self.points), len(visits) - 1
+        layers, used = [], []
+        for leg, (source, target) in enumerate(pairwise(visits)):
+            used.append(np.flatnonzero(
+                (self.edges[:, 1] != source) & (self.edges[:, 0] != target)
+            ))
+            edges = self.edges[used[-1]]
+            layers.append(edges + leg * count)
+            if leg + 1 < legs:
+                layers[-1][edges[:, 1] == target, 1] += count
+        edges = np.concatenate(layers)
+        order = np.lexsort((edges[:, 1], edges[:, 0]))
+        seconds = None if self.seconds is None else self.seconds[np.concatenate(used)[order]]
+        return Network(np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs), edges[order],
+                       visits[0], visits[-1] + (legs - 1) * count, legs=legs, seconds=seconds)
+
+
+def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:
+    """The errors for a start, stop or goal off the map, and for a blocked one."""
+    return {'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked)}.get(
+        name, (StopOutsideMap, StopBlocked))

@@ -1,0 +1,80 @@
+"""Routes, a strategy and its ground as tables of geometries (GeoDataFrames), for GIS programs.
+
+Positions are world positions, in the map's coordinate system if it has one; those of a robot's
+frame are converted to the UTM zone of its datum. Needs geopandas, shapely and rasterio.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..game.strategy import Strategy
+from ..maps.coordinates import Coordinates
+from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import cell_transform
+
+# Edges and sites with smaller probabilities are left out.
+LEAST_PROBABILITY = 1e-6
+
+
+def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str | None) -> Any:
+    """Return paths (L, 2 or 3) [m] as lines with ``departure`` (from 1), ``length`` [m], ``time``.
+
+    ``time`` is when a route was drawn, as text (ISO 8601).
+    """
+    import geopandas
+    import shapely
+
+    system = Coordinates(crs) if crs else None
+    columns = {
+        'departure': np.arange(1, len(paths) + 1),
+        'length': [float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()) for path in paths],
+        'time': [time.isoformat(timespec='seconds') for time in times],
+    }
+    lines = [shapely.LineString(system.to_crs(path[:, :2]) if system else path[:, :2])
+             for path in paths]
+    return geopandas.GeoDataFrame(columns, geometry=lines, crs=system and system.crs)
+
+
+def strategy_tables(strategy: Strategy, risk_map: RiskMap, held: float) -> Mapping[str, Any]:
+    """Return the tables ``edges``, ``sites``, ``held_ground`` and ``forbidden``.
+
+    Edges have their ``probability``; sites the ``probability`` q that the best ambusher waits there
+    and the ``loss``. Nobody waits within ``held`` [m] of start, stops and goal. Forbidden ground
+    are the map's obstacles.
+    """
+    import geopandas
+    import shapely
+
+    network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
+    system = Coordinates(risk_map.crs) if risk_map.crs else None
+    points = system.to_crs(network.points) if system else network.points
+    used = np.flatnonzero(p > LEAST_PROBABILITY)
+    waits = np.flatnonzero(q > LEAST_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
+    ends = shapely.points(points[[network.source, *network.stops, network.target]])
+    tables = {
+        'edges': ({'probability': p[used]}, shapely.linestrings(points[network.edges[used]])),
+        'sites': ({'probability': q[waits], 'loss': strategy.game.loss[waits]},
+                  shapely.points(points[waits])),
+        'held_ground': ({'radius': [held] * len(ends)}, shapely.buffer(ends, held, quad_segs=32)),
+        'forbidden': ({}, _obstacles(risk_map)),
+    }
+    return {name: geopandas.GeoDataFrame(columns, geometry=list(shapes),
+                                         crs=system and system.crs)
+            for name, (columns, shapes) in tables.items()
+            if len(shapes) and not (name == 'held_ground' and held <= 0.0)}
+
+
+def _obstacles(risk_map: RiskMap) -> list[Any]:
+    """Polygons of the map's obstacle cells."""
+    from rasterio.features import shapes
+    from shapely.geometry import shape
+
+    cells = risk_map.obstacles[::-1].astype(np.uint8)
+    place = cell_transform(risk_map)
+    return [shape(outline) for outline, _ in shapes(cells, cells == 1, transform=place)]

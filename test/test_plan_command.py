@@ -1,0 +1,244 @@
+"""``ambush plan`` and ``export`` from maps to files, which other programs read; every mistake."""
+
+import json
+import re
+import shutil
+import stat
+import subprocess
+import sys
+from io import StringIO
+
+import numpy as np
+import pytest
+from commands import documented_keys, run_here
+
+pytest.importorskip('geopandas', reason='routes in files take the extra "gis"')
+pytest.importorskip('gpxpy', reason='GPX takes the extra "gis"')
+pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+
+import geopandas
+import gpxpy
+import pyogrio
+import rasterio
+import shapely
+from audit_samples import GOAL, START, departure, drawn, parameters, record, sample_plan
+from pyproj import CRS, Geod, Transformer
+from test_rooms import NO_ROS
+
+from ambush_planner.commands import export, plan, terrain
+from ambush_planner.maps.map_file import write_map
+from ambush_planner.maps.occupancy import OccupancyMap
+
+GEOD = Geod(ellps='WGS84')
+FILES = ('r.gpx', 'r.gpkg', 'r.geojson', 'r.kml', 'r.csv', 'r.png')
+CELLS = 60
+
+
+def write_dem(path, latitude, longitude, crs='EPSG:4326'):
+    """Rolling hills of 60 x 60 cells of 3 seconds of arc, with a corner at a place."""
+    row, column = np.mgrid[:CELLS, :CELLS]
+    heights = 20.0 * np.sin(row / 7.0) + 15.0 * np.cos(column / 9.0) + 100.0
+    step = 1 / 1200
+    with rasterio.open(path, 'w', driver='GTiff', height=CELLS, width=CELLS, count=1, crs=crs,
+                       dtype='float32', transform=rasterio.Affine(
+                           step, 0, longitude, 0, -step, latitude + CELLS * step)) as file:
+        file.write(heights.astype(np.float32), 1)
+    return path
+
+
+def metres_between(one, other):
+    """Distance [m] of two positions (longitude, latitude) on the ellipsoid."""
+    return GEOD.inv(*one, *other)[2]
+
+
+def degrees_in(folder):
+    """The ends (longitude, latitude) of each route by file, as other programs read them."""
+    found = {}
+    with open(folder / 'r.gpx') as file:
+        gpx = gpxpy.parse(file)
+    found['gpx tracks'] = [[(p.longitude, p.latitude) for p in track.segments[0].points]
+                           for track in gpx.tracks]
+    found['gpx routes'] = [[(p.longitude, p.latitude) for p in route.points]
+                           for route in gpx.routes]
+    found['gdal gpx'] = [line.geoms[0].coords for line in
+                         pyogrio.read_dataframe(folder / 'r.gpx', layer='tracks').geometry]
+    if shutil.which('gpsbabel'):
+        read = json.loads(subprocess.run(
+            ['gpsbabel', '-t', '-i', 'gpx', '-f', folder / 'r.gpx', '-o', 'geojson', '-F', '-'],
+            capture_output=True, timeout=60, check=True).stdout)
+        found['gpsbabel'] = [each['geometry']['coordinates'] for each in read['features']
+                             if each['geometry']['type'] == 'LineString']
+    document = json.loads((folder / 'r.geojson').read_text())
+    found['geojson'] = [each['geometry']['coordinates'] for each in document['features']
+                        if each['properties']['layer'] == 'routes']
+    found['kml'] = [line.coords for line in geopandas.read_file(folder / 'r.kml').geometry]
+    table = pyogrio.read_dataframe(folder / 'r.gpkg', layer='routes')
+    to_degrees = Transformer.from_crs(table.crs, 4326, always_xy=True).transform
+    rows = pyogrio.read_dataframe(folder / 'r.csv', read_geometry=False)
+    for name, lines in (('gpkg', table.geometry), ('csv', shapely.from_wkt(rows['WKT']))):
+        found[name] = [np.transpose(to_degrees(*np.transpose(line.coords))) for line in lines]
+    return found
+
+
+@pytest.mark.parametrize(('latitude', 'longitude', 'zone', 'way'), [
+    (36.5, -84.3, 32616, 'terrain'), (-33.95, 18.5, 32734, 'yaml'), (-22.9, -43.4, 32723, 'tif'),
+    (60.4, 5.3, 32632, 'terrain'),
+])
+def test_the_whole_chain_is_exact_to_a_centimetre(tmp_path, latitude, longitude, zone, way):
+    """From heights in degrees to files of all kinds: routes begin and end where they should."""
+    dem = write_dem(tmp_path / 'dem.tif', latitude, longitude)
+    ends = [(latitude + dy, longitude + dx) for dy, dx in ((0.02, 0.012), (0.033, 0.038))]
+    options = ['--terrain', '--weapon-range', 300]
+    if way != 'terrain':
+        done = run_here(terrain, dem, '-o', tmp_path / 'map.yaml', *options[1:])
+        assert done.code == 0 and f'EPSG:{zone}' in done.err, done.err
+        dem, options = tmp_path / f'map.{way}', []
+    done = run_here(plan, dem, *options, '-n', 5, '--json', '-o', *(tmp_path / f for f in FILES),
+                    '--start', '{:.9f},{:.9f}'.format(*ends[0]),
+                    '--goal', '{:.9f},{:.9f}'.format(*ends[1]))
+    assert done.code == 0, done.err
+    for name, lines in degrees_in(tmp_path).items():
+        assert len(lines) == 5, name
+        for line in lines:
+            assert metres_between(line[0][:2], ends[0][::-1]) < 0.01, name
+            assert metres_between(line[-1][:2], ends[1][::-1]) < 0.01, name
+    assert CRS(pyogrio.read_info(tmp_path / 'r.gpkg', layer='edges')['crs']).to_epsg() == zone
+    result = json.loads(done.out)
+    assert set(result) == documented_keys(plan) and result['lower_bound'] <= result['value']
+    for name in FILES:
+        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == 0o600
+    assert (tmp_path / 'r.png').read_bytes().startswith(b'\x89PNG')
+    routes = geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')
+    assert list(routes['departure']) == [1, 2, 3, 4, 5]
+    np.testing.assert_allclose(routes['length'], routes.length)
+
+
+@pytest.fixture
+def plain(tmp_path):
+    """A map without a coordinate system: 40 x 30 cells of 10 m, a block in the middle."""
+    values = np.random.default_rng(0).integers(0, 60, (30, 40)).astype(np.int8)
+    values[12:18, 15:25] = 100
+    write_map(tmp_path / 'map.yaml', OccupancyMap(values, 10.0, (-200.0, -100.0, 0.0)))
+    return tmp_path / 'map.yaml'
+
+
+ENDS = ('--start', -195, -50, '--goal', 190, 105)
+
+
+def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
+    files = [tmp_path / name for name in ('r.geojson', 'r.gpkg', 'r.csv')]
+    options = ('--set', 'game.secured_radius=40', 'game.ambush_radius=30', 'network.spacing=20')
+    done = run_here(plan, plain, *ENDS, '--via', -50, 95, 100, -80, '-n', 9, '-o', *files, *options)
+    assert done.code == 0, done.err
+    assert all(word in done.out for word in ('value', 'lower bound', 'mean length', 'would cost'))
+    document = json.loads(files[0].read_text())
+    assert 'crs' not in document
+    lines = {}
+    for each in document['features']:
+        lines.setdefault(each['properties'].pop('layer'), []).append(each)
+    for each in lines['routes']:
+        assert set(each['properties']) == {'departure', 'length', 'time'}
+        along = each['geometry']['coordinates']
+        assert (along[0], along[-1]) == ([-195.0, -50.0], [190.0, 105.0])  # exactly
+        assert [-50.0, 95.0] in along and [100.0, -80.0] in along
+    layers = dict(pyogrio.list_layers(files[1]))
+    assert set(layers) == set(lines) == {'routes', 'edges', 'sites', 'held_ground', 'forbidden'}
+    tables = {name: geopandas.read_file(files[1], layer=name) for name in layers}
+    assert tables['sites']['probability'].sum() == pytest.approx(1.0, abs=1e-3)
+    assert tables['forbidden'].area.sum() == 60 * 100.0
+    held = tables['held_ground'].union_all()
+    assert len(tables['held_ground']) == 4 and not held.contains(tables['sites'].geometry).any()
+    assert held.distance(shapely.Point(-155.0, -50.0)) == pytest.approx(0.0, abs=1e-9)
+    drawn_on = tables['edges'].union_all().buffer(0.35 * 20 + 1e-6)  # the tube
+    assert drawn_on.covers(tables['routes'].geometry).all()
+
+
+def test_a_robots_map_is_placed_by_its_datum(plain, tmp_path):
+    done = run_here(plan, plain, *ENDS, '-o', tmp_path / 'r.gpx', '--datum', -33.9, 18.4, 0.5)
+    assert done.code == 0, done.err
+    gpx = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text()))
+    first, last = (gpx.tracks[0].segments[0].points[k] for k in (0, -1))
+    for point, (x, y) in ((first, (-195, -50)), (last, (190, 105))):
+        azimuth, _, far = GEOD.inv(18.4, -33.9, point.longitude, point.latitude)
+        assert far == pytest.approx(np.hypot(x, y), rel=5e-4)
+        turned = np.radians(90.0 - azimuth) - 0.5 - np.arctan2(y, x)
+        assert np.remainder(turned + 1.0, 2.0 * np.pi) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
+    def run(*seed):
+        done = run_here(plan, plain, *ENDS, '-n', 3, '-o', tmp_path / 'r.csv', *seed)
+        assert done.code == 0
+        return (pyogrio.read_dataframe(tmp_path / 'r.csv', read_geometry=False)['WKT'].tolist(),
+                'can foretell' in done.err)
+
+    assert run('--seed', 1) == run('--seed', 1) and run('--seed', 1)[1]
+    one, other = run(), run()
+    assert one[0] != other[0] and not one[1]
+
+
+@pytest.mark.parametrize(('arguments', 'code', 'reason'), [
+    (('--start', '36.5,-84.2'), 3, '36.5,-84.2 is a latitude and longitude, but the coordinate '
+                                   'system of the map is unknown'),
+    (('--start', 5000, 5), 3, r'start \(5000.000, 5.000\) is outside the map'),
+    (('--start', '36.6,-84.2', '--crs', 'EPSG:32616'), 3, 'outside the map.* spans latitudes'),
+    (('--start', '136.6,-84.2', '--crs', 'EPSG:32616'), 3, 'latitude must be in -90..90'),
+    (('--crs', 'EPSG:4326', '-o', 'r.gpx'), 3, 'the unit of a map must be the metre'),
+    (('--crs', 'EPSG:99'), 3, "not a coordinate system: 'EPSG:99'"),
+    (('--start', 0, 50), 3, 'start .* lies in an obstacle'),
+    (('-o', 'r.gpx'), 3, 'GPX holds latitude and longitude, but'),
+    (('-o', 'r.shp'), 2, 'suffix must be one of .gpkg'),
+    (('--start', 'here'), 2, r"--start: must be X Y \[m\] or LAT,LON \[degrees\], got 'here'"),
+    (('--start', 1, 2, 3, 4), 2, '--start: must be one position'),
+])
+def test_mistakes_are_named_and_nothing_is_written(plain, tmp_path, monkeypatch, arguments, code,
+                                                   reason):
+    monkeypatch.chdir(tmp_path)
+    if '--start' in arguments:
+        arguments = (*arguments, *ENDS[3:])
+    else:
+        arguments = (*ENDS, *arguments)
+    before = sorted(tmp_path.iterdir())
+    done = run_here(plan, plain, *(() if '-o' in arguments else ('-o', 'r.geojson')), *arguments)
+    assert done.code == code and re.search(reason, done.err), done.err
+    assert 'Traceback' not in done.err and sorted(tmp_path.iterdir()) == before
+
+
+def test_a_raster_of_a_billion_cells_is_refused_before_it_is_read(tmp_path):
+    with rasterio.open(tmp_path / 'a.tif', 'w', driver='GTiff', height=32000, width=32000, count=1,
+                       dtype='uint8', crs='EPSG:32616', sparse_ok=True, tiled=True,
+                       transform=rasterio.Affine(1, 0, 7e5, 0, -1, 4e6)):
+        pass
+    for options in ((), ('--terrain',)):
+        done = run_here(plan, tmp_path / 'a.tif', *ENDS, '-o', tmp_path / 'r.csv', *options)
+        assert done.code == 3 and '32000 x 32000 cells exceed the limit' in done.err
+        assert done.err.count('\n') == 1
+
+
+def test_plan_works_with_ros_blocked(plain, tmp_path):
+    code = NO_ROS + ('from ambush_planner.commands.cli import main\nsys.exit(main(["plan", *"'
+                     f'{plain} --start -195 -50 --goal 190 105 -o {tmp_path}/r.gpx {tmp_path}/r.png'
+                     ' --crs EPSG:32616".split()]))')
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0 and (tmp_path / 'r.gpx').exists(), done.stderr
+
+
+def test_recorded_departures_are_exported(tmp_path):
+    """Recorded paths with their times, in the coordinate system of the node or of --datum."""
+    a_plan = sample_plan()
+    entries = {'parameters': parameters(**{'map.crs': 'EPSG:32616'})}
+    record(tmp_path / 'in', [departure(a_plan, route, k, entries=entries)
+                             for k, route in enumerate(drawn(a_plan, 3), 1)])
+    files = tmp_path / 'r.gpkg', tmp_path / 'r.png'
+    done = run_here(export, tmp_path / 'in', '--json', '-o', *files)
+    assert done.code == 0 and set(json.loads(done.out)) == documented_keys(export), done.err
+    routes = geopandas.read_file(tmp_path / 'r.gpkg', layer='routes')
+    assert routes.crs.to_epsg() == 32616
+    assert [str(time)[:10] for time in routes['time']] == ['2023-11-15', '2023-11-16', '2023-11-17']
+    for line in routes.geometry:
+        assert (line.coords[0], line.coords[-1]) == (START, GOAL)
+    done = run_here(export, tmp_path / 'in', '-o', tmp_path / 'r.gpx', '--datum', 60.4, 5.3, 0)
+    assert done.code == 0
+    point = gpxpy.parse(StringIO((tmp_path / 'r.gpx').read_text())).tracks[2].segments[0].points[0]
+    assert metres_between((5.3, 60.4), (point.longitude, point.latitude)) == pytest.approx(
+        np.hypot(*START), rel=5e-4)

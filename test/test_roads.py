@@ -1,0 +1,338 @@
+"""Networks of roads: against networkx and the files themselves, brute force, a recording node."""
+
+import json
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import networkx
+import numpy as np
+import pytest
+from games import exact_value, examples, program_value
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+pytest.importorskip('geopandas', reason='vector files need geopandas')
+import geopandas
+import shapely
+from shapely.geometry import LineString, MultiLineString, Point
+
+from ambush_planner import (
+    GameOptions,
+    GoalBlocked,
+    InvalidOption,
+    NetworkOptions,
+    NoRoute,
+    PlanningOptions,
+    RiskMap,
+    StartBlocked,
+    StrategyOptions,
+    build_network,
+    plan_trip,
+)
+from ambush_planner.game.game import make_game
+from ambush_planner.maps.road_file import RoadGraph
+from ambush_planner.planning.plan import ROAD_TUBE, depart, departure_paths
+
+CRS = 'EPSG:32633'
+CORNER = (455000.0, 5410000.0)
+START, GOAL = (63.0, 57.0), (1100.0, 1000.0)
+EXACT = StrategyOptions(max_detour=math.inf, risk_slack=0.0)
+
+
+def town():
+    """Bent streets, a third of them one-way, and an expressway that only bridges them.
+
+    They follow a grid plan; streets that meet share a vertex there.
+    """
+    rng = np.random.default_rng(4)
+    place = 50.0 + 100.0 * np.stack(np.mgrid[0:12, 0:12], axis=-1)
+    place += rng.uniform(-25.0, 25.0, place.shape)
+    streets = [*place, *place.transpose(1, 0, 2)]
+    one_way = ['no', 'yes', '-1'] * 8
+    # Another bend between junctions, off the straight line.
+    lines = [LineString(np.stack((each[:-1], (each[:-1] + each[1:]) / 2 + 9.0), axis=1)
+                        .reshape(-1, 2).tolist() + [each[-1].tolist()]) for each in streets]
+    lines.append(LineString([place[0, 0], (560.0, 610.0), place[11, 11]]))
+    speeds = [30.0] * 24 + [90.0]
+    return geopandas.GeoDataFrame({'oneway': [*one_way, None], 'speed_kph': speeds},
+                                  geometry=lines, crs=CRS)
+
+
+@pytest.fixture(scope='module')
+def streets(tmp_path_factory):
+    """The town as GeoJSON in degrees and as a layer of a GeoPackage, both far from the origin."""
+    folder, rows = tmp_path_factory.mktemp('town'), town()
+    rows.geometry = rows.translate(*CORNER)
+    rows.to_crs('EPSG:4326').to_file(folder / 'town.geojson', COORDINATE_PRECISION=9)
+    rows.set_geometry(rows.centroid).to_file(folder / 'town.gpkg', layer='names')
+    rows.to_file(folder / 'town.gpkg', layer='streets')
+    rows.drop(columns='speed_kph').to_file(folder / 'untimed.gpkg')
+    return folder
+
+
+def ground(crs=CRS, corner=CORNER):
+    v, u = np.mgrid[0:240, 0:240] / 240
+    alpha = 1.0 + 5.0 * np.sin(5.0 * u) ** 2 * np.cos(4.0 * v) ** 2
+    return RiskMap(alpha, np.zeros(alpha.shape, bool), 5.0, (*corner, 0.0), crs)
+
+
+def on_map(xy):
+    return tuple(np.add(xy, CORNER).tolist())
+
+
+def roads(streets, name='untimed.gpkg', **options):
+    return NetworkOptions(method='graph', graph=str(streets / name), **{'spacing': 40.0, **options})
+
+
+def as_networkx(timed):
+    """The town's streets vertex by vertex, with costs."""
+    graph = networkx.DiGraph()
+    for row in town().itertuples():
+        chain = [tuple(np.round(each, 6)) for each in row.geometry.coords]
+        speed = row.speed_kph / 3.6 if timed else 1.0
+        for a, b in pairwise(chain):
+            cost = math.dist(a, b) / speed
+            if row.oneway != '-1':
+                graph.add_edge(a, b, cost=cost)
+            if row.oneway != 'yes':
+                graph.add_edge(b, a, cost=cost)
+    return graph
+
+
+@pytest.mark.parametrize('detour', [math.inf, 1.2])
+@pytest.mark.parametrize('name', ['town.geojson', 'town.gpkg', 'untimed.gpkg'])
+def test_a_town_against_networkx(streets, name, detour):
+    """Least cost and value; from junction to junction, so that both graphs have the ends."""
+    timed, graph = name != 'untimed.gpkg', as_networkx(name != 'untimed.gpkg')
+    lines = town().geometry
+    ends = lines[2].coords[2], lines[8].coords[20]
+    options = PlanningOptions(roads(streets, name), GameOptions(),
+                              replace(EXACT, max_detour=detour))
+    plan = plan_trip(ground(), *map(on_map, ends), options)
+    strategy, network = plan.strategy, plan.network
+    least = networkx.shortest_path_length(graph, *(tuple(np.round(each, 6)) for each in ends),
+                                          weight='cost')
+    assert network.travel_unit == ('s' if timed else 'm')
+    assert strategy.shortest_length == pytest.approx(least, rel=1e-6)
+    assert strategy.expected_length <= detour * least * (1.0 + 1e-6)
+    value = float(exact_value(network)) if detour == math.inf else program_value(
+        network, None, detour * strategy.shortest_length)
+    assert strategy.value == pytest.approx(value, rel=1e-4)
+    assert strategy.lower_bound <= value * (1.0 + 1e-9)
+
+
+def test_nodes_and_edges_are_those_of_the_file(streets):
+    network = build_network(ground(), on_map(START), on_map(GOAL), roads(streets))
+    points, lines = network.points - CORNER, list(town().geometry)
+    vertices = np.unique(shapely.get_coordinates(lines).round(6), axis=0)
+    (far,) = {round(float(np.hypot(*(points - each).T).min()), 4) for each in vertices}
+    assert far == 0.0
+    joins = np.isin(network.edges, [network.source, network.target]).any(axis=1)
+    assert joins.sum() == 2
+    segments = shapely.linestrings(points[network.edges[~joins]])
+    assert shapely.distance(segments, MultiLineString(lines)).max() < 1e-6
+    middles = shapely.line_interpolate_point(segments, 0.5, normalized=True)
+    assert shapely.distance(middles, MultiLineString(lines)).max() < 1e-6
+    assert network.lengths[~joins].max() <= 40.0
+    both = sum(each.length * (1 if way in ('yes', '-1') else 2)
+               for each, way in zip(lines, town().oneway, strict=True))
+    assert network.lengths[~joins].sum() == pytest.approx(both, rel=1e-6)
+    # The bridge leads over 20 streets and meets none of them.
+    bridge = [np.argmin(np.hypot(*(points - each).T)) for each in lines[-1].coords]
+    assert np.isin(network.tails, bridge[1]).sum() == 2
+    inner = np.delete(np.arange(len(points)), network.ends)
+    assert np.array_equal(network.alpha[inner], ground().alpha[ground().cells(points[inner])])
+
+
+@pytest.mark.parametrize(('game', 'tube'), [
+    (GameOptions(secured_radius=150.0), None), (GameOptions(45.0, 150.0), None),
+    (GameOptions(secured_radius=150.0), 3.0),
+])
+def test_paths_keep_to_the_roads(streets, game, tube):
+    options = PlanningOptions(roads(streets, 'town.gpkg|layername=streets'), game)
+    options = replace(options, drive=replace(options.drive, tube=tube))
+    plan = plan_trip(ground(), on_map(START), on_map(GOAL), options)
+    near = MultiLineString([*town().geometry, LineString([START, (50.0, 50.0)])])
+    joins = [np.flatnonzero((plan.network.edges == end).any(axis=1))[0]
+             for end in (plan.network.source, plan.network.target)]
+    near = shapely.union_all([near, *shapely.linestrings(
+        plan.network.points[plan.network.edges[joins]] - CORNER)])
+    off = []
+    for path in departure_paths(plan, 20, 5.0, np.random.default_rng(1)):
+        assert path[0, :2].tolist() == list(on_map(START))
+        assert path[-1, :2].tolist() == list(on_map(GOAL))
+        off.append(shapely.distance(shapely.points(path[:, :2] - CORNER), near).max())
+    assert 0.5 * (tube or ROAD_TUBE) < max(off) <= (tube or ROAD_TUBE) + 1e-6
+    edges = set(map(tuple, plan.network.edges.tolist()))
+    route = depart(plan, np.random.default_rng(2)).nodes.tolist()
+    assert edges.issuperset(pairwise(route))
+
+
+def best_over_all_routes(network, radius):
+    """The value by a program over all simple routes, each hit once; by networkx and HiGHS."""
+    game = make_game(network, GameOptions(radius))
+    graph = networkx.DiGraph(network.edges.tolist())
+    number = {tuple(edge): k for k, edge in enumerate(network.edges.tolist())}
+    hits = game.hits.toarray() > 0
+    columns = [hits[:, [number[edge] for edge in pairwise(route)]].any(axis=1)
+               for route in networkx.all_simple_paths(graph, network.source, network.target)]
+    losses = np.array(columns).T * game.loss[game.sites][:, None]
+    rows = np.hstack((losses, -np.ones((len(losses), 1))))
+    total = np.append(np.ones(len(columns)), 0.0)[None]
+    return linprog(np.append(np.zeros(len(columns)), 1.0), rows, np.zeros(len(rows)), total, [1.0],
+                   method='highs').fun
+
+
+@examples(30)
+@given(st.integers(0, 10**6), st.sampled_from([0.0, 0.9]))
+def test_small_networks_against_all_routes(seed, radius):
+    """Crossing and one-way roads: the bound is below the best law of all routes, the value above.
+
+    Without a reach, both are the value.
+    """
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(0.5, 9.5, (8, 2))
+    pairs = np.array([(i, j) for i in range(8) for j in range(i + 1, 8)])
+    pairs = pairs[rng.permutation(len(pairs))[:13]]
+    speeds = rng.choice([0.0, 1.0, 2.0], (13, 2))
+    speeds[~speeds.any(axis=1)] = 1.0
+    graph = RoadGraph(places, pairs, speeds, timed=True)
+    risk_map = RiskMap(rng.uniform(1.0, 4.0, (20, 20)), np.zeros((20, 20), bool), 0.5)
+    options = PlanningOptions(NetworkOptions('graph', 30.0, graph=graph), GameOptions(radius),
+                              EXACT)
+    options = replace(options, drive=replace(options.drive, tube=0.0))
+    try:
+        plan = plan_trip(risk_map, places[0], places[1], options)
+    except NoRoute:
+        return
+    strategy, best = plan.strategy, best_over_all_routes(plan.network, radius)
+    assert strategy.lower_bound <= best * (1.0 + 1e-6) + 1e-9
+    assert strategy.value >= best * (1.0 - 1e-6) - 1e-9
+    if radius == 0.0 or not strategy.counting_gap:
+        assert strategy.value <= best * (1.0 + 1e-4) + 1e-9
+
+
+@pytest.mark.parametrize('name', ['town.gpkg', 'untimed.gpkg'])
+def test_the_best_order_of_a_trip_on_one_way_roads(streets, name):
+    stops = [on_map((900.0, 160.0)), on_map((160.0, 930.0))]
+    options = PlanningOptions(roads(streets, name), GameOptions(secured_radius=100.0))
+    best = plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=stops, order='best')
+    both = [plan_trip(ground(), on_map(START), on_map(GOAL), options, stops=each)
+            for each in (stops, stops[::-1])]
+    budget = 1.2 * min(each.strategy.shortest_length for each in both)
+    allowed = [each.strategy.value for each in both if each.strategy.shortest_length <= budget]
+    assert best.order_found == 'best'
+    assert best.strategy.value <= min(allowed) * 1.02
+    assert best.strategy.expected_length <= budget * (1.0 + 1e-6)
+
+
+def nav2_graph(edges, **properties):
+    """A square of 10 m with these (start, end) edges, as nav2_route writes it."""
+    corners = [(1.0, 1.0), (11.0, 1.0), (11.0, 11.0), (1.0, 11.0)]
+    features = [{'type': 'Feature', 'properties': {'id': k + 7, 'frame': 'map'},
+                 'geometry': {'type': 'Point', 'coordinates': list(each)}}
+                for k, each in enumerate(corners)]
+    for k, (a, b, *bends) in enumerate(edges):
+        way = [list(corners[a]), *bends, list(corners[b % 4])]
+        features.append({'type': 'Feature', 'geometry': {'type': 'MultiLineString',
+                                                         'coordinates': [way]},
+                         'properties': {'id': 100 + k, 'startid': a + 7, 'endid': b + 7,
+                                        **properties}})
+    return json.dumps({'type': 'FeatureCollection', 'features': features})
+
+
+def test_a_graph_of_nav2_route(tmp_path):
+    file = tmp_path / 'graph.geojson'
+    file.write_text(nav2_graph([(0, 1), (1, 2), (0, 3), (3, 2, [6.0, 12.0])],
+                               metadata={'abs_speed_limit': 0.5}))
+    risk_map = RiskMap(np.ones((30, 30)), np.zeros((30, 30), bool), 0.5)
+    options = NetworkOptions('graph', 20.0, graph=str(file))
+    network = build_network(risk_map, (1.0, 1.0), (11.0, 11.0), options)
+    ways = {tuple(map(tuple, each)) for each in network.points[network.edges].tolist()}
+    assert ways == {((1, 1), (11, 1)), ((11, 1), (11, 11)), ((1, 1), (1, 11)), ((1, 11), (6, 12)),
+                    ((6, 12), (11, 11))}
+    assert np.allclose(network.seconds, network.lengths / 0.5)
+    with pytest.raises(NoRoute, match='one-way in the other direction'):
+        build_network(risk_map, (11.0, 1.0), (1.0, 11.0), options)
+
+
+def lines(*coordinates, crs=CRS, **attributes):
+    return geopandas.GeoDataFrame(attributes or None, geometry=list(map(LineString, coordinates)),
+                                  crs=crs)
+
+
+STREET = [(10.0, 10.0), (90.0, 10.0)]
+
+
+@pytest.mark.parametrize(('file', 'rows', 'words'), [
+    ('none.gpkg', None, 'network.graph: .*none.gpkg: no such file|No such file'),
+    ('text.gpkg', 'no roads', 'text.gpkg'),
+    ('bad.geojson', '{"features": [{"properties": {"startid": 1}}]}', 'not a graph or FeatureC'),
+    ('nav2.geojson', nav2_graph([(0, 9)]), 'edge 100: no point has the id 16 of its endid'),
+    ('empty.gpkg', geopandas.GeoDataFrame(geometry=[Point(1, 1)], crs=CRS), 'no LineString in it'),
+    ('way.gpkg', lines(STREET, oneway=['sometimes']), "oneway must be yes, no or -1, got 'somet"),
+    ('speed.gpkg', lines(STREET, STREET[::-1], speed_kph=[50.0, None]),
+     'speed_kph: 1 of 2 lines have no speed above 0; give all lines one, or none'),
+])
+def test_bad_files_are_refused_in_one_sentence(file, rows, words, tmp_path):
+    if isinstance(rows, str):
+        (tmp_path / file).write_text(rows)
+    elif rows is not None:
+        rows.to_file(tmp_path / file)
+    with pytest.raises(InvalidOption, match=words) as refused:
+        NetworkOptions(method='graph', graph=str(tmp_path / file))
+    assert str(refused.value).startswith('graph') and '\n' not in str(refused.value)
+
+
+@pytest.mark.parametrize(('rows', 'options', 'error', 'words'), [
+    (lines(STREET, crs='EPSG:4326'), {}, InvalidOption, 'not in metres .WGS 84., and the map has'),
+    (lines(STREET, crs='EPSG:2263'), {}, InvalidOption, 'not in metres .NAD83 / New York Long'),
+    (lines(STREET, crs=None), {'join_distance': 5.0}, StartBlocked,
+     r'start \(20.000, 20.000\) is 10.0 m from the nearest road; move it, or raise join_distance'),
+    (lines(STREET, crs=None), {}, GoalBlocked, 'goal .* is 70.0 m from the nearest road'),
+    (lines([(500.0, 0.0), (900.0, 0.0)], crs=None), {}, StartBlocked, 'on a map without roads'),
+    (lines(STREET, [(60.0, 80.0), (95.0, 80.0)], crs=None), {}, NoRoute,
+     r'two of 2 separate parts, of 0.09 and 0.035 km, 70 m apart at .*share a vertex'),
+    (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None, oneway=['no', '-1']), {}, NoRoute,
+     'one-way in the other direction'),
+    (lines(STREET, [(90.0, 10.0), (90.0, 80.0)], crs=None), {'clearance': 3.0}, NoRoute,
+     'obstacles of the map block 2 pieces'),
+    (lines(STREET, crs=None), {'spacing': 1e-9}, InvalidOption, 'choose a larger spacing'),
+])
+def test_roads_that_do_not_fit_are_refused(rows, options, error, words, tmp_path):
+    rows.to_file(tmp_path / 'roads.gpkg')
+    obstacles = np.zeros((100, 100), bool)
+    obstacles[50, 88] = True  # a metre from the second street
+    risk_map = RiskMap(np.ones((100, 100)), obstacles, 1.0)
+    with pytest.raises(error, match=words):
+        build_network(risk_map, (20.0, 20.0), (90.0, 80.0), NetworkOptions(
+            method='graph', graph=str(tmp_path / 'roads.gpkg'), **{'spacing': 10.0, **options}))
+
+
+def test_a_node_drives_on_roads_and_its_recordings_hold(tmp_path, capsys):
+    """An obstacle closes a road. The recording has the roads, so the file may change."""
+    ros = pytest.importorskip('ros_harness')
+    from ambush_planner.commands import verify
+
+    file = tmp_path / 'roads.gpkg'
+    lines([(1.0, 5.0), (3.0, 5.0), (3.5, 8.5), (6.5, 8.5), (9.0, 5.0)],
+          [(3.0, 5.0), (3.5, 2.0), (6.5, 2.0), (9.0, 5.0)],
+          crs=None, speed_kph=[5.0, 4.0]).to_file(file)
+    parameters = {'network.method': 'graph', 'network.graph': str(file),
+                  'network.join_distance': 1.0}
+    with ros.stage(tmp_path / 'runs', parameters) as running:
+        client = running.give(ros.risk_grid(), (1.5, 5.5), (8.5, 5.5))
+        assert client.call('new_route').success
+        for row, high in ((17, False), (3, True)):
+            grid = ros.risk_grid()
+            grid.data[row * grid.info.width + 10] = 100
+            client.publish('alpha_map', grid)
+            client.call_until('new_route', lambda answer, high=high: answer.success and (
+                max(each.pose.position.y for each in client.last('path').poses) > 8.0) == high)
+        bad = running.planner.set_parameters([ros.Parameter('network.graph', value='/none')])[0]
+        assert not bad.successful and 'network.graph: ' in bad.reason
+    file.unlink()
+    code = verify.main([str(tmp_path / 'runs'), '--replan'])
+    assert code == 0, capsys.readouterr().out
