@@ -8,7 +8,8 @@ from games import HUNT
 from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions, depart, departure_paths
+from ambush_planner.planning.options import DriveOptions, PlanningOptions
+from ambush_planner.planning.plan import depart, departure_paths
 from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0

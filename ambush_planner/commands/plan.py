@@ -16,7 +16,8 @@ from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.evaluation import evaluate
-from ..planning.plan import Plan, PlanningOptions
+from ..planning.options import PlanningOptions
+from ..planning.plan import Plan
 from ..planning.trip import ORDERS, plan_trip
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
@@ -136,7 +137,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     strategy = plan.strategy
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
     longer = strategy.expected_length / strategy.shortest_length
-    held = distance(plan.held_radius)
+    held = strategy.game.options.held_radius
     for name, text in (
         ('value', f'{strategy.value:.4g}: mean loss by the best ambush, even if all but the draw '
                   'is known'),
@@ -144,8 +145,8 @@ def _tell(plan: Plan, console: cli.Console) -> None:
                         'network'),
         ('mean length', f'{distance(strategy.expected_length)}, {longer:.2f} times the shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
-        ('assumption', f'nobody waits within {held} of start, stops and goal'
-                       if plan.held_radius else 'none: nobody holds the ground at start and goal'),
+        ('assumption', f'nobody waits within {distance(held)} of start, stops and goal'
+                       if held else 'none: nobody holds the ground at start and goal'),
     ):
         console.line(f'{name:<15} {text}')
     console.result = {
