@@ -115,7 +115,7 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
 
 
 def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
-                  held: float = 0.0, routes: Sequence[FloatArray] = ()) -> Axes:
+                  routes: Sequence[FloatArray] = ()) -> Axes:
     """Draw a strategy on its map, or alone, with ambush sites; on new axes of pyplot if None."""
     if axes is None:
         from matplotlib import pyplot
@@ -140,6 +140,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     draw_routes(axes, routes)
     ends = network.points[[network.source, network.target]]
     stops = network.points[network.stops]
+    held = strategy.game.options.held_radius
     if held > 0.0:
         draw_secured(axes, [*ends, *stops], held)
     draw_ends(axes, ends[0], ends[1], stops)

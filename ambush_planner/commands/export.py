@@ -37,10 +37,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         return cli.Exit.UNREADABLE
     last = departures[-1]
     risk_map = replace(last.risk_map, crs=crs_text(options) or last.risk_map.crs)
-    game = last.parameters.planning.game
-    held = max(game.secured_radius, last.strategy.game.reach)
     times = [datetime.fromtimestamp(each.stamp_ns // 10**9, timezone.utc) for each in departures]
-    drawn = Drawn(last.strategy, risk_map, held, [each.path_poses for each in departures], times)
+    drawn = Drawn(last.strategy, risk_map, [each.path_poses for each in departures], times)
     write_outputs(options.output, drawn)
     tell_outputs(options.output, drawn, console)
     console.result['unreadable'] = len(unreadable)

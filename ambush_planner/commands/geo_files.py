@@ -41,11 +41,10 @@ _STRAIGHT = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """Paths (L, 2 or 3) drawn from a strategy at ``times``, and the radius of held ground [m]."""
+    """Paths (L, 2 or 3) [m] drawn from a strategy at ``times``."""
 
     strategy: Strategy
     risk_map: RiskMap
-    held: float
     paths: Sequence[FloatArray]
     times: Sequence[datetime]
 
@@ -57,7 +56,7 @@ class Drawn:
     @cached_property
     def tables(self) -> Mapping[str, Any]:
         """All tables by name, routes first."""
-        return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map, self.held)}
+        return {'routes': self.routes, **strategy_tables(self.strategy, self.risk_map)}
 
 
 def add_outputs(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +80,7 @@ def draw(plan: Plan, n: int, rng: np.random.Generator | None = None) -> Drawn:
     if plan.risk_map is None:
         raise InvalidOption('the plan has no risk map; make it with plan_trip')
     times = [datetime.now(timezone.utc)] * n
-    return Drawn(plan.strategy, plan.risk_map, plan.held_radius, plan.paths(n, rng), times)
+    return Drawn(plan.strategy, plan.risk_map, plan.paths(n, rng), times)
 
 
 def write_outputs(paths: Sequence[Path], drawn: Drawn) -> None:
@@ -132,7 +131,7 @@ def _content(path: Path, drawn: Drawn) -> bytes:
 
 def _picture(drawn: Drawn) -> bytes:
     figure = Figure(figsize=(11.0, 9.6), layout='constrained')
-    draw_strategy(figure.subplots(), drawn.strategy, drawn.risk_map, drawn.held,
+    draw_strategy(figure.subplots(), drawn.strategy, drawn.risk_map,
                   [path[:, :2] for path in drawn.paths])
     return as_png(figure)
 

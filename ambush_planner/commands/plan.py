@@ -137,7 +137,7 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     strategy = plan.strategy
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
     longer = strategy.expected_length / strategy.shortest_length
-    held = distance(plan.held_radius)
+    held = strategy.game.options.held_radius
     for name, text in (
         ('value', f'{strategy.value:.4g}: mean loss by the best ambush, even if all but the draw '
                   'is known'),
@@ -146,8 +146,8 @@ def _tell(plan: Plan, console: cli.Console) -> None:
         ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
-        ('assumption', f'nobody waits within {held} of start, stops and goal'
-                       if plan.held_radius else 'none: nobody holds the ground at start and goal'),
+        ('assumption', f'nobody waits within {distance(held)} of start, stops and goal'
+                       if held else 'none: nobody holds the ground at start and goal'),
     ):
         console.line(f'{name:<15} {text}')
     console.result = {

@@ -88,12 +88,8 @@ class Plan(Shown):
 
     def _summary(self) -> dict[str, str]:
         return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
-                'held ground': f'{self.held_radius:g} m', 'planned in': f'{self.seconds:.2g} s'}
-
-    @property
-    def held_radius(self) -> float:
-        """Nobody waits within this distance of start, stops and goal [m]."""
-        return self.strategy.game.options.held_radius
+                'held ground': f'{self.strategy.game.options.held_radius:g} m',
+                'planned in': f'{self.seconds:.2g} s'}
 
     def plot(self, axes: Any = None) -> Any:
         """Draw map, strategy and ambush sites on matplotlib axes, by default new ones.
@@ -103,7 +99,7 @@ class Plan(Shown):
         """
         from ..figures import draw_strategy
 
-        return draw_strategy(axes, self.strategy, self.risk_map, self.held_radius)
+        return draw_strategy(axes, self.strategy, self.risk_map)
 
     def paths(self, n: int, rng: np.random.Generator | None = None) -> list[FloatArray]:
         """Draw ``n`` routes and return their paths (L, 3) = (x, y, yaw), one pose per spacing."""

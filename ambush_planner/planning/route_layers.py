@@ -41,16 +41,16 @@ def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str
     return geopandas.GeoDataFrame(columns, geometry=lines, crs=system and system.crs)
 
 
-def strategy_tables(strategy: Strategy, risk_map: RiskMap, held: float) -> Mapping[str, Any]:
+def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     """Return the tables ``edges``, ``sites``, ``held_ground`` and ``forbidden``.
 
     Edges have their ``probability``; sites the ``probability`` q that the best ambusher waits there
-    and the ``loss``. Nobody waits within ``held`` [m] of start, stops and goal. Forbidden ground
-    are the map's obstacles.
+    and the ``loss``. Forbidden ground are the map's obstacles.
     """
     import geopandas
     import shapely
 
+    held = strategy.game.options.held_radius
     network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points
