@@ -21,7 +21,14 @@ from ..game.acyclic import is_acyclic
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
-from ..planning.plan import PlanningOptions, Route, add_hiding_places, departure_path, reach
+from ..planning.plan import (
+    PlanningOptions,
+    Route,
+    add_hiding_places,
+    depart,
+    departure_path,
+    reach,
+)
 from ..planning.trip import trip_network
 from .recorded_departure import (
     RecordedDeparture,
@@ -116,12 +123,18 @@ class Verifier:
         parameters, newest = departure.parameters, departure.newest
         plan, ground = self._ground(departure.strategy, departure.planned_on, parameters.occupancy,
                                     parameters.planning)
-        drawn = ground.draw(np.random.default_rng(departure.route_entropy_source), newest)
+        rng = np.random.default_rng(departure.route_entropy_source)
+        drawn: Route | None
+        if departure.joined:
+            fitted = departure.joined.plan
+            drawn = depart(fitted, rng)
+        else:
+            fitted = ground.fitted(newest, departure.ends)
+            drawn = ground.draw(rng, newest)
         if drawn is None or not np.array_equal(drawn.nodes, departure.route):
             return ['route: it is not the one that the recorded entropy draws']
-        rows = departure_path(ground.fitted(newest, departure.ends),
-                              Route(drawn.nodes, drawn.points),
-                              parameters.path_spacing or plan.spacing, departure.ends)
+        rows = departure_path(fitted, drawn, parameters.path_spacing or plan.spacing,
+                              departure.ends)
         poses = departure.path_poses
         if poses.shape != rows.shape or not (
             np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)

@@ -35,10 +35,20 @@ class TripRequest:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
 
+    def leads_to(self, other: TripRequest) -> bool:
+        """Whether two requests have the same goal and stops."""
+        one, two = self.goal.message, other.goal.message
+        stops = [each.via.message.poses if each.via else [] for each in (self, other)]
+        return (one.header.frame_id == two.header.frame_id and one.pose == two.pose
+                and stops[0] == stops[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """A trip request located on a map; poses and positions [m] are in the map's frame."""
+    """A trip request located on a map; poses and positions [m] are in the map's frame.
+
+    The start ``moves`` if its pose is in another frame, such as the robot's.
+    """
 
     map: CurrentMap
     start: ReceivedMessage
@@ -50,6 +60,12 @@ class Trip:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def moves(self) -> bool:
+        """Whether the start is where something is by TF."""
+        frame: str = self.start.message.header.frame_id
+        return frame != self.map.frame
 
 
 class Inputs:
