@@ -19,6 +19,7 @@ from .current_map import CurrentMap, ReceivedMessage
 from .error_boundary import ErrorBoundary
 from .error_codes import UnreadableMessage
 from .inputs import Inputs
+from .listener import Listener
 from .qos import LATCHED, LATEST, UPDATES
 
 # Minimum time between two log lines about changes of one map [s].
@@ -28,14 +29,15 @@ _MAP_LOG_PERIOD = 10.0
 class Subscriptions:
     """The subscriptions of ``node``.
 
-    ``pose_accepted`` is called after each start, goal and array of stops, ``map_accepted`` after
-    each map and each update of one.
+    ``pose_accepted`` is called after each start, goal and array of stops; ``map_accepted`` after
+    each map and each update of one, in the thread that receives maps: nothing else waits for them.
     """
 
     def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
                  pose_accepted: Callable[[], None], map_accepted: Callable[[], None]) -> None:
         self._node, self._error_boundary = node, error_boundary
         self._subscriptions: list[Subscription] = []
+        self._maps = Listener(node, 'map')
         self._map_topic = node.resolve_topic_name('alpha_map')
         self._logged_map: CurrentMap | None = None
 
@@ -62,6 +64,7 @@ class Subscriptions:
         )
         self._subscribe(PoseWithCovarianceStamped, 'initialpose', LATEST,
                         lambda received: accept('start', _without_covariance(received)))
+        self._maps.start()
 
     def volatile_map_warning(self) -> str:
         """Return a warning if a map is published without the durability asked for, else ''."""
@@ -76,7 +79,8 @@ class Subscriptions:
         )
 
     def close(self) -> None:
-        """Destroy the subscriptions."""
+        """Destroy the subscriptions, and wait until no map is being read."""
+        self._maps.close()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
@@ -96,16 +100,20 @@ class Subscriptions:
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:
         name = self._node.resolve_topic_name(topic)
-        concern = 'map' if topic.startswith('alpha_map') else 'request'
+        is_map = topic.startswith('alpha_map')
+        concern = 'map' if is_map else 'request'
 
         def receive(data: bytes) -> None:
             self._error_boundary.attempt(name, concern,
                                          lambda: use(_deserialised(kind, name, data, qos)))
 
         # Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
-        self._subscriptions.append(
-            self._node.create_subscription(kind, topic, receive, qos, raw=True)
-        )
+        if is_map:
+            self._maps.subscribe(kind, topic, receive, qos, raw=True)
+        else:
+            self._subscriptions.append(
+                self._node.create_subscription(kind, topic, receive, qos, raw=True)
+            )
 
 
 def _deserialised(kind: type, topic: str, data: bytes, qos: QoSProfile) -> ReceivedMessage:
