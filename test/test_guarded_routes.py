@@ -95,7 +95,8 @@ def test_the_node_may_do_nothing_else(names):
     profile = Profile('/ambush_planner')
     others = {'/ambush_planner/transition_event'}
     assert profile.listed('topic', 'publish') <= names.published | others
-    others = {'/alpha_map_updates', '/tf', '/tf_static', '/clock', '/parameter_events'}
+    others = {'/alpha_map_updates', '/costmap', '/costmap_updates', '/tf', '/tf_static', '/clock',
+              '/parameter_events'}
     assert profile.listed('topic', 'subscribe') <= names.subscribed | others
     of_a_lifecycle = {
         f'/ambush_planner/{name}' for name in (

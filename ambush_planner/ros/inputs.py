@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped
 from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
-from ..maps.ros_messages import position_from_ros
+from ..maps.ros_messages import pose_from_ros, position_from_ros
 from ..planning.node_parameters import RobotOptions
 from ..recordings import type_name
 from .conversions import pose_to_ros
-from .current_map import CurrentMap, ReceivedMessage, map_from, updated_map
+from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
 from .error_codes import NoGoal, NoMap, NoStart
+from .parameter_changes import NodeSettings
 from .qos import LATEST
 from .transforms import FrameTransforms
 
@@ -47,7 +48,7 @@ class TripRequest:
 class Trip:
     """A trip request located on a map; poses and positions [m] are in the map's frame.
 
-    The start ``moves`` if its pose is in another frame, such as the robot's.
+    The start ``moves`` if it was given in another frame, such as the robot's.
     """
 
     map: CurrentMap
@@ -60,12 +61,7 @@ class Trip:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def moves(self) -> bool:
-        """Whether the start is where something is by TF."""
-        frame: str = self.start.message.header.frame_id
-        return frame != self.map.frame
+    moves: bool = False
 
 
 class Inputs:
@@ -82,37 +78,81 @@ class Inputs:
         Where later departures begin and lead, and their stops in order; None: not given.
     """
 
-    def __init__(self, transforms: FrameTransforms, start_topic: str) -> None:
+    def __init__(self, transforms: FrameTransforms, start_topic: str,
+                 settings: NodeSettings) -> None:
         self._transforms, self._start_topic = transforms, start_topic
+        self._settings = settings
+        self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
+        if settings.current.values['map.costmap']:
+            self._arrived['costmap'] = None
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
         self.via: ReceivedMessage | None = None
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
-    def accept_map(self, received: ReceivedMessage) -> CurrentMap:
-        """Make a map the current one and return it; an equal map changes nothing.
+    def accept_map(self, received: ReceivedMessage, topic: str = 'alpha_map') -> None:
+        """Make a map the current one; an equal map changes nothing.
 
-        Raises InvalidRiskMap if the map is malformed; the previous one stays.
+        Raises InvalidRiskMap if the map is malformed, and FrameMismatch if a costmap cannot be
+        transformed into the risk map's frame; the previous one stays.
         """
         try:
             new = map_from(received)
         except InvalidRiskMap as error:
             self._refused = error
             raise
-        return self._replace_map(new)
+        self._arrived[topic] = new
+        self.join_maps()
 
-    def update_map(self, update: Any) -> CurrentMap:
-        """Change the cells that a map_msgs/OccupancyGridUpdate gives, and return the map.
+    def update_map(self, update: Any, topic: str = 'alpha_map') -> None:
+        """Change the cells that a map_msgs/OccupancyGridUpdate gives.
 
-        Raises NoMap if no map has arrived, and InvalidRiskMap if the update does not fit the map,
-        which stays as it was.
+        Raises as ``accept_map``; also NoMap if no map has arrived, and InvalidRiskMap if the update
+        does not fit the map, which stays as it was.
         """
-        return self._replace_map(updated_map(self.current_map(), update))
+        if (present := self._arrived[topic]) is None:
+            raise self._no_map()
+        self._arrived[topic] = updated_map(present, update)
+        self.join_maps()
+
+    def join_maps(self) -> None:
+        """Make the risk map, with the costmap's obstacles if there is one, the current map.
+
+        Raises FrameMismatch if the costmap cannot be transformed into the risk map's frame.
+        """
+        new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
+        if new is None or 'costmap' in self._arrived and costmap is None:
+            return
+        if costmap is not None:
+            options, (x, y, yaw) = self._settings.current, costmap.origin
+            origin = PoseStamped(header=Header(frame_id=costmap.frame), pose=pose_to_ros(x, y, yaw))
+            there = self._transforms.to_frame(origin, 'the costmap', new.frame,
+                                              options.robot.max_age)
+            costmap = replace(costmap, origin=pose_from_ros(there.pose))
+            new = joined_map(new, costmap, options.occupancy.unknown_alpha < 0.0)
+        if self._map is None or not self._map.same_map(new):
+            self._map = new
+        self._refused = None
+
+    @property
+    def map_topics(self) -> tuple[str, ...]:
+        """The topics of the maps."""
+        return tuple(self._arrived)
+
+    @property
+    def missing_maps(self) -> bool:
+        """Whether a map has not arrived."""
+        return None in self._arrived.values()
+
+    @property
+    def has_map(self) -> bool:
+        """Whether there is a current map."""
+        return self._map is not None
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        inputs = {'alpha_map': self._map, 'start_pose': self.start or robot.frame,
+        inputs = {**self._arrived, 'start_pose': self.start or robot.frame,
                   'goal_pose': self.goal}
         return tuple(name for name, given in inputs.items() if not given)
 
@@ -133,9 +173,18 @@ class Inputs:
     def current_map(self) -> CurrentMap:
         """Return the current map; raises NoMap if no map has arrived."""
         if self._map is None:
-            why = f'; the last one was refused: {self._refused}' if self._refused else ''
-            raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
+            raise self._no_map()
         return self._map
+
+    def _no_map(self) -> NoMap:
+        if self._refused:
+            why = f'; the last one was refused: {self._refused}'
+        elif self._arrived['alpha_map'] is not None:
+            return NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
+                         'costmap, or set map.costmap to false')
+        else:
+            why = ''
+        return NoMap(f'no risk map yet: publish one on alpha_map{why}')
 
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
@@ -148,11 +197,13 @@ class Inputs:
         goal_pose = self._transforms.to_frame(
             request.goal.message, 'goal', present.frame, robot.max_age
         )
+        at_robot = start is not request.start
         return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
                     goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
                     goal_xy=position_from_ros(goal_pose, 'goal'),
                     goal_tolerance=request.goal_tolerance, via=request.via,
-                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age))
+                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
+                    moves=at_robot or start.message.header.frame_id != present.frame)
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:
@@ -175,12 +226,6 @@ class Inputs:
                  for number, pose in enumerate(via.message.poses, start=1)}
         return tuple(position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
                      for name, given in stops.items())
-
-    def _replace_map(self, new: CurrentMap) -> CurrentMap:
-        if self._map is None or not self._map.same_map(new):
-            self._map = new
-        self._refused = None
-        return self._map
 
 
 def robot_pose(robot: RobotOptions) -> PoseStamped | None:

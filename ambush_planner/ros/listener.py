@@ -45,6 +45,10 @@ class Listener:
         name = self._planner.resolve_topic_name(topic)
         self._node.create_subscription(kind, name, receive, qos, raw=raw)
 
+    def every(self, seconds: float, act: Callable[[], object]) -> None:
+        """Act regularly."""
+        self._node.create_timer(seconds, act)
+
     def start(self) -> None:
         """Begin to receive."""
         self._thread.start()

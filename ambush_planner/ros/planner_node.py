@@ -152,7 +152,8 @@ class PlannerNode(LifecycleNode):
             made.callback(publishers.close)
             transforms = FrameTransforms(self)
             made.callback(transforms.close)
-            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'))
+            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'),
+                                  self._settings)
             self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, self._reporter,
                                           self.get_clock(), self.get_logger())
             made.callback(self._dispatcher.close)
@@ -207,6 +208,7 @@ class PlannerNode(LifecycleNode):
     def _report(self) -> None:
         listening = self._topic_subscriptions
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
+        self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._reporter.report()
 
 

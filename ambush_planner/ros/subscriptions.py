@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -24,6 +26,9 @@ from .qos import LATCHED, LATEST, UPDATES
 
 # Minimum time between two log lines about changes of one map [s].
 _MAP_LOG_PERIOD = 10.0
+# Age from which a costmap counts as stopped, and the time until one without a transform is tried
+# again [s].
+_STOPPED, _JOIN_PERIOD = 5.0, 1.0
 
 
 class Subscriptions:
@@ -38,24 +43,42 @@ class Subscriptions:
         self._node, self._error_boundary = node, error_boundary
         self._subscriptions: list[Subscription] = []
         self._maps = Listener(node, 'map')
+        self._arrived: dict[str, float] = {}
         self._map_topic = node.resolve_topic_name('alpha_map')
         self._logged_map: CurrentMap | None = None
 
-        def accept_map(received: ReceivedMessage) -> None:
-            self._log_map(inputs.accept_map(received))
+        def accept_map(topic: str, received: ReceivedMessage) -> None:
+            self._arrived[topic] = time.monotonic()
+            inputs.accept_map(received, topic)
+            accepted()
+
+        def update_map(topic: str, received: ReceivedMessage) -> None:
+            self._arrived[topic] = time.monotonic()
+            inputs.update_map(received.message, topic)
+            accepted()
+
+        def accepted() -> None:
+            if not inputs.missing_maps:
+                self._log_map(inputs.current_map())
             map_accepted()
 
-        def update_map(received: ReceivedMessage) -> None:
-            inputs.update_map(received.message)
-            map_accepted()
+        def join() -> None:
+            if not inputs.missing_maps and not inputs.has_map:
+                inputs.join_maps()
+                accepted()
 
         def accept(role: str, received: ReceivedMessage | None) -> None:
             setattr(inputs, role, received)
             pose_accepted()
 
-        self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, accept_map)
-        if (update_type := installed_type('map_msgs.msg', 'OccupancyGridUpdate')) is not None:
-            self._subscribe(update_type, 'alpha_map_updates', UPDATES, update_map)
+        update_type = installed_type('map_msgs.msg', 'OccupancyGridUpdate')
+        for topic in inputs.map_topics:
+            self._subscribe(OccupancyGrid, topic, LATCHED, partial(accept_map, topic))
+            if update_type is not None:
+                self._subscribe(update_type, f'{topic}_updates', UPDATES,
+                                partial(update_map, topic))
+        if len(inputs.map_topics) > 1:  # TF may come after the costmap
+            self._maps.every(_JOIN_PERIOD, lambda: error_boundary.attempt('costmap', 'map', join))
         self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
         self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
         self._subscribe(
@@ -77,6 +100,14 @@ class Subscriptions:
             f'{", ".join(volatile)[:200]} publishes {self._map_topic} with volatile durability, '
             'so no map arrives from there: publish it transient local'
         )
+
+    def costmap_warning(self) -> str:
+        """Return a warning if a costmap no longer comes, else ''."""
+        age = time.monotonic() - self._arrived.get('costmap', math.inf)
+        if age <= _STOPPED:
+            return ''
+        return (f'the costmap is {age:.0f} s old: obstacles since then are missing; check that '
+                f'{self._node.resolve_topic_name("costmap")} is still published')
 
     def close(self) -> None:
         """Destroy the subscriptions, and wait until no map is being read."""
@@ -100,7 +131,7 @@ class Subscriptions:
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:
         name = self._node.resolve_topic_name(topic)
-        is_map = topic.startswith('alpha_map')
+        is_map = topic.startswith(('alpha_map', 'costmap'))
         concern = 'map' if is_map else 'request'
 
         def receive(data: bytes) -> None:
