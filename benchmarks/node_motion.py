@@ -1,9 +1,9 @@
 """A robot that drives, known by TF, beside a costmap that changes five times a second.
 
 The robot follows the node's last path at up to ``--speed``. A new goal comes every ten seconds, and
-a departure for the present goal is asked for every ``--period`` through get_plan. Meanwhile goals of
-the action are sent, of which only the time until they are accepted counts. Node, map's publisher
-and this caller are processes of their own. Exit code 1 if a target is missed.
+a departure for the present goal is asked for every ``--period`` through get_plan. Meanwhile goals
+of the action are sent, of which only the time until they are accepted counts. Node, map's
+publisher and this caller are processes of their own. Exit code 1 if a target is missed.
 
 tf2_msgs, map_msgs and nav2_msgs are built by test/interfaces.py where they are not installed.
 """
@@ -57,6 +57,7 @@ RESOLUTION, RATE, NEW_GOAL = 0.05, 5.0, 10.0  # m, Hz, s
 TF_PERIOD, ACTION_PERIOD = 0.02, 0.5  # s
 SIDE, AWAY = 8, 1.0  # cells of the obstacle that moves; m that goals keep from the others
 ARRIVED = 3.0  # m from the goal, where the next one comes
+COVERED = ('START_OCCUPIED', 'GOAL_OCCUPIED')
 # Targets: answers [s] and acceptance [ms], and the share of goals that may be accepted later.
 MEDIAN, WORST, ACCEPTED = 0.3, 3.0, 20.0
 LATE = {2000: 0.001, 4000: 0.01}
@@ -169,6 +170,7 @@ class Run:
         self.first: list[float] = []  # of a new goal
         self.accepted: list[float] = []
         self.refused: list[str] = []
+        self.covered: list[str] = []  # the obstacle that moves has come to the robot or the goal
         self._action = ActionClient(caller.node, ComputePathToPose,
                                     f'{PLANNER}/compute_path_to_pose')
 
@@ -189,8 +191,9 @@ class Run:
         spent = time.monotonic() - begin
         if not path.poses:
             self.caller.wait(lambda: self.caller.status.get('code', 'NONE') != 'NONE', 'the reason')
-            self.refused.append(f"{self.caller.status['code']}: {self.caller.status['message']}")
-            say(self.refused[-1][:300])
+            code = self.caller.status['code']
+            (self.covered if code in COVERED else self.refused).append(code)
+            say(f"{code}: {self.caller.status['message']}"[:300])
             return
         (self.first if new else self.times).append(spent)
         places = [(p.pose.position.x, p.pose.position.y) for p in path.poses]
@@ -239,7 +242,7 @@ def measure_one(cells: int, whole: bool, seconds: float, period: float, speed: f
     met = met and late <= LATE.get(cells, 0.001) * len(run.accepted)
     return [
         f'{cells} x {cells}, {"whole maps" if whole else "updates"}', str(len(every)),
-        str(len(run.refused)), spread(every), spread(run.first),
+        f'{len(run.covered)}, {len(run.refused)}', spread(every), spread(run.first),
         f'{late} of {len(run.accepted)}', spread(run.accepted), 'yes' if met else '**no**',
     ], met
 
@@ -254,15 +257,16 @@ def measure(options: Any) -> tuple[str, bool]:
                                    {'network.target_nodes': options.nodes})
             rows.append(row)
             every.append(met)
-    head = ('map', 'departures', 'refused', 'answered: median / 99 % / largest [s]',
-            'first of a new goal [s]', f'goals accepted later than {ACCEPTED:g} ms',
+    head = ('map', 'departures', 'refused as occupied, refused',
+            'answered: median / 99 % / largest [s]', 'first of a new goal [s]', f'goals accepted later than {ACCEPTED:g} ms',
             'accepted [ms]', 'met')
     text = (
         f"{conditions('ros-jazzy-rclpy')}.\n\nA robot at up to {options.speed:g} m/s, known by TF; "
         f'a departure every {options.period:g} s, a new goal every {NEW_GOAL:g} s, a map or an '
-        f'update at {RATE:g} Hz, for {options.seconds:g} s.\n\n{table(head, rows)}\n\nTargets: none '
-        f'refused, median < {MEDIAN:g} s, largest < {WORST:g} s, at most 0.1 % of the goals accepted '
-        f'later than {ACCEPTED:g} ms (1 % at 4000 x 4000 cells).'
+        f'update at {RATE:g} Hz, for {options.seconds:g} s.\n\n{table(head, rows)}\n\n'
+        f'Targets: none refused but for the obstacle that moves, median < {MEDIAN:g} s, largest < '
+        f'{WORST:g} s, at most 0.1 % of the goals accepted later than {ACCEPTED:g} ms (1 % at '
+        '4000 x 4000 cells).'
     )
     return text, all(every)
 

@@ -19,9 +19,9 @@ from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
+from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF, TF_STATIC
-from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
 
@@ -249,7 +249,7 @@ def located(running):
 
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):
     """On the plan, within its region, or else where it was when asked: one solve each time."""
-    solves, solve = [], WorkerProcess.solve
+    solves, solve, places = [], WorkerProcess.solve, [(1.6, 5.5), (3.2, 2.9), (5.0, 8.5)]
     with stage(tmp_path, parameters=ROBOT) as running:
         client = running.client
         robot = Robot(client.node)
@@ -257,22 +257,23 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
         def drive(worker, request):
             plan = solve(worker, request)
             solves.append(request.start_xy)
+            place = places[len(solves) - 1]
             robot.is_at(*place)
             wait_until(lambda: located(running) == pytest.approx(place), 'the move')
             return plan
 
         monkeypatch.setattr(WorkerProcess, 'solve', drive)
         client.publish('alpha_map', risk_grid(np.full((20, 20), 5)))
-        for number, (asked, place, begins, words) in enumerate((
-            ((1.5, 5.5), (1.6, 5.5), (1.6, 5.5), 'published on /path'),
-            ((1.5, 2.5), (3.2, 2.9), (3.2, 2.9), 'joins its route: value'),
-            ((1.5, 8.5), (5.0, 8.5), (1.5, 8.5), 'begins where the convoy was when asked'),
-        ), start=1):
+        for number, asked, begins, words in (
+            (1, (1.5, 5.5), places[0], 'published on /path'),
+            (2, (1.5, 2.5), places[1], 'joins its route: value'),
+            (3, (1.5, 8.5), (1.5, 8.5), 'begins where the convoy was when asked'),
+        ):
             robot.is_at(*asked)
             wait_until(lambda asked=asked: located(running) == pytest.approx(asked), 'the place')
             client.publish('goal_pose', pose(8.5, 4.5 + number))
             # Earlier ones are for the last goal.
-            answer = client.call_until('new_route', lambda _: len(solves) >= number)
+            answer = client.call_until('new_route', lambda _, number=number: len(solves) >= number)
             path = path_from_ros(client.received['path'][-1])
             assert path[0, :2] == pytest.approx(begins), answer.message
             assert words in answer.message

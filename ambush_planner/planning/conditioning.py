@@ -72,8 +72,7 @@ class ConditionedStrategy:
         return np.array(joins)
 
     def flow_from(self, p: FloatArray, begins: FloatArray) -> FloatArray:
-        """Return p (M,) of routes that begin at the nodes with ``begins`` (N,) and go on as in p.
-        """
+        """Return p (M,) of routes that begin at nodes with ``begins`` (N,) and go on as in p."""
         visits, flows, result = begins.tolist(), [], np.zeros(len(p))
         for tail, head, chance in zip(*self._steps(p), strict=True):
             flows.append(visits[tail] * chance)

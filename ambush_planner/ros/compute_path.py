@@ -1,4 +1,4 @@
-"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: departures as Nav2 asks for them."""
+"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: departures for Nav2."""
 
 from __future__ import annotations
 

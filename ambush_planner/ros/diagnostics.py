@@ -117,8 +117,9 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     if status.warnings or waiting:
         return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
     changed = '; '.join(filter(None, (status.stale, _length_warning(status.assessment))))
-    warning = (changed or status.late_start or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
-               or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan))
+    warning = (changed or status.late_start or _gap_warning(status.plan)
+               or _counting_gap_warning(status.plan) or _tight_turns_warning(status.tight_turns)
+               or _bottleneck_warning(status.plan))
     if warning:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state
