@@ -258,8 +258,8 @@ def measure(options: Any) -> tuple[str, bool]:
             rows.append(row)
             every.append(met)
     head = ('map', 'departures', 'refused as occupied, refused',
-            'answered: median / 99 % / largest [s]', 'first of a new goal [s]', f'goals accepted later than {ACCEPTED:g} ms',
-            'accepted [ms]', 'met')
+            'answered: median / 99 % / largest [s]', 'first of a new goal [s]',
+            f'goals accepted later than {ACCEPTED:g} ms', 'accepted [ms]', 'met')
     text = (
         f"{conditions('ros-jazzy-rclpy')}.\n\nA robot at up to {options.speed:g} m/s, known by TF; "
         f'a departure every {options.period:g} s, a new goal every {NEW_GOAL:g} s, a map or an '
