@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import NoReturn
 
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
@@ -76,14 +77,17 @@ class Inputs:
     ----------
     start, goal, via
         Where later departures begin and lead, and their stops in order; None: not given.
+    with_costmap
+        Whether a costmap is waited for, too.
     """
 
     def __init__(self, transforms: FrameTransforms, start_topic: str,
                  settings: NodeSettings) -> None:
         self._transforms, self._start_topic = transforms, start_topic
         self._settings = settings
+        self.with_costmap = bool(settings.current.values['map.costmap'])
         self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
-        if settings.current.values['map.costmap']:
+        if self.with_costmap:
             self._arrived['costmap'] = None
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
@@ -91,64 +95,43 @@ class Inputs:
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
-    def accept_map(self, received: ReceivedMessage, topic: str = 'alpha_map') -> None:
-        """Make a map the current one; an equal map changes nothing.
+    def accept_map(self, topic: str, received: ReceivedMessage) -> CurrentMap | None:
+        """Take a map, or a map_msgs/OccupancyGridUpdate of one; return the current map, if any.
 
-        Raises InvalidRiskMap if the map is malformed, and FrameMismatch if a costmap cannot be
-        transformed into the risk map's frame; the previous one stays.
+        Raises InvalidRiskMap if it is malformed or does not fit the map, NoMap if there is none to
+        update, and FrameMismatch if a costmap cannot be transformed into the risk map's frame. The
+        current map then stays.
         """
+        present = self._arrived[topic]
+        if not isinstance(received.message, OccupancyGrid):
+            self._arrived[topic] = updated_map(present or self._no_map(), received.message)
+            return self.join_maps()
         try:
-            new = map_from(received)
+            self._arrived[topic] = map_from(received)
         except InvalidRiskMap as error:
             self._refused = error
             raise
-        self._arrived[topic] = new
-        self.join_maps()
+        return self.join_maps()
 
-    def update_map(self, update: Any, topic: str = 'alpha_map') -> None:
-        """Change the cells that a map_msgs/OccupancyGridUpdate gives.
+    def join_maps(self) -> CurrentMap | None:
+        """Put the costmap's obstacles, if it is wanted, on the risk map; return the current map.
 
-        Raises as ``accept_map``; also NoMap if no map has arrived, and InvalidRiskMap if the update
-        does not fit the map, which stays as it was.
-        """
-        if (present := self._arrived[topic]) is None:
-            raise self._no_map()
-        self._arrived[topic] = updated_map(present, update)
-        self.join_maps()
-
-    def join_maps(self) -> None:
-        """Make the risk map, with the costmap's obstacles if there is one, the current map.
-
-        Raises FrameMismatch if the costmap cannot be transformed into the risk map's frame.
+        A map equal to the current one changes nothing. Raises FrameMismatch.
         """
         new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
-        if new is None or 'costmap' in self._arrived and costmap is None:
-            return
+        if new is None or None in self._arrived.values():
+            return None
         if costmap is not None:
-            options, (x, y, yaw) = self._settings.current, costmap.origin
-            origin = PoseStamped(header=Header(frame_id=costmap.frame), pose=pose_to_ros(x, y, yaw))
+            values, header = self._settings.current, Header(frame_id=costmap.frame)
+            origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
             there = self._transforms.to_frame(origin, 'the costmap', new.frame,
-                                              options.robot.max_age)
+                                              values.robot.max_age)
             costmap = replace(costmap, origin=pose_from_ros(there.pose))
-            new = joined_map(new, costmap, options.occupancy.unknown_alpha < 0.0)
+            new = joined_map(new, costmap, values.occupancy.unknown_alpha < 0.0)
         if self._map is None or not self._map.same_map(new):
             self._map = new
         self._refused = None
-
-    @property
-    def map_topics(self) -> tuple[str, ...]:
-        """The topics of the maps."""
-        return tuple(self._arrived)
-
-    @property
-    def missing_maps(self) -> bool:
-        """Whether a map has not arrived."""
-        return None in self._arrived.values()
-
-    @property
-    def has_map(self) -> bool:
-        """Whether there is a current map."""
-        return self._map is not None
+        return self._map
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
@@ -172,19 +155,14 @@ class Inputs:
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises NoMap if no map has arrived."""
-        if self._map is None:
-            raise self._no_map()
-        return self._map
+        return self._map or self._no_map()
 
-    def _no_map(self) -> NoMap:
-        if self._refused:
-            why = f'; the last one was refused: {self._refused}'
-        elif self._arrived['alpha_map'] is not None:
-            return NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
-                         'costmap, or set map.costmap to false')
-        else:
-            why = ''
-        return NoMap(f'no risk map yet: publish one on alpha_map{why}')
+    def _no_map(self) -> NoReturn:
+        if self._arrived['alpha_map'] is not None:
+            raise NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
+                        'costmap, or set map.costmap to false')
+        why = f'; the last one was refused: {self._refused}' if self._refused else ''
+        raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
 
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.

@@ -26,8 +26,7 @@ from .qos import LATCHED, LATEST, UPDATES
 
 # Minimum time between two log lines about changes of one map [s].
 _MAP_LOG_PERIOD = 10.0
-# Age from which a costmap counts as stopped, and the time until one without a transform is tried
-# again [s].
+# Age from which a costmap counts as stopped, and how often its place is looked up again [s].
 _STOPPED, _JOIN_PERIOD = 5.0, 1.0
 
 
@@ -49,36 +48,22 @@ class Subscriptions:
 
         def accept_map(topic: str, received: ReceivedMessage) -> None:
             self._arrived[topic] = time.monotonic()
-            inputs.accept_map(received, topic)
-            accepted()
-
-        def update_map(topic: str, received: ReceivedMessage) -> None:
-            self._arrived[topic] = time.monotonic()
-            inputs.update_map(received.message, topic)
-            accepted()
-
-        def accepted() -> None:
-            if not inputs.missing_maps:
-                self._log_map(inputs.current_map())
+            self._log_map(inputs.accept_map(topic, received))
             map_accepted()
-
-        def join() -> None:
-            if not inputs.missing_maps and not inputs.has_map:
-                inputs.join_maps()
-                accepted()
 
         def accept(role: str, received: ReceivedMessage | None) -> None:
             setattr(inputs, role, received)
             pose_accepted()
 
         update_type = installed_type('map_msgs.msg', 'OccupancyGridUpdate')
-        for topic in inputs.map_topics:
-            self._subscribe(OccupancyGrid, topic, LATCHED, partial(accept_map, topic))
+        for topic in ('alpha_map', *(('costmap',) if inputs.with_costmap else ())):
+            use = partial(accept_map, topic)
+            self._subscribe(OccupancyGrid, topic, LATCHED, use)
             if update_type is not None:
-                self._subscribe(update_type, f'{topic}_updates', UPDATES,
-                                partial(update_map, topic))
-        if len(inputs.map_topics) > 1:  # TF may come after the costmap
-            self._maps.every(_JOIN_PERIOD, lambda: error_boundary.attempt('costmap', 'map', join))
+                self._subscribe(update_type, f'{topic}_updates', UPDATES, use)
+        if inputs.with_costmap:  # its transform may come later, or change
+            self._maps.every(_JOIN_PERIOD,
+                             lambda: error_boundary.attempt('costmap', 'map', inputs.join_maps))
         self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
         self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
         self._subscribe(
@@ -115,9 +100,9 @@ class Subscriptions:
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _log_map(self, new: CurrentMap) -> None:
+    def _log_map(self, new: CurrentMap | None) -> None:
         before, self._logged_map = self._logged_map, new
-        if new is before:
+        if new is None or new is before:
             return
         height, width = new.values.shape
         text = (f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
