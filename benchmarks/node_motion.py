@@ -207,7 +207,7 @@ class Run:
             lambda _: self.accepted.append(1e3 * (time.monotonic() - begin)))
 
     def accepted_alone(self, seconds: float) -> list[float]:
-        """How long goals take to be accepted before there is a map [ms]: the machine's own share."""
+        """How long goals take to be accepted before there is a map [ms]: the machine's share."""
         self.caller.wait(self._action.server_is_ready, 'the action')
         end = time.monotonic() + seconds
         while time.monotonic() < end or not self.accepted:
@@ -253,7 +253,8 @@ def measure_one(cells: int, whole: bool, seconds: float, period: float, speed: f
     return [
         f'{cells} x {cells}, {"whole maps" if whole else "updates"}', str(len(every)),
         f'{len(run.covered)}, {len(run.refused)}', spread(every), spread(run.first),
-        f'{late} of {len(run.accepted)}', spread(run.accepted), spread(alone), 'yes' if met else '**no**',
+        f'{late} of {len(run.accepted)}', spread(run.accepted), spread(alone),
+        'yes' if met else '**no**',
     ], met
 
 

@@ -105,7 +105,7 @@ class ComputePath:
             _say(result, str(error))
             handle.abort()
             return result
-        _say(result, done.fit.note)
+        _say(result, done.remarks)
         result.path = done.path
         result.planning_time = Duration(nanoseconds=done.end_ns - done.begin_ns).to_msg()
         handle.succeed()

@@ -25,7 +25,7 @@ from ..recordings.strategy_file import STRATEGY_FILE
 from .conversions import fields_of
 from .current_map import ReceivedMessage
 from .inputs import Trip
-from .plan_cache import CachedPlan, Fit
+from .plan_cache import CachedPlan
 from .qos import LATEST
 
 # Lead of recorded inputs over the request [ns], so that `ros2 bag play` sends them first.
@@ -47,15 +47,17 @@ class Departure:
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
-    they were published. ``remarks`` are on the start and on earlier recordings that failed. The
-    ``response`` was given at ``end_ns``; None until then.
+    they were published. ``remarks`` are on the start, which may have been ``joined`` to the plan,
+    and on recordings that failed. The ``response`` was given at ``end_ns``; None until then.
     """
 
     id: str
     number: int
     call: ServiceCall
-    fit: Fit
+    trip: Trip
     parameters: NodeParameters
+    held: CachedPlan
+    joined: bool
     entropy_source: list[int]
     route: Route
     path: Path
@@ -65,16 +67,6 @@ class Departure:
     end_ns: int
     remarks: str = ''
     response: Any = None
-
-    @property
-    def trip(self) -> Trip:
-        """The requested trip, on the newest map."""
-        return self.fit.trip
-
-    @property
-    def held(self) -> CachedPlan:
-        """The plan that it left on."""
-        return self.fit.cached
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
@@ -112,7 +104,7 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
         'parameters': dict(departure.parameters.values),
         'topics': {role: each.topic for role, each in roles.items() if each},
         'trip': {'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy},
-        'ends': departure.held.ends(trip), 'joined': departure.fit.joined is not None,
+        'ends': departure.held.ends(trip), 'joined': departure.joined,
         'route': departure.route.nodes.tolist(),
         'route_entropy_source': departure.entropy_source,
         'call': {

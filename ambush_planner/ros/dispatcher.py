@@ -181,9 +181,8 @@ class Dispatcher:
         """Refuse the client's waiting requests for other goals, and try to depart."""
         self._waiting = [each for each in self._waiting if not each.departure.done()]
         for older in self._waiting:
-            if pending.client == older.client != '' and not pending.trip_request.leads_to(
-                older.trip_request
-            ):
+            same = pending.trip_request.leads_to(older.trip_request)
+            if pending.client == older.client != '' and not same:
                 with suppress(InvalidStateError):  # it has been cancelled
                     older.departure.set_exception(SolveCancelled(
                         'a newer request for another goal has replaced this one'
@@ -250,14 +249,13 @@ class Dispatcher:
         published = self._publish_path(path, pending)
         self._count = number
         tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
-        report, trouble = self._reporter.departed(
-            number, departure_id, tight, fit.assessment, fit.note if fit.late_by else ''
-        )
-        remarks = '; '.join(filter(None, (fit.note, trouble)))
+        late_start = fit.note if fit.late_by else ''
+        report, trouble = self._reporter.departed(number, departure_id, tight, fit.assessment,
+                                                  late_start)
         pending.departure.set_result(Departure(
-            departure_id, number, pending.call, fit, parameters, source, route, path, published,
-            (*self._displayed.markers, report), pending.begin_ns, max(leaving, self._now()),
-            remarks,
+            departure_id, number, pending.call, trip, parameters, cached, fit.joined is not None,
+            source, route, path, published, (*self._displayed.markers, report), pending.begin_ns,
+            max(leaving, self._now()), '; '.join(filter(None, (fit.note, trouble))),
         ))
 
     def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:

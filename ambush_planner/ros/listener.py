@@ -20,10 +20,9 @@ _SPIN_PERIOD = 0.25
 class Listener:
     """Receives messages in a thread, as tf2_ros does; ``start`` it after the last ``subscribe``.
 
-    Large or frequent messages then do not keep the planner's executor from answering. Its node is
-    called like the planner's, between ``_`` and ``_purpose``: ``ros2 node list`` hides it. It is
-    in the planner's context, so in the same enclave. The thread ends with ``close`` or with the
-    context.
+    Large or frequent messages then do not keep the planner's executor from answering. Its node,
+    ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave.
+    The thread ends with ``close`` or with the context.
     """
 
     def __init__(self, node: Node, purpose: str) -> None:

@@ -136,9 +136,7 @@ class Fit:
         if self.late_by:
             return ('the path begins where the convoy was when asked, for lack of a clear way '
                     f'from where it is, {self.late_by:.3g} m away: {worth}')
-        away = math.dist(self.trip.start_xy, self.cached.trip.start_xy)
-        return (f'the convoy is {away:.3g} m from the start of the plan and joins its route: '
-                f'{worth}') if self.joined else ''
+        return f'the path joins the route of an earlier start: {worth}' if self.joined else ''
 
 
 @dataclass(frozen=True, eq=False)
