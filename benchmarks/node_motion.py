@@ -62,7 +62,8 @@ COVERED = ('START_OCCUPIED', 'GOAL_OCCUPIED')
 MEDIAN, WORST, ACCEPTED = 0.3, 3.0, 20.0
 LATE = {2000: 0.001, 4000: 0.01}
 NAV2 = {'map.preset': 'costmap', 'robot_base_frame': 'base_link', 'route.path_spacing': 0.05,
-        'network.target_nodes': 500, 'max_planning_time': 10.0, 'recording.enabled': False}
+        'network.target_nodes': 500, 'max_planning_time': 10.0, 'recording.enabled': False,
+        'diagnostics.error_hold': 1.0}
 
 
 def costmap(cells: int) -> np.ndarray:
@@ -266,6 +267,7 @@ def measure(options: Any) -> tuple[str, bool]:
             say(f'{cells} x {cells} cells, {"whole" if whole else "updates"}')
             row, met = measure_one(cells, whole, options.seconds, options.period, options.speed,
                                    {'network.target_nodes': options.nodes})
+            say(' | '.join(row))
             rows.append(row)
             every.append(met)
     head = ('map', 'departures', 'refused as occupied, refused',
