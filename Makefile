@@ -54,6 +54,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/trips.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_map_changes.py
+	-$(BIN)/python benchmarks/node_motion.py
 
 endurance: $(VENV)/.test
 	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest -k kill --kills 100 --timeout 3600 \

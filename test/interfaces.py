@@ -20,40 +20,45 @@ import pytest
 
 # As Jazzy and Nav2 for Jazzy define them; comments there make no difference.
 DEFINITIONS = {
-    'map_msgs': ('msg/OccupancyGridUpdate.msg', """
+    'map_msgs': {'msg/OccupancyGridUpdate.msg': """
 std_msgs/Header header
 int32 x
 int32 y
 uint32 width
 uint32 height
 int8[] data
-"""),
-    'tf2_msgs': ('msg/TFMessage.msg', 'geometry_msgs/TransformStamped[] transforms\n'),
-    'nav2_msgs': ('action/ComputePathToPose.action', """
-geometry_msgs/PoseStamped goal
+"""},
+    'tf2_msgs': {'msg/TFMessage.msg': 'geometry_msgs/TransformStamped[] transforms\n'},
+    'nav2_msgs': {f'action/{name}.action': f"""
+{goal}
 geometry_msgs/PoseStamped start
 string planner_id
 bool use_start
 ---
 uint16 NONE=0
-uint16 UNKNOWN=200
-uint16 INVALID_PLANNER=201
-uint16 TF_ERROR=202
-uint16 START_OUTSIDE_MAP=203
-uint16 GOAL_OUTSIDE_MAP=204
-uint16 START_OCCUPIED=205
-uint16 GOAL_OCCUPIED=206
-uint16 TIMEOUT=207
-uint16 NO_VALID_PATH=208
+uint16 UNKNOWN={first}00
+uint16 INVALID_PLANNER={first}01
+uint16 TF_ERROR={first}02
+uint16 START_OUTSIDE_MAP={first}03
+uint16 GOAL_OUTSIDE_MAP={first}04
+uint16 START_OCCUPIED={first}05
+uint16 GOAL_OCCUPIED={first}06
+uint16 TIMEOUT={first}07
+uint16 NO_VALID_PATH={first}08
+{more}
 nav_msgs/Path path
 builtin_interfaces/Duration planning_time
 uint16 error_code
 string error_msg
 ---
-"""),
+""" for name, goal, first, more in (
+        ('ComputePathToPose', 'geometry_msgs/PoseStamped goal', 2, ''),
+        ('ComputePathThroughPoses', 'geometry_msgs/PoseStamped[] goals', 3,
+         'uint16 NO_VIAPOINTS_GIVEN=309'),
+    )},
 }
 PREFIX = Path(sys.prefix)
-BUILT = PREFIX / 'built_interfaces'
+BUILT = PREFIX / 'built_interfaces_2'  # a new name for each change of the definitions
 SHARE = PREFIX / 'share'
 C, PYTHON = 'rosidl_generator_c', 'rosidl_generator_py'
 DISPATCH, FAST_DDS, INTROSPECTION = (
@@ -80,7 +85,7 @@ def install(package):
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not (folder / package).exists():
             with tempfile.TemporaryDirectory() as scratch:
-                built = _build(Path(scratch), package, *DEFINITIONS[package])
+                built = _build(Path(scratch), package, DEFINITIONS[package])
                 shutil.copytree(built / package, folder / package)
     sys.path.append(str(folder))
     invalidate_caches()
@@ -102,17 +107,18 @@ def _missing():
     return '' if Path(sysconfig.get_path('include'), 'Python.h').is_file() else 'no Python.h'
 
 
-def _build(folder, package, name, definition):
-    """Build an interface and return the folder of its package."""
-    source = folder / package / name
-    source.parent.mkdir(parents=True)
-    source.write_text(definition)
-    _generate(folder, package, Path(name))
+def _build(folder, package, definitions):
+    """Build the interfaces of a package and return the folder of the package."""
+    for name, definition in definitions.items():
+        source = folder / package / name
+        source.parent.mkdir(parents=True, exist_ok=True)
+        source.write_text(definition)
+    _generate(folder, package, [Path(name) for name in definitions])
     return _compile(folder, package)
 
 
-def _generate(folder, package, source):
-    idl = str(source.with_suffix('.idl'))
+def _generate(folder, package, sources):
+    idls = [str(source.with_suffix('.idl')) for source in sources]
 
     def arguments(generator, **more):
         file = folder / f'{generator}.json'
@@ -120,20 +126,22 @@ def _generate(folder, package, source):
             'package_name': package,
             'output_dir': str(folder / generator / package),
             'template_dir': str(SHARE / generator / 'resource'),
-            'idl_tuples': [f'{folder / "idl"}:{idl}'],
+            'idl_tuples': [f'{folder / "idl"}:{idl}' for idl in idls],
             'ros_interface_dependencies': [],
             'target_dependencies': [],
             **more,
         }))
         return str(file)
 
-    import_module('rosidl_adapter').convert_to_idl(
-        folder / package, package, source, folder / 'idl')
+    for source in sources:
+        import_module('rosidl_adapter').convert_to_idl(
+            folder / package, package, source, folder / 'idl')
     installed = {each.parents[1] for each in SHARE.glob('*/[ms][sr][gv]/*.json')}
     hasher = 'rosidl_generator_type_description'
     hashes = import_module(hasher).generate_type_hash(arguments(
         hasher, include_paths=[f'{each.name}:{each}' for each in sorted(installed)]))
-    import_module(C).generate_c(arguments(C, type_description_tuples=[f'{idl}:{hashes[0]}']))
+    import_module(C).generate_c(arguments(C, type_description_tuples=[
+        f'{idl}:{each}' for idl in idls for each in hashes if Path(each).stem == Path(idl).stem]))
     import_module(FAST_DDS).generate_typesupport_fastrtps_c(arguments(FAST_DDS))
     import_module(INTROSPECTION).generate_c(arguments(INTROSPECTION))
     import_module(DISPATCH).generate_c(arguments(DISPATCH), [FAST_DDS, INTROSPECTION])

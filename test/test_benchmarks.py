@@ -6,6 +6,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import interfaces
 import pytest
 
 BENCHMARKS = Path(__file__).resolve().parent.parent / 'benchmarks'
@@ -26,6 +27,8 @@ NODE_SCRIPTS = {
     'node_map_changes': '--seconds 0.6 --cells 200 --nodes 400',
     'node_soak': '--seconds 0.5 --period 0.1 --spacing 5',
 }
+if not interfaces._missing():
+    NODE_SCRIPTS['node_motion'] = '--seconds 2 --cells 400 --nodes 60'
 
 
 def run(script, arguments, folder):

@@ -33,19 +33,20 @@ def action():
 class Goals:
     """Sends goals as BasicNavigator does, without waiting for results."""
 
-    def __init__(self, action, running):
+    def __init__(self, action, running, name):
         self.action, self.planner, self.client = action, running.planner, running.client
         # It ends with its node: to destroy it while that spins would end the executor.
         self._client = ActionClient(
-            running.client.node, action, 'ambush_planner/compute_path_to_pose')
+            running.client.node, action, f'ambush_planner/{name}')
         wait_until(self._client.server_is_ready, 'the action')
 
-    def send(self, start=START, goal=GOAL, **fields):
+    def send(self, start=START, **fields):
         """Return the goal's handle, once it is accepted."""
-        fields = {'use_start': start is not None, **fields}
+        goal = {} if 'goals' in fields else {'goal': GOAL}
+        fields = {'use_start': start is not None, **goal, **fields}
         if start is not None:
             fields['start'] = start
-        wish = self.action.Goal(goal=goal, **fields)
+        wish = self.action.Goal(**fields)
         handle = self._answer('the goal being taken', self._client.send_goal_async, wish)
         assert handle.accepted
         return handle
@@ -76,10 +77,10 @@ class Goals:
 
 
 @contextmanager
-def asking(action, *arguments, **options):
+def asking(action, *arguments, name='compute_path_to_pose', **options):
     with stage(*arguments, **options) as running:
         running.give()
-        yield Goals(action, running)
+        yield Goals(action, running, name)
 
 
 def test_a_goal_is_a_departure(action, tmp_path):
@@ -98,6 +99,38 @@ def test_a_goal_is_a_departure(action, tmp_path):
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 2, 'the recordings')
     for file in tmp_path.rglob('*.mcap'):
         assert read_with_rosbags(file)
+
+
+def test_a_goal_through_poses_is_a_trip(action):
+    through = import_module('nav2_msgs.action').ComputePathThroughPoses
+    with asking(through, name='compute_path_through_poses') as goals:
+        stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
+        status, result = goals.result(goals.send(goals=[*stops, GOAL]))
+        assert status == GoalStatus.STATUS_SUCCEEDED, result.error_msg
+        met = [each.pose.position for each in result.path.poses]
+        assert [stop.pose.position in met for stop in stops] == [True, True]
+        assert met[-1] == GOAL.pose.position
+        goals.client.diagnostics(stops='2')
+        for code, words, poses in ((309, 'goals is empty', []),
+                                   (302, 'in one', [pose(3.0, 8.0, frame='odom'), *stops, GOAL])):
+            status, result = goals.result(goals.send(goals=poses))
+            assert (status, result.error_code) == (GoalStatus.STATUS_ABORTED, code)
+            assert words in result.error_msg
+
+
+def test_the_newest_goal_wins(action, submitted):
+    with asking(action, None, LONG) as goals:
+        old = [goals.send(goal=pose(8.0, 1.0 + k)) for k in range(3)]
+        asked = goals.client.send('new_route')  # another client's
+        newest = goals.send()
+        for each in old:
+            status, result = goals.result(each)
+            assert status == GoalStatus.STATUS_ABORTED
+            assert 'a newer request' in result.error_msg
+        wait_until(lambda: len(submitted) == 5, 'the requests')
+        assert not asked.done()
+        goals.client.call('cancel')
+        assert goals.result(newest)[0] == GoalStatus.STATUS_ABORTED
 
 
 def test_a_path_that_is_not_published_is_in_the_result(action):

@@ -66,7 +66,9 @@ class Names:
             return {name for name, _ in found if '/_action/' not in name}
 
         self.published = names(node.get_publisher_names_and_types_by_node(*who))
-        self.subscribed = names(node.get_subscriber_names_and_types_by_node(*who))
+        hidden = f'_{node.get_name()}_map'  # of the same process and enclave
+        self.subscribed = names(node.get_subscriber_names_and_types_by_node(*who)) | names(
+            node.get_subscriber_names_and_types_by_node(hidden, node.get_namespace()))
         self.served = names(node.get_service_names_and_types_by_node(*who))
         self.actions = names(get_action_server_names_and_types_by_node(node, *who))
 
@@ -93,7 +95,8 @@ def test_the_node_may_do_nothing_else(names):
     profile = Profile('/ambush_planner')
     others = {'/ambush_planner/transition_event'}
     assert profile.listed('topic', 'publish') <= names.published | others
-    others = {'/alpha_map_updates', '/tf', '/tf_static', '/clock', '/parameter_events'}
+    others = {'/alpha_map_updates', '/costmap', '/costmap_updates', '/tf', '/tf_static', '/clock',
+              '/parameter_events'}
     assert profile.listed('topic', 'subscribe') <= names.subscribed | others
     of_a_lifecycle = {
         f'/ambush_planner/{name}' for name in (
@@ -101,7 +104,8 @@ def test_the_node_may_do_nothing_else(names):
             'get_transition_graph')
     }
     assert profile.listed('service', 'reply') <= names.served | of_a_lifecycle
-    assert profile.listed('action', 'execute') == {'/ambush_planner/compute_path_to_pose'}
+    assert profile.listed('action', 'execute') == {
+        f'/ambush_planner/compute_path_{kind}' for kind in ('to_pose', 'through_poses')}
 
 
 def test_an_operator_may_ask_and_read_but_not_pass_for_the_node(names):

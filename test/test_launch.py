@@ -201,3 +201,11 @@ def follow_path(running, tmp_path):
     return subprocess.run(
         [sys.executable, '-c', program], capture_output=True, text=True, timeout=TIMEOUT,
         check=False, env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONPATH': str(tmp_path)})
+
+
+def test_the_behaviour_tree_of_the_docs_is_the_one_that_is_installed():
+    (shown,) = re.findall(r'```xml\n(<root.*?)```', DOCUMENT, re.DOTALL)
+    assert shown == (ROOT / 'config' / 'ambush_tree.xml').read_text()
+    (asks,) = ElementTree.fromstring(shown).iter('ComputePathToPose')
+    assert asks.get('server_name') == '/ambush_planner/compute_path_to_pose'
+    assert asks.get('planner_id') == ''

@@ -125,4 +125,4 @@ def test_ground_that_changes_too_fast_is_reported(monkeypatch):
         answer = running.give().call('new_route')
         assert not answer.success
         assert 'were out of date before they were done' in answer.message
-        running.client.diagnostics(code='NO_VALID_PATH')
+        running.client.diagnostics(code='OUT_OF_DATE')

@@ -19,8 +19,8 @@ KEYS = {
     'entropy_gap', 'value_holds_at', 'held_radius',
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds', 'departures',
-    'departure_id', 'recording', 'current_value', 'current_gap', 'current_length', 'stale',
-    'tight_turns', 'different_paths_of_1000',
+    'departure_id', 'departure_value', 'departure_gap', 'recording', 'current_value', 'current_gap',
+    'current_length', 'stale', 'tight_turns', 'different_paths_of_1000',
 }
 
 

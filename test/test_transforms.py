@@ -19,6 +19,7 @@ from waiting import wait_until
 
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
+from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF, TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
@@ -236,10 +237,20 @@ def test_a_departure_starts_where_the_robot_is_now(start):
         assert path_from_ros(path)[0, :2] == pytest.approx((2.5, 5.5))
 
 
-def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(monkeypatch):
-    """Within the tolerance the path begins there; beyond it, the plan is solved once more."""
-    solves, solve = [], WorkerProcess.solve
-    with stage(parameters=ROBOT) as running:
+def located(running):
+    """Where the node believes the robot to be, None if it does not know."""
+    robot = running.planner._settings.current.robot
+    try:
+        at = running.planner._inputs._located_start(None, robot, 'map')[1].pose.position
+    except FrameMismatch:
+        return None
+    return at.x, at.y
+
+
+def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):
+    """On the plan, within its region, or else where it was when asked: one solve each time."""
+    solves, solve, places = [], WorkerProcess.solve, [(1.6, 5.5), (3.2, 2.9), (5.0, 8.5)]
+    with stage(tmp_path, parameters=ROBOT) as running:
         client = running.client
         robot = Robot(client.node)
 
@@ -248,23 +259,29 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(monkeypat
             solves.append(request.start_xy)
             place = places[len(solves) - 1]
             robot.is_at(*place)
-            inputs, robot_options = running.planner._inputs, running.planner._settings.current.robot
-            wait_until(lambda: inputs.locate(
-                inputs.latest(robot_options), robot_options).start_xy == pytest.approx(place),
-                'the move')
+            wait_until(lambda: located(running) == pytest.approx(place), 'the move')
             return plan
 
         monkeypatch.setattr(WorkerProcess, 'solve', drive)
-        client.publish('alpha_map', risk_grid(np.zeros((20, 20))))
-        client.publish('goal_pose', pose(8.5, 5.5))
-        robot.is_at(1.5, 5.5)
-        places = [(1.6, 5.5)]
-        client.call_until('new_route', lambda answer: answer.success)
-        assert path_from_ros(client.last('path', 1))[0, :2] == pytest.approx((1.6, 5.5))
-        assert len(solves) == 1
-        solves.clear()
-        places = [(5.0, 2.5), (5.0, 2.6)]
-        robot.is_at(1.5, 2.5)
-        client.call_until('new_route', lambda _: solves and client.last('path', 2))
-        assert path_from_ros(client.last('path', 2))[0, :2] == pytest.approx((5.0, 2.6))
-        assert [start[0] for start in solves] == [1.5, 5.0]
+        client.publish('alpha_map', risk_grid(np.full((20, 20), 5)))
+        for number, asked, begins, words in (
+            (1, (1.5, 5.5), places[0], 'published on /path'),
+            (2, (1.5, 2.5), places[1], 'joins the route of an earlier start: value'),
+            (3, (1.5, 8.5), (1.5, 8.5), 'begins where the convoy was when asked'),
+        ):
+            robot.is_at(*asked)
+            wait_until(lambda asked=asked: located(running) == pytest.approx(asked), 'the place')
+            client.publish('goal_pose', pose(8.5, 4.5 + number))
+            # Earlier ones are for the last goal.
+            answer = client.call_until('new_route', lambda _, number=number: len(solves) >= number)
+            path = path_from_ros(client.received['path'][-1])
+            assert path[0, :2] == pytest.approx(begins), answer.message
+            assert words in answer.message
+            assert len(solves) == number
+            report = client.diagnostics(departures=answer.message.split()[1])
+            assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
+        assert report['message'].startswith('ready; the path begins where')
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == int(report['departures']),
+                   'the recordings')
+    verdicts = [Verifier().verify(file) for file in tmp_path.rglob('*.mcap')]
+    assert [each.problems for each in verdicts] == [[]] * len(verdicts)

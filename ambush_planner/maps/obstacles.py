@@ -28,7 +28,7 @@ class ObstacleField:
         self._size = risk_map.size
         self.clear_of_edge = clear_of_edge
         self._shape = risk_map.obstacles.shape
-        counts = risk_map.obstacles.astype(np.int64).cumsum(axis=0).cumsum(axis=1)
+        counts = risk_map.obstacles.cumsum(axis=0, dtype=np.int32).cumsum(axis=1, dtype=np.int32)
         self._sums = np.pad(counts, ((1, 0), (1, 0)))
         self._obstacles = risk_map.obstacles
 

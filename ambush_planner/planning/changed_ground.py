@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..game.certificate import Certificate
+from ..game.game import Game
 from ..game.revaluation import revalue
 from ..maps.obstacles import ObstacleField
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
@@ -33,7 +35,7 @@ _MOST_DRAWS = 300
 # Solve again once more than this share of the routes is blocked.
 _MOST_BLOCKED = 0.01
 # Nobody departs before the next solve if a smaller share of the routes is clear.
-_LEAST_CLEAR = 0.1
+LEAST_CLEAR = 0.1
 # Relative overrun of the length budget that is a solver's rounding.
 _LENGTH_TOLERANCE = 1e-6
 _TOUCH = 1e-6  # distance at which cells count as touched [cells]
@@ -83,7 +85,7 @@ class Assessment:
         that on the strategy's own map: a risk slack that was asked for is in both.
         """
         growth = self.gap - original_gap
-        return self.clear_share >= _LEAST_CLEAR and growth <= max_gap * self.value + 1e-12
+        return self.clear_share >= LEAST_CLEAR and growth <= max_gap * self.value + 1e-12
 
 
 class ChangedGround:
@@ -93,24 +95,23 @@ class ChangedGround:
     """
 
     def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions) -> None:
-        self._plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
+        self.plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
         self._clearance = plan.options.network.clearance
         network = plan.network
         self._uv = _map_axes(planned_on, network.points)
         self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
         self._segments = _Segments(*(self._uv[network.edges[:, k]] for k in (0, 1)))
-        self._conditioned: ConditionedStrategy | None = None
         self._cells = self._cells_of_nodes()
         self._cell_losses: CellLosses | None = None
-        self._latest: _Comparison | None = None
+        self._latest: Comparison | None = None
 
     def assess(self, newest: OccupancyMap) -> Assessment:
         """Return the value of the strategy on the newest map, which is of the same ground."""
-        return self._compare(newest).assessment
+        return self.compare(newest).assessment
 
     def is_clear(self, nodes: IndexArray, newest: OccupancyMap) -> bool:
         """Whether a route is clear on the newest map."""
-        pairs = self._compare(newest).lost_pairs
+        pairs = self.compare(newest).lost_pairs
         return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
 
     def draw(self, rng: np.random.Generator, newest: OccupancyMap) -> Route | None:
@@ -119,30 +120,37 @@ class ChangedGround:
         A route then has its conditional probability, given that it is clear.
         """
         for _ in range(_MOST_DRAWS):
-            route = depart(self._plan, rng)
+            route = depart(self.plan, rng)
             if self.is_clear(route.nodes, newest):
                 return route
         return None
 
-    def fitted(self, newest: OccupancyMap, ends: Ends) -> Plan:
+    def fitted(self, newest: OccupancyMap, ends: Ends, joins: IndexArray | None = None) -> Plan:
         """Return the plan with corridors between ``ends`` that are clear on the newest map.
 
         The path of a clear route is then clear, and so are the connections to the ends if their
-        straight lines are (``clear``).
+        straight lines are (``clear``). The start is connected with the same nodes as before, or
+        with the places ``joins`` (K,).
         """
-        plan, network, options = self._plan, self._plan.network, self._plan.options.network
+        plan, network, options = self.plan, self.plan.network, self.plan.options.network
         corridors = self._corridors(newest)
         for node, place in zip((network.source, network.target), ends, strict=True):
             if tuple(network.points[node].tolist()) != place:
+                others = joins if node == network.source else None
                 node %= network.place_count
-                corner, part = self._around(newest, node, place)
+                corner, part = self._around(newest, node, place, others)
                 corridors = with_moved_end(corridors, node, place, part, corner, self._clearance,
-                                           plan.tube, options.clear_of_edge)
+                                           plan.tube, options.clear_of_edge, others)
         return plan if corridors is plan.corridors else replace(plan, corridors=corridors)
+
+    @cached_property
+    def conditioned(self) -> ConditionedStrategy:
+        """The strategy on condition that routes avoid some edges."""
+        return ConditionedStrategy(self.plan.strategy)
 
     def lost(self, newest: OccupancyMap) -> npt.NDArray[np.bool_]:
         """Return which edges (M,) meet a new obstacle or lead to a node over the threshold."""
-        return self._compare(newest).lost
+        return self.compare(newest).lost
 
     def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> bool:
         """Whether all segments a -> b, both (K, 2), stay clear of the newest map's obstacles."""
@@ -156,20 +164,21 @@ class ChangedGround:
 
     def _corridors(self, newest: OccupancyMap) -> Corridors:
         """Return the plan's corridors among the new obstacles."""
-        look = self._compare(newest)
+        look = self.compare(newest)
         if look.corridors is None:
             look.corridors = with_new_obstacles(
-                self._plan.corridors, look.new_obstacles, self._clearance, newest.resolution
-            ) if len(look.new_obstacles) else self._plan.corridors
+                self.plan.corridors, look.new_obstacles, self._clearance, newest.resolution
+            ) if len(look.new_obstacles) else self.plan.corridors
         return look.corridors
 
-    def _around(self, newest: OccupancyMap, node: int,
-                place: tuple[float, float]) -> tuple[FloatArray, RiskMap]:
+    def _around(self, newest: OccupancyMap, node: int, place: tuple[float, float],
+                neighbours: IndexArray | None) -> tuple[FloatArray, RiskMap]:
         """Return the map around the links of a moved node, as far as paths may go."""
-        links = self._plan.corridors.links
-        at = links[(links == node).any(axis=1)].ravel()
+        links, at = self.plan.corridors.links, neighbours
+        if at is None:
+            at = links[(links == node).any(axis=1)].ravel()
         uv = np.vstack((self._uv[at], _map_axes(newest, np.array([place]))))
-        wide = self._plan.tube
+        wide = self.plan.tube
         if wide is None:
             wide = float(np.hypot(*(uv - uv[-1]).T).max())
         return self._part(newest, uv, wide + self._clearance)
@@ -185,60 +194,58 @@ class ChangedGround:
         part = risk_map_from_occupancy(values, step, (0.0, 0.0, 0.0), self._occupancy)
         return low * step, part
 
-    def _compare(self, newest: OccupancyMap) -> _Comparison:
+    def compare(self, newest: OccupancyMap) -> Comparison:
+        """Compare the newest map with the one planned on."""
         if self._latest is None or self._latest.newest is not newest:
             self._latest = self._comparison(newest)
         return self._latest
 
-    def _comparison(self, newest: OccupancyMap) -> _Comparison:
-        network, strategy = self._plan.network, self._plan.strategy
+    def _comparison(self, newest: OccupancyMap) -> Comparison:
+        network, strategy = self.plan.network, self.plan.strategy
         lost = np.zeros(len(network.edges), dtype=bool)
         if newest is self._planned_on:
             own = Certificate(strategy.value, strategy.lower_bound)
             same = self._assessment(own, 1.0, strategy.edge_probability)
-            return _Comparison(newest, same, np.empty((0, 2)), lost, frozenset())
+            return Comparison(newest, same, np.empty((0, 2)), lost, frozenset(), network.alpha)
         cells, alpha = self._new_obstacles(newest), self._losses(newest, self._cells)
         centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
         if len(cells) > _MOST_CELLS:
             worthless = Assessment(math.inf, 0.0, 0.0)
-            return _Comparison(newest, worthless, centres, lost, frozenset())
+            return Comparison(newest, worthless, centres, lost, frozenset(), alpha)
         lost[self._segments.met(centres, self._reach(newest))] = True
-        lost |= (alpha > self._plan.options.game.alpha_threshold)[network.heads]
+        lost |= (alpha > self.plan.options.game.alpha_threshold)[network.heads]
         clear_share, p = 1.0, strategy.edge_probability
         if lost[self._used].any():
-            if self._conditioned is None:
-                self._conditioned = ConditionedStrategy(strategy)
-            clear_share, p = self._conditioned.avoiding(lost)
-        known = self._at_any_cell(revalue(strategy, alpha, p), newest, p)
+            clear_share, p = self.conditioned.avoiding(lost)
+        known = self.at_any_cell(revalue(strategy, alpha, p), newest, strategy.game, p)
         assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return _Comparison(newest, assessment, centres, lost, pairs)
+        return Comparison(newest, assessment, centres, lost, pairs, alpha)
 
-    def _at_any_cell(self, at_sites: Certificate, newest: OccupancyMap,
-                     p: FloatArray) -> Certificate:
-        """The certificate against ambushers at any cell, if the plan's is."""
-        game, planned_on = self._plan.strategy.game, self._planned_on
-        if not holds_anywhere(game, self._plan.options) or math.isinf(at_sites.value):
+    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, game: Game,
+                    p: FloatArray) -> Certificate:
+        """The certificate of p (M,) in a game, against ambushers at any cell if the plan's is."""
+        planned_on, options = self._planned_on, self.plan.options
+        if not holds_anywhere(game, options) or math.isinf(at_sites.value):
             return at_sites
         now, before = newest.values.ravel(), planned_on.values.ravel()
         changed = np.flatnonzero(now != before)
         # An ambusher in a cell that has become an obstacle still counts.
         other = bool((~_obstacles(now[changed], self._occupancy)).any())
-        if other or self._cell_losses is None:
+        cells = self._cell_losses
+        if other or cells is None:
             values = newest.values if other else planned_on.values
             risk_map = risk_map_from_occupancy(values, newest.resolution, newest.origin,
                                                self._occupancy)
-            cells = CellLosses(risk_map, self._plan.options.game.ambush_in_obstacles)
+            cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
             self._cell_losses = None if other else cells
-        else:
-            cells = self._cell_losses
         worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,
                     p: FloatArray) -> Assessment:
         """Return the assessment of drawing clear routes, which use the edges with p (M,)."""
-        plan = self._plan
+        plan = self.plan
         return Assessment(certificate.value, certificate.bound, clear_share,
                           float(p @ plan.network.travel_costs) if p.any() else math.inf,
                           plan.options.strategy.max_detour * plan.strategy.shortest_length)
@@ -261,7 +268,7 @@ class ChangedGround:
         values = grid.values[cells[:, 1], cells[:, 0]][None, :]
         risk_map = risk_map_from_occupancy(values, 1.0, options=self._occupancy)
         alpha: FloatArray = risk_map.alpha[0].copy()
-        network = self._plan.network
+        network = self.plan.network
         alpha[network.ends] = 0.0
         return alpha
 
@@ -273,7 +280,7 @@ class ChangedGround:
         """
         on = self._planned_on
         last = np.array(on.values.shape[::-1]) - 1
-        uv, alpha = self._uv / on.resolution, self._plan.network.alpha
+        uv, alpha = self._uv / on.resolution, self.plan.network.alpha
         found: _Cells = np.clip(np.floor(uv + _TOUCH), 0, last).astype(np.int64)
         for shift in ((-1, -1), (-1, 1), (1, -1)):
             other = np.flatnonzero(self._losses(on, found) != alpha)
@@ -283,11 +290,11 @@ class ChangedGround:
 
 
 @dataclass(eq=False)
-class _Comparison:
+class Comparison:
     """The newest map compared with the one planned on.
 
     ``new_obstacles`` (K, 2) are centres of cells [m] in map axes; the lost edges are a mask (M,)
-    and pairs (tail, head).
+    and pairs (tail, head); ``alpha`` (N,) are the nodes' losses now.
     """
 
     newest: OccupancyMap
@@ -295,6 +302,7 @@ class _Comparison:
     new_obstacles: FloatArray
     lost: npt.NDArray[np.bool_]
     lost_pairs: frozenset[tuple[int, ...]]
+    alpha: FloatArray
     corridors: Corridors | None = None
 
 

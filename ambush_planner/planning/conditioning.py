@@ -58,6 +58,35 @@ class ConditionedStrategy:
         p[self._order] = flows
         return share, p
 
+    def joins(self, p: FloatArray, nearing: npt.NDArray[np.bool_]) -> FloatArray:
+        """Return where (N,) the routes of p (M,) first use an edge that is not ``nearing`` (M,).
+
+        The sum over the heads of these edges is 1: each route is joined at one of them.
+        """
+        joins, skipped = [0.0] * len(self._network.points), [0.0] * len(self._network.points)
+        skipped[self._network.source] = 1.0
+        near = nearing[self._order].tolist()
+        for tail, head, chance, skips in zip(*self._steps(p), near, strict=True):
+            if skipped[tail] > 0.0:
+                (skipped if skips else joins)[head] += skipped[tail] * chance
+        return np.array(joins)
+
+    def flow_from(self, p: FloatArray, begins: FloatArray) -> FloatArray:
+        """Return p (M,) of routes that begin at nodes with ``begins`` (N,) and go on as in p."""
+        visits, flows, result = begins.tolist(), [], np.zeros(len(p))
+        for tail, head, chance in zip(*self._steps(p), strict=True):
+            flows.append(visits[tail] * chance)
+            visits[head] += flows[-1]
+        result[self._order] = flows
+        return result
+
+    def _steps(self, p: FloatArray) -> tuple[list[int], list[int], list[float]]:
+        """Tails and heads of the edges in use, in order, and how likely p (M,) leaves by each."""
+        tails = self._network.tails[self._order]
+        leaving = np.bincount(tails, p[self._order], len(self._network.points))[tails]
+        chances = p[self._order] / np.where(leaving > 0.0, leaving, 1.0)
+        return self._tails, self._heads, chances.tolist()
+
 
 def _topological(network: Network, used: IndexArray) -> IndexArray:
     """Return the edges in use, each after those into its tail; none if they have a cycle."""

@@ -20,9 +20,9 @@ from .options import DriveOptions, PlanningOptions
 from .parameters import AUTOMATIC, PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
-_COSTMAP_OBSTACLE = 99
+COSTMAP_OBSTACLE = 99
 # Parameters that are not fields of the options that their groups are named after.
-_OTHER_PARAMETERS = ('map.preset', 'strategy.max_gap')
+_OTHER_PARAMETERS = ('map.preset', 'map.costmap', 'strategy.max_gap')
 
 _Options = TypeVar('_Options')
 
@@ -93,7 +93,7 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
         )
     occupancy = _options(OccupancyOptions, 'map', values)
     if values['map.preset'] == 'costmap':
-        threshold = min(occupancy.obstacle_threshold, _COSTMAP_OBSTACLE)
+        threshold = min(occupancy.obstacle_threshold, COSTMAP_OBSTACLE)
         occupancy = replace(occupancy, obstacle_threshold=threshold)
     limit = values['max_planning_time']
     return NodeParameters(

@@ -53,6 +53,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'Source of the map: alpha, a risk map for this planner; costmap, a costmap of Nav2, in '
         'which 99 (inscribed) is an obstacle like 100 (lethal), whatever the threshold.',
         choices=('alpha', 'costmap')),
+    'map.costmap': Declaration(
+        False,
+        'Whether obstacles also come from the topic costmap, a costmap of Nav2; departures wait '
+        'for it.', fixed=True),
     'map.unknown_alpha': Declaration(
         _MAP.unknown_alpha,
         'Loss from an ambush in an unknown cell (-1); negative: such cells are obstacles.', -1.0),

@@ -20,9 +20,11 @@ from ..maps.risk_map import RiskMap
 from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
+from ..planning.moved_start import JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters, parameters_from
 from ..planning.options import PlanningOptions, node_spacing
 from ..planning.plan import Plan, plan_corridors
+from ..routes.driven_path import Ends
 from .map_changes import MAP_CHANGES_FILE, changed_map
 from .recording_errors import UnreadableRecording
 from .recording_file import RecordingFile, decode, read_recording
@@ -63,7 +65,8 @@ class RecordedDeparture:
         The recorded strategy, its certificate computed from its probabilities, and the numbers
         that the file states.
     drawn_from
-        ``strategy``, or, if the map had changed, that strategy given that its routes are clear.
+        ``strategy``; if the map had changed, that strategy given that its routes are clear; if the
+        convoy had moved, that of the routes ``joined`` from where it was.
     planned_on, newest, risk_map
         The maps of the plan and at the time of departure; the losses of the former.
     """
@@ -84,6 +87,7 @@ class RecordedDeparture:
     strategy: Strategy
     stated: Mapping[str, float]
     drawn_from: Strategy
+    joined: JoinedPlan | None
     planned_on: OccupancyMap
     newest: OccupancyMap
     risk_map: RiskMap
@@ -108,6 +112,7 @@ class SharedParts:
         self.risk_map = lru_cache(most)(_risk_map)
         self.roads = lru_cache(most)(roads_from_file)
         self.conditioned = lru_cache(most)(_conditioned)
+        self.joined = lru_cache(most)(_joined)
         self._message = lru_cache(most)(decode)
         self._map = lru_cache(most)(_map)
 
@@ -138,6 +143,13 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
         newest, drawn_from = _part(file, MAP_CHANGES_FILE, lambda: shared.conditioned(
             strategy, planned_on, changes, occupancy, parameters.planning
         ))
+    joined = None
+    if entries.get('joined'):
+        joined = _part(file, 'metadata', lambda: shared.joined(
+            strategy, planned_on, newest, occupancy, parameters.planning,
+            tuple(map(tuple, entries['ends']))
+        ))
+        drawn_from = joined.plan.strategy
 
     def read() -> RecordedDeparture:
         message, trip = file.in_role('path'), entries['trip']
@@ -150,8 +162,8 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
             RecordedTrip(tuple(trip['start']), tuple(trip['goal']),
                          tuple(map(tuple, trip['stops']))),
             (tuple(entries['ends'][0]), tuple(entries['ends'][1])), route,
-            entries['route_entropy_source'], strategy, stated, drawn_from, planned_on, newest,
-            risk_map, file.defined(message),
+            entries['route_entropy_source'], strategy, stated, drawn_from, joined, planned_on,
+            newest, risk_map, file.defined(message),
         )
 
     return _part(file, 'metadata', read)
@@ -209,3 +221,13 @@ def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
     return newest, replace(strategy, edge_probability=frozen_array(p, np.float64),
                            visit_probability=frozen_array(strategy.game.visits(p), np.float64),
                            value=worst_loss(strategy.game, p))
+
+
+def _joined(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,
+            options: OccupancyOptions, planning: PlanningOptions, ends: Ends) -> JoinedPlan:
+    """Return the plan of a convoy that had moved."""
+    _, ground = ground_of(strategy, planned_on, options, planning)
+    joined = joined_plan(ground, newest, ends)
+    if joined is None:
+        raise ValueError('the recorded strategy cannot be joined from where the path begins')
+    return joined

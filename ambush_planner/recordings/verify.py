@@ -24,7 +24,7 @@ from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..planning.cell_losses import CellLosses
 from ..planning.options import PlanningOptions, solved_game
-from ..planning.plan import Route, departure_path
+from ..planning.plan import Route, depart, departure_path
 from ..planning.solving import add_hiding_places, holds_anywhere
 from ..planning.trip import trip_network
 from .recorded_departure import (
@@ -120,12 +120,18 @@ class Verifier:
         parameters, newest = departure.parameters, departure.newest
         plan, ground = self._ground(departure.strategy, departure.planned_on, parameters.occupancy,
                                     parameters.planning)
-        drawn = ground.draw(np.random.default_rng(departure.route_entropy_source), newest)
+        rng = np.random.default_rng(departure.route_entropy_source)
+        drawn: Route | None
+        if departure.joined:
+            fitted = departure.joined.plan
+            drawn = depart(fitted, rng)
+        else:
+            fitted = ground.fitted(newest, departure.ends)
+            drawn = ground.draw(rng, newest)
         if drawn is None or not np.array_equal(drawn.nodes, departure.route):
             return ['route: it is not the one that the recorded entropy draws']
-        rows = departure_path(ground.fitted(newest, departure.ends),
-                              Route(drawn.nodes, drawn.points),
-                              parameters.path_spacing or plan.spacing, departure.ends)
+        rows = departure_path(fitted, drawn, parameters.path_spacing or plan.spacing,
+                              departure.ends)
         poses = departure.path_poses
         if poses.shape != rows.shape or not (
             np.allclose(poses[:, :2], rows[:, :2], rtol=_TOLERANCE, atol=_POSE_TOLERANCE)

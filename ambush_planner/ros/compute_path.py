@@ -1,4 +1,4 @@
-"""Nav2's action ComputePathToPose: a departure with the interface of Nav2's planner server."""
+"""Nav2's actions ComputePathToPose and ComputePathThroughPoses: departures for Nav2."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
+from geometry_msgs.msg import PoseArray
 from nav_msgs.srv import GetPlan
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -15,39 +16,43 @@ from rclpy.node import Node
 from .conversions import installed_type
 from .departure_record import Departure
 from .error_boundary import ErrorBoundary
-from .error_codes import FrameMismatch, InvalidPlanner, NoStart, code_of
+from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .qos import REQUESTS
 from .requests import Requests, plan_response
 from .serial_executor import started
 
-NAME = '~/compute_path_to_pose'
+# The actions and their types.
+ACTIONS = {'~/compute_path_to_pose': 'ComputePathToPose',
+           '~/compute_path_through_poses': 'ComputePathThroughPoses'}
 # Time for which results are kept [s], as by Nav2's planner server.
 _RESULT_TIMEOUT = 10
 # Nav2's names of codes that it lacks.
-_NAV2_CODES = {'NO_START': 'TF_ERROR'}
+_NAV2_CODES = {'NO_START': 'TF_ERROR', 'NO_GOAL': 'NO_VIAPOINTS_GIVEN', 'OUT_OF_DATE': 'TIMEOUT'}
 
 
 class ComputePath:
-    """The action, if ``nav2_msgs`` is installed; if not, ``server`` is None.
+    """The action called ``name``, if ``nav2_msgs`` is installed; if not, ``server`` is None.
 
-    A goal is treated like a request of ``get_plan`` without tolerance. While they wait, goals are
-    accepted but not executing: rclpy polls coroutines that await. Cancelling a goal leaves the
-    solves of others alone.
+    A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
+    last. As with Nav2, a new goal takes the place of one that waits and leads elsewhere. While they
+    wait, goals are accepted but not executing: rclpy polls coroutines that await. Cancelling a goal
+    leaves the solves of others alone.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
-                 settings: NodeSettings) -> None:
+                 settings: NodeSettings, name: str) -> None:
+        self._name = name
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
         self._settings = settings
         self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
         # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
-        self._action = installed_type('nav2_msgs.action', 'ComputePathToPose')
+        self._action = installed_type('nav2_msgs.action', ACTIONS[name])
         self.server = None if self._action is None else ActionServer(
-            node, self._action, NAME, self._result, callback_group=group,
+            node, self._action, name, self._result, callback_group=group,
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
@@ -59,7 +64,9 @@ class ComputePath:
             self.server.destroy()
 
     def _accepted(self, handle: Any) -> None:
-        departure = started(lambda: self._requests.start_plan(self._plan_request(handle.request)))
+        departure = started(lambda: self._requests.start_plan(
+            *self._plan_request(handle.request), client=self._name
+        ))
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 
@@ -80,7 +87,7 @@ class ComputePath:
         for key, (handle, departure) in list(self._waiting.items()):
             if departure.done():
                 del self._waiting[key]
-                self._error_boundary.attempt(NAME, 'request', partial(
+                self._error_boundary.attempt(self._name, 'request', partial(
                     handle.execute, partial(self._result, departure=departure)
                 ))
 
@@ -89,26 +96,26 @@ class ComputePath:
         if departure.cancelled():
             handle.canceled()
             return result
-        name = NAME.removeprefix('~/')
+        name = self._name.removeprefix('~/')
         done, error = self._error_boundary.attempt(name, 'request', departure.result)
         if done is None:
             code = code_of(error or RuntimeError())
             codes = self._action.Result
             result.error_code = getattr(codes, _NAV2_CODES.get(code, code), codes.UNKNOWN)
-            if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
-                result.error_msg = str(error)
+            _say(result, str(error))
             handle.abort()
             return result
+        _say(result, done.remarks)
         result.path = done.path
         result.planning_time = Duration(nanoseconds=done.end_ns - done.begin_ns).to_msg()
         handle.succeed()
         return result
 
-    def _plan_request(self, goal: Any) -> GetPlan.Request:
-        """Return the goal as a request of get_plan.
+    def _plan_request(self, goal: Any) -> tuple[GetPlan.Request, PoseArray | None]:
+        """Return the goal as a request of get_plan, and its stops.
 
-        Raises InvalidPlanner if the goal is for another planner, and NoStart or FrameMismatch if
-        the start is missing or has no frame.
+        Raises InvalidPlanner if the goal is for another planner, NoGoal if it has no poses, and
+        NoStart or FrameMismatch if the start is missing or has no frame, or the stops have several.
         """
         name = self._node.get_name()
         if goal.planner_id not in ('', name):
@@ -125,4 +132,18 @@ class ComputePath:
                 )
         elif not start.header.frame_id:
             raise FrameMismatch('use_start is true, but the header.frame_id of the start is empty')
-        return GetPlan.Request(start=start, goal=goal.goal)
+        *stops, last = [goal.goal] if hasattr(goal, 'goal') else goal.goals or [None]
+        if last is None:
+            raise NoGoal('goals is empty: give at least one pose')
+        frames = sorted({stop.header.frame_id for stop in stops})
+        if len(frames) > 1:
+            raise FrameMismatch(f'the stops are given in the frames {", ".join(frames)[:200]}; '
+                                'give all of them in one')
+        poses = [stop.pose for stop in stops]
+        via = PoseArray(header=stops[0].header, poses=poses) if stops else None
+        return GetPlan.Request(start=start, goal=last), via
+
+
+def _say(result: Any, text: str) -> None:
+    if hasattr(result, 'error_msg'):  # Nav2's first release for Jazzy lacks it
+        result.error_msg = text

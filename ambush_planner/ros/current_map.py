@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import array
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -13,7 +14,9 @@ from rclpy.serialization import serialize_message
 
 from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
+from ..maps.overlay import with_obstacles_of
 from ..maps.ros_messages import occupancy_from_ros
+from ..planning.node_parameters import COSTMAP_OBSTACLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,16 @@ class CurrentMap(OccupancyMap):
 def map_from(received: ReceivedMessage) -> CurrentMap:
     """Read a map; raises InvalidRiskMap if it is malformed."""
     return CurrentMap(*occupancy_from_ros(received.message), received=received)
+
+
+def joined_map(risk: CurrentMap, costmap: OccupancyMap, unknown: bool) -> CurrentMap:
+    """Return a risk map with the obstacles of a costmap in the same frame, as if it had arrived."""
+    values = with_obstacles_of(risk, costmap, COSTMAP_OBSTACLE, unknown).values
+    before = risk.received.message
+    message = OccupancyGrid(header=before.header, info=before.info,
+                            data=array.array('b', values.tobytes()))
+    received = replace(risk.received, message=message, serialised=None)
+    return replace(risk, values=values, received=received)
 
 
 def updated_map(present: CurrentMap, update: Any) -> CurrentMap:

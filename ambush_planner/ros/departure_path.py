@@ -7,9 +7,8 @@ import secrets
 import numpy as np
 
 from ..arrays import FloatArray
-from ..planning.plan import Route, departure_path
-from .inputs import Trip
-from .plan_cache import CachedPlan
+from ..planning.plan import Route, depart, departure_path
+from .plan_cache import Fit
 
 
 def route_entropy_source(seed: int, departure: int) -> list[int]:
@@ -22,16 +21,18 @@ def route_entropy_source(seed: int, departure: int) -> list[int]:
     return [secrets.randbits(256)] if seed < 0 else [seed, departure]
 
 
-def draw_path(cached: CachedPlan, trip: Trip, source: list[int],
-              spacing: float) -> tuple[Route, FloatArray] | None:
+def draw_path(fit: Fit, source: list[int], spacing: float) -> tuple[Route, FloatArray] | None:
     """Draw a route that is clear on the trip's map, and its path (L, 3) = (x, y, yaw) [m, m, rad].
 
     ``source`` seeds the random generator. Poses are at most ``spacing`` [m] apart; 0: as far as the
     plan says. None if hardly any route is clear.
     """
-    route = cached.ground.draw(np.random.default_rng(source), trip.map)
-    if route is None:
-        return None
-    ends = cached.ends(trip)
-    plan = cached.ground.fitted(trip.map, ends)
+    rng, newest, ends = np.random.default_rng(source), fit.trip.map, fit.cached.ends(fit.trip)
+    if fit.joined:
+        route, plan = depart(fit.joined.plan, rng), fit.joined.plan
+    else:
+        clear = fit.cached.ground.draw(rng, newest)
+        if clear is None:
+            return None
+        route, plan = clear, fit.cached.ground.fitted(newest, ends)
     return route, departure_path(plan, route, spacing or plan.spacing, ends)

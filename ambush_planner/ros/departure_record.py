@@ -49,8 +49,8 @@ class Departure:
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
-    they were published. ``trouble`` says what went wrong with earlier recordings. The ``response``
-    was given at ``end_ns``; None until then.
+    they were published. ``remarks`` are on the start, which may have been ``joined`` to the plan,
+    and on recordings that failed. The ``response`` was given at ``end_ns``; None until then.
     """
 
     id: str
@@ -59,6 +59,7 @@ class Departure:
     trip: Trip
     parameters: NodeParameters
     held: CachedPlan
+    joined: bool
     entropy_source: list[int]
     route: Route
     path: Path
@@ -66,7 +67,7 @@ class Departure:
     others: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
-    trouble: str = ''
+    remarks: str = ''
     response: Any = None
 
 
@@ -105,7 +106,7 @@ def metadata_entries(departure: Departure) -> dict[str, Any]:
         'parameters': dict(departure.parameters.values),
         'topics': {role: each.topic for role, each in roles.items() if each},
         'trip': {'start': planned.start_xy, 'goal': plan.goal_xy, 'stops': plan.stops_xy},
-        'ends': departure.held.ends(trip),
+        'ends': departure.held.ends(trip), 'joined': departure.joined,
         'route': departure.route.nodes.tolist(),
         'route_entropy_source': departure.entropy_source,
         'call': {

@@ -38,7 +38,8 @@ class Status:
 
     ``problems`` are by what they concern: 'request', 'map' or 'recording'; ``warnings`` are texts
     on 'parameters' or 'alpha_map'. ``assessment`` is of the displayed plan on the current map, and
-    ``stale`` says why that plan is stale, if it is.
+    ``stale`` says why that plan is stale, if it is. ``departure_worth`` is the assessment of the
+    last departure, and ``late_start`` says why it did not begin where the convoy was by then.
     """
 
     lifecycle: str = 'active'
@@ -52,6 +53,8 @@ class Status:
     departures: int = 0
     departure_id: str = ''
     tight_turns: int = 0
+    departure_worth: Assessment | None = None
+    late_start: str = ''
     recording: str = 'off'
 
     @property
@@ -80,7 +83,7 @@ class Status:
 def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
     """Return the status as the node called ``name`` publishes it on /diagnostics."""
     level, code, message = _summary(status)
-    now = status.assessment
+    now, last = status.assessment, status.departure_worth
     values = {
         'state': status.state,
         'code': code,
@@ -92,6 +95,8 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'stale': ('yes' if status.stale else 'no') if now else '',
         'departures': str(status.departures),
         'departure_id': status.departure_id,
+        'departure_value': f'{last.value:.9g}' if last else '',
+        'departure_gap': f'{last.gap:.9g}' if last else '',
         'tight_turns': str(status.tight_turns),
         'recording': status.recording,
     }
@@ -115,8 +120,9 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     changed = '; '.join(filter(None, (
         status.stale, _length_warning(status.plan, status.assessment)
     )))
-    warning = (changed or _gap_warning(status.plan) or _counting_gap_warning(status.plan)
-               or _tight_turns_warning(status.tight_turns) or _bottleneck_warning(status.plan))
+    warning = (changed or status.late_start or _gap_warning(status.plan)
+               or _counting_gap_warning(status.plan) or _tight_turns_warning(status.tight_turns)
+               or _bottleneck_warning(status.plan))
     if warning:
         return DiagnosticStatus.WARN, OK_CODE, f'{status.state}; {warning}'
     return DiagnosticStatus.OK, OK_CODE, status.state

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 from uuid import uuid4
@@ -30,7 +32,7 @@ from .displayed_plan import DisplayedPlan
 from .error_codes import GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
-from .plan_cache import CachedPlan, PlanCache
+from .plan_cache import CachedPlan, Fit, PlanCache
 from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
@@ -47,14 +49,16 @@ INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 li
 
 @dataclass(eq=False)
 class _Pending:
-    """A departure that has been requested."""
+    """A requested departure; the ``client`` is '' if it cannot be told from others."""
 
     call: ServiceCall
     trip_request: TripRequest
     parameters: NodeParameters
     begin_ns: int
+    client: str
     departure: Future[Departure] = field(default_factory=Future)
     solves: int = 0
+    asked: Trip | None = None  # as the last solve was asked for
 
 
 class Dispatcher:
@@ -75,6 +79,7 @@ class Dispatcher:
                                           _shutting_down)
         self._displayed = DisplayedPlan(self._plans, inputs, publishers, reporter, clock,
                                         self._departures)
+        self._waiting: list[_Pending] = []
         self._count = 0
         self._shutdown_began: float | None = None
         self._paused = True
@@ -130,12 +135,16 @@ class Dispatcher:
             self._review_queued = True
             self._departures.submit(self._review)
 
-    def depart(self, call: ServiceCall, trip_request: TripRequest) -> Future[Departure]:
-        """Depart on a trip, unless the returned future is cancelled before the route is drawn."""
+    def depart(self, call: ServiceCall, trip_request: TripRequest,
+               client: str = '') -> Future[Departure]:
+        """Depart on a trip, unless the returned future is cancelled before the route is drawn.
+
+        It fails with SolveCancelled if the same ``client`` asks for another goal before that.
+        """
         parameters = self._settings.agreeing()
         self._refuse_unheard(call)
-        pending = _Pending(call, trip_request, parameters, self._now())
-        self._departures.submit(lambda: self._try(pending), pending.departure)
+        pending = _Pending(call, trip_request, parameters, self._now(), client)
+        self._departures.submit(lambda: self._begin(pending), pending.departure)
         return pending.departure
 
     def answered(self, departure: Departure, response: Any) -> None:
@@ -168,6 +177,19 @@ class Dispatcher:
         """Cancel all solves, running and waiting; return their number."""
         return self._plans.cancel()
 
+    def _begin(self, pending: _Pending) -> None:
+        """Refuse the client's waiting requests for other goals, and try to depart."""
+        self._waiting = [each for each in self._waiting if not each.departure.done()]
+        for older in self._waiting:
+            same = pending.trip_request.leads_to(older.trip_request)
+            if pending.client == older.client != '' and not same:
+                with suppress(InvalidStateError):  # it has been cancelled
+                    older.departure.set_exception(SolveCancelled(
+                        'a newer request for another goal has replaced this one'
+                    ))
+        self._waiting.append(pending)
+        self._try(pending)
+
     def _try(self, pending: _Pending, solved: CachedPlan | None = None) -> None:
         """Depart on a suitable plan, or have one solved and try again with it."""
         if pending.departure.cancelled():
@@ -175,15 +197,14 @@ class Dispatcher:
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        suits = solved is not None and solved.suits(trip, parameters)
-        cached = solved if suits else self._plans.find(trip, parameters)
-        if cached is not None:
-            self._leave(cached, trip, pending)
+        fit = solved and _fit(solved, trip, pending) or self._plans.find(trip, parameters)
+        if fit is not None:
+            self._leave(fit, pending)
         else:
-            self._try_after(self._plans.plan_for(trip, parameters), pending)
+            self._try_after(self._plans.plan_for(trip, parameters), trip, pending)
 
-    def _try_after(self, solve: Future[CachedPlan], pending: _Pending) -> None:
-        pending.solves += 1
+    def _try_after(self, solve: Future[CachedPlan], trip: Trip, pending: _Pending) -> None:
+        pending.solves, pending.asked = pending.solves + 1, trip
         if pending.solves > _MOST_SOLVES:
             raise GroundChanges(
                 f'{_MOST_SOLVES} solves were out of date before they were done: the map or the '
@@ -199,12 +220,11 @@ class Dispatcher:
         solve.add_done_callback(
             lambda done: self._departures.submit(lambda: use(done.result()), result)
         )
-        result.add_done_callback(
-            lambda done: self._plans.withdraw(solve) if done.cancelled() else None
-        )
+        result.add_done_callback(lambda _: self._plans.withdraw(solve))
 
-    def _leave(self, cached: CachedPlan, trip: Trip, pending: _Pending) -> None:
+    def _leave(self, fit: Fit, pending: _Pending) -> None:
         """Draw a route, publish its path, and complete the departure."""
+        cached, trip = fit.cached, fit.trip
         self._recordings.wait_for_room()
         self._refuse_unless_active()
         self._refuse_unheard(pending.call)
@@ -217,9 +237,9 @@ class Dispatcher:
         source = route_entropy_source(parameters.seed, number)
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.begin_ns, self._now())
-        drawn = draw_path(cached, trip, source, parameters.path_spacing)
+        drawn = draw_path(fit, source, parameters.path_spacing)
         if drawn is None:
-            self._try_after(self._plans.solve(trip, parameters), pending)
+            self._try_after(self._plans.solve(trip, parameters), trip, pending)
             return
         if not pending.departure.set_running_or_notify_cancel():
             return
@@ -229,11 +249,13 @@ class Dispatcher:
         published = self._publish_path(path, pending)
         self._count = number
         tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
-        report, trouble = self._reporter.departed(number, departure_id, tight)
+        late_start = fit.note if fit.late_by else ''
+        report, trouble = self._reporter.departed(number, departure_id, tight, fit.assessment,
+                                                  late_start)
         pending.departure.set_result(Departure(
-            departure_id, number, pending.call, trip, parameters, cached, source, route, path,
-            published, (*self._displayed.markers, report), pending.begin_ns,
-            max(leaving, self._now()), trouble,
+            departure_id, number, pending.call, trip, parameters, cached, fit.joined is not None,
+            source, route, path, published, (*self._displayed.markers, report), pending.begin_ns,
+            max(leaving, self._now()), '; '.join(filter(None, (fit.note, trouble))),
         ))
 
     def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:
@@ -272,6 +294,20 @@ class Dispatcher:
             self._logger.error(f'recording: {for_the_log(error)}')
         if options == self._settings.current.recording:
             self._reporter.recording(True, error)
+
+
+def _fit(solved: CachedPlan, trip: Trip, pending: _Pending) -> Fit | None:
+    """Return how to depart on a plan that was solved for a request, if that is possible.
+
+    From where the convoy is now or, without a clear way onto the routes, where it was when asked.
+    """
+    if fit := solved.fit(trip, pending.parameters):
+        return fit
+    asked = pending.asked
+    if asked is None or not trip.moves or asked.map.frame != trip.map.frame:
+        return None
+    fit = solved.fit(replace(asked, map=trip.map), pending.parameters)
+    return fit and replace(fit, late_by=math.dist(asked.start_xy, trip.start_xy))
 
 
 def _shutting_down() -> SolveCancelled:

@@ -85,7 +85,7 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (QueueFull, 'BUSY'),
     (NotActive, 'INACTIVE'),
     (InvalidPlanner, 'INVALID_PLANNER'),
-    (GroundChanges, 'NO_VALID_PATH'),
+    (GroundChanges, 'OUT_OF_DATE'),
     (WorkerFailed, 'WORKER_FAILED'),
     (RecordingFailed, 'RECORDING_FAILED'),
 )

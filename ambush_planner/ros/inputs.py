@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import NoReturn
 
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
 from ..errors import InvalidPose, InvalidRiskMap
-from ..maps.ros_messages import position_from_ros
+from ..maps.ros_messages import pose_from_ros, position_from_ros
 from ..planning.node_parameters import RobotOptions
 from ..recordings import type_name
 from .conversions import pose_to_ros
-from .current_map import CurrentMap, ReceivedMessage, map_from, updated_map
+from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
 from .error_codes import NoGoal, NoMap, NoStart
+from .parameter_changes import NodeSettings
 from .qos import LATEST
 from .transforms import FrameTransforms
 
@@ -35,10 +37,20 @@ class TripRequest:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
 
+    def leads_to(self, other: TripRequest) -> bool:
+        """Whether two requests have the same goal and stops."""
+        one, two = self.goal.message, other.goal.message
+        stops = [each.via.message.poses if each.via else [] for each in (self, other)]
+        return (one.header.frame_id == two.header.frame_id and one.pose == two.pose
+                and stops[0] == stops[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Trip:
-    """A trip request located on a map; poses and positions [m] are in the map's frame."""
+    """A trip request located on a map; poses and positions [m] are in the map's frame.
+
+    The start ``moves`` if it was given in another frame, such as the robot's.
+    """
 
     map: CurrentMap
     start: ReceivedMessage
@@ -50,6 +62,7 @@ class Trip:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
+    moves: bool = False
 
 
 class Inputs:
@@ -64,39 +77,65 @@ class Inputs:
     ----------
     start, goal, via
         Where later departures begin and lead, and their stops in order; None: not given.
+    with_costmap
+        Whether a costmap is waited for, too.
     """
 
-    def __init__(self, transforms: FrameTransforms, start_topic: str) -> None:
+    def __init__(self, transforms: FrameTransforms, start_topic: str,
+                 settings: NodeSettings) -> None:
         self._transforms, self._start_topic = transforms, start_topic
+        self._settings = settings
+        self.with_costmap = bool(settings.current.values['map.costmap'])
+        self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
+        if self.with_costmap:
+            self._arrived['costmap'] = None
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
         self.via: ReceivedMessage | None = None
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
-    def accept_map(self, received: ReceivedMessage) -> CurrentMap:
-        """Make a map the current one and return it; an equal map changes nothing.
+    def accept_map(self, topic: str, received: ReceivedMessage) -> CurrentMap | None:
+        """Take a map, or a map_msgs/OccupancyGridUpdate of one; return the current map, if any.
 
-        Raises InvalidRiskMap if the map is malformed; the previous one stays.
+        Raises InvalidRiskMap if it is malformed or does not fit the map, NoMap if there is none to
+        update, and FrameMismatch if a costmap cannot be transformed into the risk map's frame. The
+        current map then stays.
         """
+        present = self._arrived[topic]
+        if not isinstance(received.message, OccupancyGrid):
+            self._arrived[topic] = updated_map(present or self._no_map(), received.message)
+            return self.join_maps()
         try:
-            new = map_from(received)
+            self._arrived[topic] = map_from(received)
         except InvalidRiskMap as error:
             self._refused = error
             raise
-        return self._replace_map(new)
+        return self.join_maps()
 
-    def update_map(self, update: Any) -> CurrentMap:
-        """Change the cells that a map_msgs/OccupancyGridUpdate gives, and return the map.
+    def join_maps(self) -> CurrentMap | None:
+        """Put the costmap's obstacles, if it is wanted, on the risk map; return the current map.
 
-        Raises NoMap if no map has arrived, and InvalidRiskMap if the update does not fit the map,
-        which stays as it was.
+        A map equal to the current one changes nothing. Raises FrameMismatch.
         """
-        return self._replace_map(updated_map(self.current_map(), update))
+        new, costmap = self._arrived['alpha_map'], self._arrived.get('costmap')
+        if new is None or None in self._arrived.values():
+            return None
+        if costmap is not None:
+            values, header = self._settings.current, Header(frame_id=costmap.frame)
+            origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
+            there = self._transforms.to_frame(origin, 'the costmap', new.frame,
+                                              values.robot.max_age)
+            costmap = replace(costmap, origin=pose_from_ros(there.pose))
+            new = joined_map(new, costmap, values.occupancy.unknown_alpha < 0.0)
+        if self._map is None or not self._map.same_map(new):
+            self._map = new
+        self._refused = None
+        return self._map
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        inputs = {'alpha_map': self._map, 'start_pose': self.start or robot.frame,
+        inputs = {**self._arrived, 'start_pose': self.start or robot.frame,
                   'goal_pose': self.goal}
         return tuple(name for name, given in inputs.items() if not given)
 
@@ -116,10 +155,14 @@ class Inputs:
 
     def current_map(self) -> CurrentMap:
         """Return the current map; raises NoMap if no map has arrived."""
-        if self._map is None:
-            why = f'; the last one was refused: {self._refused}' if self._refused else ''
-            raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
-        return self._map
+        return self._map or self._no_map()
+
+    def _no_map(self) -> NoReturn:
+        if self._arrived['alpha_map'] is not None:
+            raise NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
+                        'costmap, or set map.costmap to false')
+        why = f'; the last one was refused: {self._refused}' if self._refused else ''
+        raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
 
     def locate(self, request: TripRequest, robot: RobotOptions) -> Trip:
         """Locate a trip on the current map, by the transforms of this moment.
@@ -132,11 +175,13 @@ class Inputs:
         goal_pose = self._transforms.to_frame(
             request.goal.message, 'goal', present.frame, robot.max_age
         )
+        at_robot = start is not request.start
         return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
                     goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
                     goal_xy=position_from_ros(goal_pose, 'goal'),
                     goal_tolerance=request.goal_tolerance, via=request.via,
-                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age))
+                    stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
+                    moves=at_robot or start.message.header.frame_id != present.frame)
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:
@@ -159,12 +204,6 @@ class Inputs:
                  for number, pose in enumerate(via.message.poses, start=1)}
         return tuple(position_from_ros(self._transforms.to_frame(given, name, frame, max_age), name)
                      for name, given in stops.items())
-
-    def _replace_map(self, new: CurrentMap) -> CurrentMap:
-        if self._map is None or not self._map.same_map(new):
-            self._map = new
-        self._refused = None
-        return self._map
 
 
 def robot_pose(robot: RobotOptions) -> PoseStamped | None:

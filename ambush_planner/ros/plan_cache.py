@@ -11,9 +11,9 @@ from threading import RLock
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
-from ..planning.changed_ground import ChangedGround
+from ..planning.changed_ground import Assessment, ChangedGround
+from ..planning.moved_start import REGION, JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
-from ..planning.options import start_tolerance
 from ..planning.plan import Plan, PlanRequest
 from ..planning.solving import WarmStart
 from ..worker.solve_queue import SolveQueue
@@ -53,16 +53,35 @@ class CachedPlan:
         distance = _distance(self.trip, trip)
         if distance > self.plan.start_tolerance:
             return False
-        assessment = self.ground.assess(trip.map)
-        if not assessment.allows_departure(parameters.max_gap, self.plan.strategy.gap):
+        if not self._allows_departure(trip, parameters):
             return False
         return distance == 0.0 or self._connects(trip)
+
+    def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+        """Return how one can depart on this plan for a trip, if at all."""
+        if self.suits(trip, parameters):
+            return Fit(self, trip)
+        joined = self._joined(trip, parameters)
+        return Fit(self, trip, joined) if joined else None
+
+    def _joined(self, trip: Trip, parameters: NodeParameters) -> JoinedPlan | None:
+        """Return the plan from where a convoy that moves is now, if its routes can be joined."""
+        if not (trip.moves and trip.map.same_ground(self.trip.map)
+                and self._is_for(trip, parameters) and _goal(self.trip) == _goal(trip)):
+            return None
+        if not self._allows_departure(trip, parameters):
+            return None
+        return joined_plan(self.ground, trip.map, self.ends(trip))
 
     def answers(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether the plan is for exactly this trip, perhaps on another map."""
         return (self.trip.start_xy == trip.start_xy
                 and _goal(self.trip) == _goal(trip)
                 and self._is_for(trip, parameters))
+
+    def _allows_departure(self, trip: Trip, parameters: NodeParameters) -> bool:
+        assessment = self.ground.assess(trip.map)
+        return assessment.allows_departure(parameters.max_gap, self.plan.strategy.gap)
 
     def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
         return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
@@ -94,6 +113,34 @@ class CachedPlan:
 
 
 @dataclass(frozen=True, eq=False)
+class Fit:
+    """A plan that one can depart on for a trip: as it is, or ``joined`` from where the convoy is.
+
+    ``late_by`` is the distance of the convoy from the start of the trip, which is where it was when
+    it asked [m].
+    """
+
+    cached: CachedPlan
+    trip: Trip
+    joined: JoinedPlan | None = None
+    late_by: float = 0.0
+
+    @property
+    def assessment(self) -> Assessment:
+        """What a departure is worth on the trip's map."""
+        return self.joined.assessment if self.joined else self.cached.ground.assess(self.trip.map)
+
+    @property
+    def note(self) -> str:
+        """What whoever departs should know about the start; '' if there is nothing."""
+        worth = f'value {self.assessment.value:.4g}, bound {self.assessment.lower_bound:.4g}'
+        if self.late_by:
+            return ('the path begins where the convoy was when asked, for lack of a clear way '
+                    f'from where it is, {self.late_by:.3g} m away: {worth}')
+        return f'the path joins the route of an earlier start: {worth}' if self.joined else ''
+
+
+@dataclass(frozen=True, eq=False)
 class _Pending:
     """A solve that waits or runs."""
 
@@ -117,14 +164,20 @@ class PlanCache:
         """Whether a solve runs or waits."""
         return self._queue.busy
 
-    def find(self, trip: Trip, parameters: NodeParameters) -> CachedPlan | None:
-        """Return the nearest plan that suits the trip, if any."""
+    def find(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+        """Return the nearest plan that suits the trip, or one whose routes can be joined, if any.
+
+        Joining must not raise its value by more than ``strategy.max_gap``.
+        """
         with self._lock:
-            suitable = [each for each in self._plans if each.suits(trip, parameters)]
-            if not suitable:
+            all_fits = [each.fit(trip, parameters) for each in reversed(self._plans)]
+            fits = [each for each in all_fits if each and (
+                not each.joined or each.assessment.value
+                <= (1.0 + parameters.max_gap) * each.cached.plan.strategy.value)]
+            if not fits:
                 return None
-            nearest = min(reversed(suitable), key=lambda each: _distance(each.trip, trip))
-            self._keep(nearest)
+            nearest = min(fits, key=lambda each: _distance(each.cached.trip, trip))
+            self._keep(nearest.cached)
             return nearest
 
     def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[CachedPlan]:
@@ -135,7 +188,7 @@ class PlanCache:
         """
         with self._lock:
             if (found := self.find(trip, parameters)) is not None:
-                return completed(found)
+                return completed(found.cached)
             for each in self._pending:
                 if not each.solve.done() and _will_suit(each, trip, parameters):
                     return self._submit(each.trip, each.parameters, background=False)
@@ -222,11 +275,13 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     other, used = pending.trip, pending.parameters
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
+    near = _distance(other, trip) <= start_tolerance(parameters.planning, spacing)
+    if trip.moves and _goal(other) == _goal(trip):
+        near = near or math.dist(other.start_xy, trip.start_xy) <= REGION * spacing
     return (trip.map.same_ground(other.map)
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
-            and other.goal_tolerance == trip.goal_tolerance
-            and _distance(other, trip) <= start_tolerance(parameters.planning, spacing))
+            and other.goal_tolerance == trip.goal_tolerance and near)
 
 
 def _goal(trip: Trip) -> tuple[_Position, float]:

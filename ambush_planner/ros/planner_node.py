@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import signal
 import sys
@@ -21,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
 from ..planning.node_parameters import NodeParameters
-from .compute_path import ComputePath
+from .compute_path import ACTIONS, ComputePath
 from .departure_record import software_versions
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
@@ -38,6 +39,9 @@ NODE_NAME = 'ambush_planner'
 _REPORT_PERIOD = 1.0  # of the diagnostics [s]
 _SPIN_PERIOD = 0.25  # time until a signal is noticed if nothing else happens [s]
 _LAST_ANSWERS_TIME = 0.5  # for which the node stays to send its last answers [s]
+_SWITCH_INTERVAL = 0.001  # after which Python lets another thread run [s]
+_KEPT_MEMORY = 256 * 2**20  # free memory that is not given back to the system at once [bytes]
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # from glibc's malloc.h
 _HELP_EPILOG = """topics, services, actions and parameters: docs/ros_interface.md, or
   ros2 node info /ambush_planner; ros2 param describe /ambush_planner NAME"""
 
@@ -90,8 +94,9 @@ class PlannerNode(LifecycleNode):
         self._reporter.recording(self._settings.current.recording.enabled)
         requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
                             lambda: _configured(self._inputs), self._settings)
-        action = ComputePath(self, self._error_boundary, requests, self._settings)
-        self._closing.callback(action.close)
+        for name in ACTIONS:
+            action = ComputePath(self, self._error_boundary, requests, self._settings, name)
+            self._closing.callback(action.close)
         self._closing.callback(lambda: self._configured.close())
         # A steady clock: diagnostics go on while simulated time is paused.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -147,7 +152,8 @@ class PlannerNode(LifecycleNode):
             made.callback(publishers.close)
             transforms = FrameTransforms(self)
             made.callback(transforms.close)
-            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'))
+            self._inputs = Inputs(transforms, self.resolve_topic_name('start_pose'),
+                                  self._settings)
             self._dispatcher = Dispatcher(self._settings, self._inputs, publishers, self._reporter,
                                           self.get_clock(), self.get_logger())
             made.callback(self._dispatcher.close)
@@ -202,6 +208,7 @@ class PlannerNode(LifecycleNode):
     def _report(self) -> None:
         listening = self._topic_subscriptions
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
+        self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._reporter.report()
 
 
@@ -213,6 +220,18 @@ def _configured(part: _Part | None) -> _Part:
             '(ros2 lifecycle set)'
         )
     return part
+
+
+def _answer_while_maps_arrive() -> None:
+    """Shorten the time for which other threads hold the interpreter's lock.
+
+    rclpy copies maps under it, in a third of the time if freed memory is used again.
+    """
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    with suppress(AttributeError):  # not glibc
+        mallopt = ctypes.CDLL(None).mallopt
+        for option in _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD:
+            mallopt(option, _KEPT_MEMORY)
 
 
 def check_arguments(arguments: list[str] | None) -> None:
@@ -251,6 +270,7 @@ def main(args: list[str] | None = None) -> int:
         # The objects made so far live as long as the node: scanning them takes 50 ms each time.
         gc.collect()
         gc.freeze()
+        _answer_while_maps_arrive()
         while rclpy.ok() and not stop.is_set():
             executor.spin_once(timeout_sec=_SPIN_PERIOD)
     except ExternalShutdownException:

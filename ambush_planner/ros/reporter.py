@@ -10,6 +10,7 @@ from typing import Any
 
 from rclpy.clock import Clock
 
+from ..planning.changed_ground import Assessment
 from ..recordings import RecordedMessage
 from .diagnostics import Status, status_to_ros
 from .publishers import Publishers
@@ -71,15 +72,18 @@ class Reporter:
 
         self._change(change)
 
-    def departed(self, number: int, departure_id: str,
-                 tight_turns: int) -> tuple[RecordedMessage, str]:
+    def departed(self, number: int, departure_id: str, tight_turns: int, worth: Assessment,
+                 late_start: str) -> tuple[RecordedMessage, str]:
         """Report a departure; return the report, and what is wrong with the recording, if anything.
+
+        ``worth`` is its assessment, and ``late_start`` says why it begins where the convoy was.
 
         Both come from one status, so the answer and the recorded diagnostics agree.
         """
         with self._lock:
             self._status = replace(self._status.without_problem('request'), departures=number,
-                                   departure_id=departure_id, tight_turns=tight_turns)
+                                   departure_id=departure_id, tight_turns=tight_turns,
+                                   departure_worth=worth, late_start=late_start)
             problem = self._status.problems.get('recording')
             return self.report(), problem.message if problem else ''
 

@@ -9,6 +9,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
 
+from geometry_msgs.msg import PoseArray
 from nav_msgs.srv import GetPlan
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
 from rclpy.node import Node
@@ -50,18 +51,20 @@ class Requests:
         self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
                     _cancel_response, MutuallyExclusiveCallbackGroup())
 
-    def start_plan(self, request: GetPlan.Request) -> Future[Departure]:
-        """Start a departure between the poses of a request."""
+    def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
+                   client: str = '') -> Future[Departure]:
+        """Start a departure between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
         self._inputs().current_map()
-        start, goal = (
+        start, goal, via = (
             # As if they had arrived on the topics.
             ReceivedMessage(self._node.resolve_topic_name(topic), type_name(pose), pose, LATEST)
-            for topic, pose in (('start_pose', request.start), ('goal_pose', request.goal))
+            for topic, pose in (('start_pose', request.start), ('goal_pose', request.goal),
+                                ('via_poses', stops or PoseArray()))
         )
-        return self._depart(GetPlan, '~/get_plan', request,
-                            TripRequest(start, goal, request.tolerance))
+        trip = TripRequest(start, goal, request.tolerance, via if stops else None)
+        return self._depart(GetPlan, '~/get_plan', request, trip, client)
 
     def answered(self, departure: Departure, response: Any) -> None:
         """Log and record a departure that has been answered."""
@@ -99,21 +102,21 @@ class Requests:
         )
 
     def _start_new_route(self, request: Trigger.Request) -> Future[Departure]:
-        return self._depart(Trigger, '~/new_route', request, self._latest_trip())
+        return self._depart(Trigger, '~/new_route', request, self._latest_trip(), 'topics')
 
-    def _depart(self, kind: Any, service: str, request: Any,
-                trip: TripRequest) -> Future[Departure]:
+    def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
+                client: str) -> Future[Departure]:
         call = ServiceCall(kind, self._node.resolve_service_name(service), request)
-        return self._dispatcher().depart(call, trip)
+        return self._dispatcher().depart(call, trip, client)
 
     def _latest_trip(self) -> TripRequest:
         return self._inputs().latest(self._settings.current.robot)
 
     def _new_route_response(self, departure: Departure) -> Trigger.Response:
         path = self._node.resolve_topic_name('path')
-        trouble = f'; {departure.trouble}' if departure.trouble else ''
+        remarks = f'; {departure.remarks}' if departure.remarks else ''
         return _success(
-            f'departure {departure.number} ({departure.id}) is published on {path}{trouble}'
+            f'departure {departure.number} ({departure.id}) is published on {path}{remarks}'
         )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,41 +21,49 @@ from .current_map import CurrentMap, ReceivedMessage
 from .error_boundary import ErrorBoundary
 from .error_codes import UnreadableMessage
 from .inputs import Inputs
+from .listener import Listener
 from .qos import LATCHED, LATEST, UPDATES
 
 # Minimum time between two log lines about changes of one map [s].
 _MAP_LOG_PERIOD = 10.0
+# Age from which a costmap counts as stopped, and how often its place is looked up again [s].
+_STOPPED, _JOIN_PERIOD = 5.0, 1.0
 
 
 class Subscriptions:
     """The subscriptions of ``node``.
 
-    ``pose_accepted`` is called after each start, goal and array of stops, ``map_accepted`` after
-    each map and each update of one.
+    ``pose_accepted`` is called after each start, goal and array of stops; ``map_accepted`` after
+    each map and each update of one, in the thread that receives maps: nothing else waits for them.
     """
 
     def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
                  pose_accepted: Callable[[], None], map_accepted: Callable[[], None]) -> None:
         self._node, self._error_boundary = node, error_boundary
         self._subscriptions: list[Subscription] = []
+        self._maps = Listener(node, 'map')
+        self._arrived: dict[str, float] = {}
         self._map_topic = node.resolve_topic_name('alpha_map')
         self._logged_map: CurrentMap | None = None
 
-        def accept_map(received: ReceivedMessage) -> None:
-            self._log_map(inputs.accept_map(received))
-            map_accepted()
-
-        def update_map(received: ReceivedMessage) -> None:
-            inputs.update_map(received.message)
+        def accept_map(topic: str, received: ReceivedMessage) -> None:
+            self._arrived[topic] = time.monotonic()
+            self._log_map(inputs.accept_map(topic, received))
             map_accepted()
 
         def accept(role: str, received: ReceivedMessage | None) -> None:
             setattr(inputs, role, received)
             pose_accepted()
 
-        self._subscribe(OccupancyGrid, 'alpha_map', LATCHED, accept_map)
-        if (update_type := installed_type('map_msgs.msg', 'OccupancyGridUpdate')) is not None:
-            self._subscribe(update_type, 'alpha_map_updates', UPDATES, update_map)
+        update_type = installed_type('map_msgs.msg', 'OccupancyGridUpdate')
+        for topic in ('alpha_map', *(('costmap',) if inputs.with_costmap else ())):
+            use = partial(accept_map, topic)
+            self._subscribe(OccupancyGrid, topic, LATCHED, use)
+            if update_type is not None:
+                self._subscribe(update_type, f'{topic}_updates', UPDATES, use)
+        if inputs.with_costmap:  # its transform may come later, or change
+            self._maps.every(_JOIN_PERIOD,
+                             lambda: error_boundary.attempt('costmap', 'map', inputs.join_maps))
         self._subscribe(PoseStamped, 'start_pose', LATEST, partial(accept, 'start'))
         self._subscribe(PoseStamped, 'goal_pose', LATEST, partial(accept, 'goal'))
         self._subscribe(
@@ -62,6 +72,7 @@ class Subscriptions:
         )
         self._subscribe(PoseWithCovarianceStamped, 'initialpose', LATEST,
                         lambda received: accept('start', _without_covariance(received)))
+        self._maps.start()
 
     def volatile_map_warning(self) -> str:
         """Return a warning if a map is published without the durability asked for, else ''."""
@@ -75,14 +86,23 @@ class Subscriptions:
             'so no map arrives from there: publish it transient local'
         )
 
+    def costmap_warning(self) -> str:
+        """Return a warning if a costmap no longer comes, else ''."""
+        age = time.monotonic() - self._arrived.get('costmap', math.inf)
+        if age <= _STOPPED:
+            return ''
+        return (f'the costmap is {age:.0f} s old: obstacles since then are missing; check that '
+                f'{self._node.resolve_topic_name("costmap")} is still published')
+
     def close(self) -> None:
-        """Destroy the subscriptions."""
+        """Destroy the subscriptions, and wait until no map is being read."""
+        self._maps.close()
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
 
-    def _log_map(self, new: CurrentMap) -> None:
+    def _log_map(self, new: CurrentMap | None) -> None:
         before, self._logged_map = self._logged_map, new
-        if new is before:
+        if new is None or new is before:
             return
         height, width = new.values.shape
         text = (f'map accepted: {width} x {height} cells of {new.resolution:.3g} m in the frame '
@@ -96,16 +116,20 @@ class Subscriptions:
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:
         name = self._node.resolve_topic_name(topic)
-        concern = 'map' if topic.startswith('alpha_map') else 'request'
+        is_map = topic.startswith(('alpha_map', 'costmap'))
+        concern = 'map' if is_map else 'request'
 
         def receive(data: bytes) -> None:
             self._error_boundary.attempt(name, concern,
                                          lambda: use(_deserialised(kind, name, data, qos)))
 
         # Raw: unreadable bytes would end the executor, and recordings keep the bytes that arrived.
-        self._subscriptions.append(
-            self._node.create_subscription(kind, topic, receive, qos, raw=True)
-        )
+        if is_map:
+            self._maps.subscribe(kind, topic, receive, qos, raw=True)
+        else:
+            self._subscriptions.append(
+                self._node.create_subscription(kind, topic, receive, qos, raw=True)
+            )
 
 
 def _deserialised(kind: type, topic: str, data: bytes, qos: QoSProfile) -> ReceivedMessage:

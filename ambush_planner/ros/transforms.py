@@ -3,31 +3,26 @@
 from __future__ import annotations
 
 from functools import partial
-from threading import Event, Thread
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from ..maps.ros_messages import position_from_ros
-from ..worker.solve_errors import for_the_log, unexpected
 from .conversions import installed_type
 from .error_codes import FrameMismatch
+from .listener import Listener
 from .qos import TF, TF_STATIC
 from .tf_buffer import Found, Rigid, StampedTransform, TransformBuffer, TransformUnknown
 
 # Maximum length of a frame's name in messages [characters].
 _LONGEST_SHOWN = 80
-# Time until the end of the context is noticed if nothing else happens [s].
-_SPIN_PERIOD = 0.25
 
 
 class FrameTransforms:
@@ -93,54 +88,25 @@ class FrameTransforms:
 
 
 class _TfListener:
-    """Fills a buffer in a thread with a node and an executor of its own, as tf2_ros does.
-
-    Frequent transforms then do not wake the planner's executor, which has many entities to check.
-    The thread ends with ``close`` or with the node's context.
-    """
+    """Fills a buffer in a thread of its own."""
 
     def __init__(self, node: Node, buffer: TransformBuffer, tf_message: type) -> None:
-        self._buffer, self._logger = buffer, node.get_logger()
+        self._buffer = buffer
         # When a simulation or a bag restarts, old transforms would stay the latest ones.
         self._jumps = node.get_clock().create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=Duration(seconds=-1),
                           on_clock_change=True),
             post_callback=lambda _: buffer.clear(),
         )
-        self._node = Node(
-            f'_{node.get_name()}_tf', context=node.context, namespace=node.get_namespace(),
-            # Command line arguments belong to the planner's node, which resolves the names.
-            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-            parameter_overrides=[Parameter('use_sim_time', value=False)],
-        )
+        self._listener = Listener(node, 'tf')
         for topic, qos, static in (('/tf', TF, False), ('/tf_static', TF_STATIC, True)):
-            name, receive = node.resolve_topic_name(topic), partial(self._receive, static)
-            self._node.create_subscription(tf_message, name, receive, qos)
-        self._executor = SingleThreadedExecutor(context=node.context)
-        self._executor.add_node(self._node)
-        self._closed = Event()
-        self._thread = Thread(target=self._spin, name=self._node.get_name(), daemon=True)
-        self._thread.start()
+            self._listener.subscribe(tf_message, topic, partial(self._receive, static), qos)
+        self._listener.start()
 
     def close(self) -> None:
         """End the thread; a second call does nothing."""
-        if not self._closed.is_set():
-            self._closed.set()
-            self._executor.wake()
-            self._thread.join()
-            self._jumps.unregister()
-            self._executor.shutdown()
-            self._node.destroy_node()
-
-    def _spin(self) -> None:
-        while self._executor.context.ok() and not self._closed.is_set():
-            try:
-                self._executor.spin_once(timeout_sec=_SPIN_PERIOD)
-            except ExternalShutdownException:
-                return
-            except Exception as error:  # unreadable bytes, for instance
-                self._logger.error(f'TF: {for_the_log(unexpected(error))}',
-                                   throttle_duration_sec=10.0)
+        self._listener.close()
+        self._jumps.unregister()
 
     def _receive(self, static: bool, message: Any) -> None:
         for each in message.transforms:

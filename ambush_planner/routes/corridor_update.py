@@ -6,14 +6,16 @@ The affected strips and quarters are measured again, so the guarantees of ``corr
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..maps.risk_map import RiskMap, to_map_axes
 from .corridor_geometry import CorridorWidths, largest_widths, limit_to_cells, limit_to_map
-from .corridors import Corridors
+from .corridors import Corridors, link_keys
 
 # Radius around a moved end in which nodes are examined [lengths of its longest link].
 SEARCH_RADIUS = 3.0
@@ -44,8 +46,9 @@ def with_new_obstacles(corridors: Corridors, cells: FloatArray, clearance: float
 
 def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], around: RiskMap,
                    corner: FloatArray, clearance: float = 0.0, tube: float | None = None,
-                   clear_of_edge: bool = True) -> Corridors:
-    """Update the corridors after the source or target ``node`` moved slightly.
+                   clear_of_edge: bool = True,
+                   neighbours: IndexArray | None = None) -> Corridors:
+    """Update the corridors after the source or target ``node`` moved.
 
     Parameters
     ----------
@@ -56,7 +59,11 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
         node's links by their length, or by the tube.
     clearance, tube, clear_of_edge
         As the corridors were made with.
+    neighbours : (K,) int
+        The nodes that take the place of those linked with it so far; None: they stay.
     """
+    if neighbours is not None:
+        corridors = _linked(corridors, node, neighbours, tube is None)
     links, uv = corridors.links, corridors.uv.copy()
     uv[node] = to_map_axes(corridors.origin, place)
     at = np.flatnonzero((links == node).any(axis=1))
@@ -66,6 +73,25 @@ def with_moved_end(corridors: Corridors, node: int, place: tuple[float, float], 
     measured = largest_widths(local_uv, pairs, tube)
     measured = limit_to_map(measured, local_uv, pairs, around, clearance, clear_of_edge)
     return _with_widths(replace(corridors, uv=uv), at, measured)
+
+
+def _linked(corridors: Corridors, node: int, neighbours: IndexArray,
+            shortcut: bool) -> Corridors:
+    """Replace all links of a node; the new ones have no width yet."""
+    kept = ~(corridors.links == node).any(axis=1)
+    new = np.stack((np.full(len(neighbours), node), neighbours), axis=1)
+    links = np.concatenate((corridors.links[kept], new, new[:, ::-1]))
+    order = np.lexsort((links[:, 1], links[:, 0]))
+
+    def extended(values: npt.NDArray[Any], fill: float) -> npt.NDArray[Any]:
+        added = np.full((2 * len(new), *values.shape[1:]), fill, values.dtype)
+        return np.concatenate((values[kept], added))[order]
+
+    links = links[order]
+    return replace(corridors, links=links, widths=extended(corridors.widths, 0.0),
+                   beyond=extended(corridors.beyond, 0.0),
+                   shortcut=extended(corridors.shortcut, shortcut),
+                   _keys=link_keys(links, len(corridors.uv)))
 
 
 def _with_widths(corridors: Corridors, links: IndexArray, measured: CorridorWidths) -> Corridors:

@@ -133,10 +133,12 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     beyond = np.concatenate((measured.beyond, measured.beyond[:, ::-1, ::-1]))[order]
     links = links[order]
     return Corridors(network, risk_map.origin, uv, links, widths, beyond,
-                     np.full(len(links), tube is None and most == np.inf), _keys(links, len(uv)))
+                     np.full(len(links), tube is None and most == np.inf),
+                     link_keys(links, len(uv)))
 
 
-def _keys(links: IndexArray, count: int) -> IndexArray:
+def link_keys(links: IndexArray, count: int) -> IndexArray:
+    """Numbers (L,) that order links (L, 2) by tail and head."""
     keys: IndexArray = links[:, 0] * count + links[:, 1]
     return keys
 
@@ -156,7 +158,7 @@ def _with_shortcuts(uv: FloatArray, edges: IndexArray, field: ObstacleField,
 
 def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
     """Pairs (S, 2) of nodes joined by two edges with a sharp turn, but not by an edge."""
-    joined = np.sort(_keys(np.concatenate((edges, edges[:, ::-1])), len(uv)))
+    joined = np.sort(link_keys(np.concatenate((edges, edges[:, ::-1])), len(uv)))
     middle, other = np.divmod(joined, len(uv))
     found = [joined[:0]]
     for k in range(1, int(np.bincount(middle).max(initial=0))):
@@ -164,6 +166,6 @@ def _shortcuts(uv: FloatArray, edges: IndexArray) -> IndexArray:
         ends, between = np.stack((other[same], other[same + k]), axis=1), uv[middle[same]]
         a, b = uv[ends[:, 0]] - between, uv[ends[:, 1]] - between
         sharp = (a * b).sum(axis=1) > -SHORTCUT_COSINE * np.hypot(*a.T) * np.hypot(*b.T)
-        found.append(_keys(ends[sharp], len(uv)))
+        found.append(link_keys(ends[sharp], len(uv)))
     new = np.setdiff1d(np.concatenate(found), joined)
     return np.stack(np.divmod(new, len(uv)), axis=1)

@@ -1,0 +1,55 @@
+"""Obstacles of one map on another: a costmap's on a risk map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from .obstacles import TOUCH
+from .occupancy import OccupancyMap
+from .risk_map import to_map_axes
+
+# Cell value of an obstacle in every map, and of an unknown cell.
+OBSTACLE, UNKNOWN = 100, -1
+
+
+def with_obstacles_of(risk: OccupancyMap, other: OccupancyMap, threshold: int,
+                      unknown: bool) -> OccupancyMap:
+    """Return a risk map with the obstacles of another map in the same frame.
+
+    A cell of the risk map becomes an obstacle if any cell of the other one that lies on it, however
+    little, has at least the value ``threshold``, or is not known if ``unknown``. If the maps are
+    rotated against each other, the rectangle around the rotated cell counts. Ground that the other
+    map does not cover stays as it is.
+    """
+    blocked = (other.values >= threshold) | (unknown & (other.values == UNKNOWN))
+    sums = np.pad(blocked.cumsum(axis=0, dtype=np.int32).cumsum(axis=1), ((1, 0), (1, 0)))
+    rows, columns = (np.arange(count) + 0.5 for count in risk.values.shape)
+    scale = risk.resolution / other.resolution
+    turn = risk.origin[2] - other.origin[2]
+    cosine, sine = scale * math.cos(turn), scale * math.sin(turn)
+    if abs(sine) < TOUCH * scale:
+        sine = 0.0
+    shift = to_map_axes(other.origin, risk.origin[:2]) / other.resolution
+    x, y = columns[None, :], rows[:, None]
+    # Without a rotation, rows and columns broadcast instead of all cells being computed.
+    u = shift[0] + cosine * x - (sine * y if sine else 0.0)
+    v = shift[1] + cosine * y + (sine * x if sine else 0.0)
+    half = (abs(cosine) + abs(sine)) / 2.0
+    ends = [_range(each, half, size) for each, size in
+            zip((v, u), other.values.shape, strict=True)]
+    count = sum((1 - 2 * ((i + j) % 2)) * sums[ends[0][i], ends[1][j]]
+                for i, j in product((0, 1), repeat=2))
+    values = np.where(count > 0, np.int8(OBSTACLE), risk.values)
+    return replace(risk, values=values)
+
+
+def _range(middle: FloatArray, half: float, size: int) -> tuple[IndexArray, IndexArray]:
+    """First cells, and those after the last ones, within ``half`` of places [cells]."""
+    low, high = np.floor(middle - half + TOUCH), np.ceil(middle + half - TOUCH)
+    first, end = (np.clip(each, 0, size).astype(np.int64) for each in (low, high))
+    return first, end

@@ -1,0 +1,124 @@
+"""A plan whose convoy has moved on: its routes, joined from where the convoy is now.
+
+A route is joined at the node where it first leads away from the convoy. The part before that node
+is skipped, and the convoy drives straight to it. Whether an edge leads away depends on the edge
+alone, so the joined routes are those of an acyclic strategy again: on the network whose source is
+the convoy's place, joined to these nodes. Its value is computed like any other, and counts each
+site that can hit the way to the route. Held ground is around the convoy's place instead of the
+planned start.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray, frozen_array
+from ..errors import AmbushPlannerError
+from ..game.certificate import Certificate, hit_bound
+from ..game.game import make_game
+from ..game.hits import worst_loss
+from ..game.route_sampler import entropy, route_entropy
+from ..game.strategy import Strategy, make_budgets
+from ..maps.occupancy import OccupancyMap
+from ..network.network import Network
+from ..routes.driven_path import Ends
+from .changed_ground import LEAST_CLEAR, Assessment, ChangedGround
+from .plan import Plan
+
+# Radius of the region around a plan's start within which its routes are joined [node spacings].
+REGION = 3.0
+
+
+@dataclass(frozen=True, eq=False)
+class JoinedPlan:
+    """A plan from another start, and what it is worth on the newest map.
+
+    Routes and paths are drawn from ``plan`` directly: none of its routes is blocked. The
+    assessment's ``clear_share`` is the share of the original routes that can be joined and driven.
+    """
+
+    plan: Plan
+    assessment: Assessment
+
+
+def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan | None:
+    """Return the plan for a convoy that is at ``ends[0]`` instead of at the planned start [m].
+
+    None if that is further than ``REGION`` from the planned start, if too few routes can be joined
+    by a straight line that is clear on the newest map, or if the strategy has cycles.
+    """
+    plan, network = ground.plan, ground.plan.network
+    if math.dist(ends[0], network.points[network.source].tolist()) > REGION * plan.spacing:
+        return None
+    look = ground.compare(newest)
+    share, p = ground.conditioned.avoiding(look.lost | _through_start_again(network))
+    joins = ground.conditioned.joins(p, _nearing(network, ends[0])) if share else np.zeros(0)
+    at = np.flatnonzero(joins)
+    a, b = np.broadcast_to(ends[0], (len(at), 2)), network.points[at]
+    clear = [(x != y).any() and ground.clear(x[None], y[None], newest)
+             for x, y in zip(a, b, strict=True)]
+    at = at[np.array(clear, dtype=bool)]
+    share *= float(joins[at].sum())
+    if share < LEAST_CLEAR:
+        return None
+    begins = np.zeros(len(joins))
+    begins[at] = joins[at] / joins[at].sum()
+    kept = network.tails != network.source
+    edges = np.column_stack((np.full(len(at), network.source), at))
+    points = network.points.copy()
+    points[network.source % network.place_count::network.place_count] = ends[0]
+    moved = Network(points, look.alpha, np.concatenate((network.edges[kept], edges)),
+                    network.source, network.target, network.legs)
+    flow = np.concatenate((ground.conditioned.flow_from(p, begins)[kept], begins[at]))
+    try:
+        strategy = _valued(ground, newest, moved, flow)
+    except AmbushPlannerError:  # no route within the budgets of length or exposure
+        return None
+    fitted = ground.fitted(newest, ends, np.unique(at % network.place_count))
+    joined = replace(fitted, network=moved, strategy=strategy,
+                     corridors=replace(fitted.corridors, network=moved))
+    return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
+                                         strategy.expected_length, strategy.length_budget))
+
+
+def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
+    """Return the edges (M,) that lead towards a place, and neither to a stop nor to the target."""
+    distance = np.hypot(*(network.points - place).T)
+    ends = np.isin(network.heads, [*network.stops, network.target])
+    return np.asarray((distance[network.heads] < distance[network.tails]) & ~ends)
+
+
+def _through_start_again(network: Network) -> np.ndarray:
+    """Return the edges (M,) by which later legs pass the place of the source."""
+    again = network.places == network.source % network.place_count
+    again[network.source] = False
+    return np.asarray(again[network.edges].any(axis=1))
+
+
+def _valued(ground: ChangedGround, newest: OccupancyMap, network: Network,
+            p: FloatArray) -> Strategy:
+    """Return the strategy p (M,) on another network, with its value and a lower bound there.
+
+    Raises NoRoute or BudgetInfeasible if the best route exceeds a budget.
+    """
+    before = ground.plan.strategy
+    game = make_game(network, before.game.options)
+    budgets = make_budgets(game, ground.plan.options.strategy)
+    prices = [price if budget.binds else 0.0 for price, budget in zip(
+        (before.length_price, before.exposure_price), budgets, strict=True)]
+    value = worst_loss(game, p)
+    bound = min(hit_bound(game, before.ambush_probability, budgets, tuple(prices)), value)
+    value = ground.at_any_cell(Certificate(value, bound), newest, game, p).value
+    length, exposure = budgets
+    return replace(
+        before, game=game, edge_probability=frozen_array(p, np.float64),
+        visit_probability=frozen_array(game.visits(p), np.float64), value=value,
+        lower_bound=bound, gap=value - bound, edge_entropy=entropy(p, np.ones_like(p)),
+        route_entropy=route_entropy(network, p), expected_length=length.mean(p),
+        shortest_length=length.least, length_budget=length.limit,
+        expected_exposure=exposure.mean(p), least_exposure=exposure.least,
+        exposure_budget=exposure.limit, multipliers=None, entropy_gap=math.nan,
+    )

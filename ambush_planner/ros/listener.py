@@ -1,0 +1,74 @@
+"""A node, an executor and a thread of their own for messages that the planner does not wait for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Event, Thread
+from typing import Any
+
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+
+from ..worker.solve_errors import for_the_log, unexpected
+
+# Time until the end of the context is noticed if nothing else happens [s].
+_SPIN_PERIOD = 0.25
+
+
+class Listener:
+    """Receives messages in a thread, as tf2_ros does; ``start`` it after the last ``subscribe``.
+
+    Large or frequent messages then do not keep the planner's executor from answering. Its node,
+    ``_NAME_purpose``, is hidden from ``ros2 node list`` and in the planner's context and enclave.
+    The thread ends with ``close`` or with the context.
+    """
+
+    def __init__(self, node: Node, purpose: str) -> None:
+        self._planner, self._purpose = node, purpose
+        self._node = Node(
+            f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
+            # Command line arguments belong to the planner's node, which resolves the names.
+            use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
+            parameter_overrides=[Parameter('use_sim_time', value=False)],
+        )
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._executor.add_node(self._node)
+        self._closed = Event()
+        self._thread = Thread(target=self._spin, name=self._node.get_name(), daemon=True)
+
+    def subscribe(self, kind: type, topic: str, receive: Callable[[Any], None], qos: QoSProfile,
+                  raw: bool = False) -> None:
+        """Subscribe to a topic by the name that the planner's node gives it."""
+        name = self._planner.resolve_topic_name(topic)
+        self._node.create_subscription(kind, name, receive, qos, raw=raw)
+
+    def every(self, seconds: float, act: Callable[[], object]) -> None:
+        """Act regularly."""
+        self._node.create_timer(seconds, act)
+
+    def start(self) -> None:
+        """Begin to receive."""
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; a second call does nothing."""
+        if not self._closed.is_set():
+            self._closed.set()
+            self._executor.wake()
+            if self._thread.is_alive():
+                self._thread.join()
+            self._executor.shutdown()
+            self._node.destroy_node()
+
+    def _spin(self) -> None:
+        while self._executor.context.ok() and not self._closed.is_set():
+            try:
+                self._executor.spin_once(timeout_sec=_SPIN_PERIOD)
+            except ExternalShutdownException:
+                return
+            except Exception as error:  # unreadable bytes, for instance
+                self._planner.get_logger().error(
+                    f'{self._purpose}: {for_the_log(unexpected(error))}',
+                    throttle_duration_sec=10.0)

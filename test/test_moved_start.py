@@ -1,0 +1,141 @@
+"""A convoy that has moved on: the joined routes' law and value, against enumeration by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ambush_planner.game.game import GameOptions
+from ambush_planner.game.strategy import StrategyOptions
+from ambush_planner.maps.obstacles import ObstacleField
+from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.changed_ground import ChangedGround
+from ambush_planner.planning.moved_start import REGION, joined_plan
+from ambush_planner.planning.options import PlanningOptions
+from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.trip import plan_trip
+
+START, GOAL = (1.0, 3.0), (9.0, 3.0)
+
+
+def ground_on(values, radius=0.0, stops=(), spacing=1.1, **strategy):
+    """A plan across a map of 10 m x 6 m, in which -1 and 100 are obstacles."""
+    grid = OccupancyMap(values, 0.25)
+    options = PlanningOptions(NetworkOptions(spacing=spacing), GameOptions(ambush_radius=radius),
+                              StrategyOptions(**strategy))
+    plan = plan_trip(risk_map_from_occupancy(values, 0.25), START, GOAL, options, stops=stops)
+    return ChangedGround(plan, grid, OccupancyOptions()), grid
+
+
+def all_routes(strategy):
+    """Each route of an acyclic strategy with its probability."""
+    network, p = strategy.network, strategy.edge_probability
+    leaving = {}
+    for (tail, head), flow in zip(network.edges.tolist(), p.tolist(), strict=True):
+        if flow > 0.0:
+            leaving.setdefault(tail, []).append((head, flow))
+    found, open_ends = {}, [((network.source,), 1.0)]
+    while open_ends:
+        route, chance = open_ends.pop()
+        if route[-1] == network.target:
+            found[route] = chance
+            continue
+        total = sum(flow for _, flow in leaving[route[-1]])
+        open_ends += [((*route, head), chance * flow / total) for head, flow in leaving[route[-1]]]
+    return found
+
+
+def joined_by_hand(network, route, place):
+    """The route from the first node on that is further from the place than the one before."""
+    away = np.hypot(*(network.points[list(route)] - place).T)
+    k = next(k for k in range(1, len(route))
+             if away[k] >= away[k - 1] or k == len(route) - 1 or route[k] in network.stops)
+    return (network.source, *route[k:])
+
+
+def loss_by_hand(network, route, site, place, radius):
+    """Whether a route that begins at the place comes within the radius of a site."""
+    points = network.points[list(route)]
+    points[0] = place
+    for a, b in zip(points[:-1], points[1:], strict=True):
+        t = np.clip((site - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        if np.hypot(*(a + t * (b - a) - site)) <= radius:
+            return True
+    return False
+
+
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**31), angle=st.floats(0.0, 6.28), away=st.floats(0.05, 0.95),
+       radius=st.sampled_from([0.0, 1.2]))
+def test_law_and_value_are_those_of_the_joined_routes(seed, angle, away, radius):
+    values = np.random.default_rng(seed).integers(0, 60, (24, 40), dtype=np.int8)
+    ground, grid = ground_on(values, radius, spacing=1.9)
+    network, distance = ground.plan.network, away * REGION * ground.plan.spacing
+    place = (START[0] + distance * math.cos(angle), START[1] + distance * math.sin(angle))
+    joined = joined_plan(ground, grid, (place, GOAL))
+    if joined is None:
+        assert not (0.0 < place[0] < 10.0 and 0.0 < place[1] < 6.0), 'nothing is in the way'
+        return
+    expected = {}
+    for route, chance in all_routes(ground.plan.strategy).items():
+        shorter = joined_by_hand(network, route, place)
+        expected[shorter] = expected.get(shorter, 0.0) + chance
+    found = all_routes(joined.plan.strategy)
+    assert found.keys() == expected.keys()
+    assert all(found[each] == pytest.approx(expected[each], abs=1e-9) for each in found)
+    reach = ground.plan.strategy.game.ambush_radius
+    losses = [0.0]
+    for node, site in enumerate(network.points):
+        held = [*([place] if reach or node == network.source else []), GOAL]
+        if any(np.hypot(*(site - end)) <= reach for end in held):
+            continue
+        hit = sum(chance for route, chance in expected.items() if (
+            loss_by_hand(network, route, site, place, reach) if reach else node in route))
+        losses.append(network.alpha[node] * hit)
+    assert joined.assessment.value == pytest.approx(max(losses), rel=1e-9)
+    assert joined.assessment.lower_bound <= joined.assessment.value
+    mean = sum(chance * np.hypot(*np.diff(
+        np.vstack((place, network.points[list(route)[1:]])), axis=0).T).sum()
+        for route, chance in expected.items())
+    assert joined.assessment.expected_length == pytest.approx(mean)
+
+
+def test_at_the_start_nothing_changes():
+    ground, grid = ground_on(np.full((24, 40), 20, np.int8), 1.2)
+    joined = joined_plan(ground, grid, (START, GOAL))
+    before = ground.plan.strategy
+    assert joined.assessment.value == pytest.approx(before.value)
+    assert joined.assessment.lower_bound == pytest.approx(before.lower_bound)
+    assert joined.plan.strategy.route_entropy == pytest.approx(before.route_entropy)
+
+
+@pytest.mark.parametrize(('radius', 'stops'), [(0.0, ()), (1.2, ()), (1.2, ((5.0, 1.5),))])
+def test_paths_begin_at_the_convoy_and_keep_clear(radius, stops):
+    values = np.random.default_rng(1).integers(0, 60, (24, 40), dtype=np.int8)
+    ground, grid = ground_on(values, radius, stops)
+    newest = OccupancyMap(values.copy(), 0.25)
+    newest.values[13:17, 10:13] = 100  # since the solve: on some of the ways to join
+    field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
+    place, rng = (2.1, 2.6), np.random.default_rng(2)
+    joined = joined_plan(ground, newest, (place, GOAL))
+    assert joined.assessment.clear_share < 1.0
+    for _ in range(30):
+        route = depart(joined.plan, rng)
+        path = departure_path(joined.plan, route, 0.1, (place, GOAL))
+        assert tuple(path[0, :2]) == place
+        assert tuple(path[-1, :2]) == GOAL
+        assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
+        assert all(np.hypot(*(path[:, :2] - stop).T).min() < 1e-6 for stop in stops)
+
+
+def test_no_clear_way():
+    ground, grid = ground_on(np.full((24, 40), 20, np.int8))
+    far = START[0] + 1.01 * REGION * ground.plan.spacing, START[1]
+    assert joined_plan(ground, grid, (far, GOAL)) is None
+    walled = OccupancyMap(grid.values.copy(), 0.25)
+    walled.values[9:16, 7:10] = 100
+    walled.values[10:15, 8] = 20
+    assert joined_plan(ground, walled, ((2.125, 3.1), GOAL)) is None

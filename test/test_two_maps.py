@@ -1,0 +1,73 @@
+"""A costmap's obstacles on a risk map: the pure law, and the node with both topics and TF."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from nav_msgs.msg import OccupancyGrid
+from ros_harness import LATCHED, pose, risk_grid, stage, wait_until
+
+from ambush_planner.maps.occupancy import OccupancyMap
+from ambush_planner.maps.overlay import with_obstacles_of
+from ambush_planner.maps.risk_map import to_map_axes, to_world
+from ambush_planner.ros import subscriptions
+
+BOTH = {'map.costmap': True}
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**31), scale=st.sampled_from([0.3, 0.5, 1.0, 1.7, 3.0]),
+       turn=st.sampled_from([0.0, 0.3, math.pi / 2]), unknown=st.booleans())
+def test_a_cell_is_an_obstacle_if_one_lies_on_it(seed, scale, turn, unknown):
+    rng = np.random.default_rng(seed)
+    risk = OccupancyMap(rng.integers(0, 90, (12, 15), dtype=np.int8), 0.5,
+                        (*rng.uniform(-2.0, 2.0, 2), turn))
+    values = np.where(rng.random((9, 11)) < 0.08, rng.choice([-1, 99, 100], (9, 11)), 98)
+    other = OccupancyMap(values.astype(np.int8), 0.5 * scale, (*rng.uniform(-2.0, 2.0, 2), 0.0))
+    joined = with_obstacles_of(risk, other, 99, unknown)
+    kept = joined.values != 100
+    assert (joined.values[kept] == risk.values[kept]).all()
+    # Dense points of each risk cell, and the costmap's cells that they lie in.
+    share = np.linspace(0.02, 0.98, 33)
+    v, u = np.meshgrid(*(np.add.outer(np.arange(n), share).ravel() * 0.5
+                         for n in risk.values.shape), indexing='ij')
+    at = to_map_axes(other.origin, to_world(risk.origin, np.stack((u, v), axis=-1)))
+    column, row = np.floor(at / other.resolution).astype(int).transpose(2, 0, 1)
+    inside = (row >= 0) & (row < 9) & (column >= 0) & (column < 11)
+    found = values[row.clip(0, 8), column.clip(0, 10)]
+    hit = inside & ((found >= 99) | (unknown & (found == -1)))
+    hit = hit.reshape(12, 33, 15, 33).any(axis=(1, 3))
+    assert (joined.values[hit] == 100).all()
+    if turn in (0.0, math.pi / 2):  # else the rectangle around the cell counts
+        sure = ~hit & ~kept
+        # Obstacles that only graze a cell between the points are rare.
+        assert sure.mean() < 0.1
+
+
+@pytest.mark.slow
+def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
+    monkeypatch.setattr(subscriptions, '_STOPPED', 0.3)
+    with stage(parameters=BOTH) as running:
+        client = running.client
+        client.publish('alpha_map', risk_grid(np.full((20, 20), 20, np.int8)))
+        client.publish('start_pose', pose(1.5, 5.5))
+        client.publish('goal_pose', pose(8.5, 5.5))
+        client.diagnostics(message='waiting for costmap')
+        wait_until(lambda: 'no costmap yet' in client.call('new_route').message, 'the reason')
+        wall = np.zeros((40, 4), np.int8)
+        wall[:36] = 99
+        costmap = risk_grid(wall, 0.25, (4.5, 0.0, 0.0))
+        costs = client.node.create_publisher(OccupancyGrid, 'costmap', LATCHED)
+        costs.publish(costmap)
+        client.call_until('new_route', lambda answer: answer.success)
+        path = client.last('path').poses
+        assert max(each.pose.position.y for each in path) > 9.0, 'around the wall'
+        wait_until(lambda: 's old: obstacles since' in client.diagnostics()['message'], 'the age')
+        elsewhere = risk_grid(wall, 0.25, (4.5, 0.0, 0.0), frame='odom')
+        costs.publish(elsewhere)
+        report = client.diagnostics(code='TF_ERROR')
+        assert "the costmap is given in the frame 'odom'" in report['message']
+        costs.publish(costmap)
+        client.diagnostics(code='NONE')
