@@ -79,7 +79,7 @@ def names():
 
 def test_the_node_may_do_all_that_it_does(names):
     profile = Profile('/ambush_planner')
-    assert {f'/{topic}' for topic in (*MARKER_TOPICS, 'path')} <= names.published
+    assert {'/path', *(f'/ambush_planner/{topic}' for topic in MARKER_TOPICS)} <= names.published
     assert {f'/{topic}' for topic in INPUTS} <= names.subscribed
     assert '/ambush_planner/get_plan' in names.served
     assert names.published <= profile.listed('topic', 'publish')
@@ -158,7 +158,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
         client.diagnostics(departures='3', code='INVALID_OPTION')
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 3, 'recordings')
     assert not heard['/path']
-    assert heard['/diagnostics'] and heard['/edge_probabilities']
+    assert heard['/diagnostics'] and heard['/ambush_planner/edge_probabilities']
     # /rosout says what standard error does; one process with several nodes may have none.
     said = unstamped(''.join(capfd.readouterr()))
     for path in paths:
@@ -176,7 +176,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
 def _of_the_network(xy, heard):
     """Whether a marker of the whole network or strategy shows this place anyway."""
     return any(np.array(xy).tobytes() in data
-               for topic in MARKER_TOPICS for data in heard[f'/{topic}'])
+               for topic in MARKER_TOPICS for data in heard[f'/ambush_planner/{topic}'])
 
 
 def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):

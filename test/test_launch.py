@@ -112,7 +112,7 @@ def test_nav2_does_not_listen_to_start_and_goal():
 
 
 def test_every_topic_of_the_rviz_configuration_is_remapped():
-    shown = set(re.findall(r'Value: (/\w+)', RVIZ.read_text()))
+    shown = set(re.findall(r'Value: (/[\w/]+)', RVIZ.read_text()))
     remapped = {each.get('from') for each in node_of('rviz2').findall('remap')}
     assert shown <= remapped
 

@@ -16,10 +16,10 @@ from ..recordings import RecordedMessage, type_name
 from .qos import DIAGNOSTICS, LATCHED
 
 Topics = Mapping[str, tuple[type, QoSProfile]]
-MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
+_MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
 PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED),
-                       **dict.fromkeys(MARKERS, (MarkerArray, LATCHED))}
+                       **{f'~/{each}': (MarkerArray, LATCHED) for each in _MARKERS}}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
