@@ -100,7 +100,8 @@ def test_rviz_shows_all_topics_and_hides_the_network(interface, rviz):
     assert {topic: DISPLAYS[each['Class']] for topic, each in displays.items()} == interface.shown
     assert len(rviz['Displays']) == len(displays)
     assert all(each['Enabled'] == each['Value'] for each in displays.values())
-    assert [topic for topic, each in displays.items() if not each['Enabled']] == ['/ambush_planner/network']
+    hidden = [topic for topic, each in displays.items() if not each['Enabled']]
+    assert hidden == ['/ambush_planner/network']
 
 
 def test_rviz_receives_latched_messages(interface, rviz):

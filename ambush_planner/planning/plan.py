@@ -10,7 +10,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..errors import TimeLimit
+from ..errors import InvalidOption, TimeLimit
 from ..game.bottleneck import Bottleneck, find_bottleneck
 from ..game.game import GameOptions
 from ..game.revaluation import open_gap
@@ -44,15 +44,20 @@ class DriveOptions:
         spacings; without one, the path only avoids nodes that its route does not use.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
+    tracking_error
+        Largest distance of the robot from the path [m], added to the reach like the tube. Only for
+        games with a reach.
     """
 
     tube: float | None = None
     turning_radius: float = 0.0
+    tracking_error: float = 0.0
 
     def __post_init__(self) -> None:
         if self.tube is not None:
             check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
+        check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
 
 
 @dataclass(frozen=True)
@@ -71,6 +76,9 @@ class PlanningOptions:
 
     def __post_init__(self) -> None:
         check_at_least('max_gap', self.max_gap, 0.0, finite=False)
+        if self.drive.tracking_error > 0.0 and not self.game.ambush_radius > 0.0:
+            raise InvalidOption(f'route.tracking_error {self.drive.tracking_error} is added to the '
+                                'reach of ambushes, so game.ambush_radius must be over 0 [m]')
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,9 +225,9 @@ def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: fl
 
 
 def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
-    """The reach of an ambush in the solved game [m]: the ambush radius plus the tube."""
+    """The reach of an ambush in the solved game [m]: radius, tube and tracking error."""
     tube = _tube(options, node_spacing(risk_map, options.network))
-    return options.game.ambush_radius + (tube or 0.0)
+    return options.game.ambush_radius + (tube or 0.0) + options.drive.tracking_error
 
 
 def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:

@@ -34,16 +34,16 @@ class Publishers:
 
     def publish(self, topic: str, message: Any) -> RecordedMessage:
         """Publish a message, or its serialised bytes, on one of ``topics``."""
-        publisher = self._publishers[topic]
-        recorded = self.as_recorded(topic, message, publisher.topic_name)
-        publisher.publish(recorded.data)
+        recorded = self.as_recorded(topic, message)
+        self._publishers[topic].publish(recorded.data)
         return recorded
 
-    def as_recorded(self, topic: str, message: Any, name: str) -> RecordedMessage:
-        """Return a message as a recording keeps it, under the full ``name``, unpublished."""
+    def as_recorded(self, topic: str, message: Any, name: str = '') -> RecordedMessage:
+        """Return a message as a recording keeps it (by default under its topic), unpublished."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
         stamp = self._node.get_clock().now().nanoseconds
+        name = name or self._publishers[topic].topic_name
         return RecordedMessage(name, type_name(kind), data, qos, stamp)
 
     def close(self) -> None:
