@@ -122,7 +122,7 @@ def test_frames_that_are_not_connected(target, source, words):
 
 def test_transforms_older_than_the_history_are_dropped():
     buffer = buffer_of(*(('map', 'base', k * SECOND, k) for k in range(30)))
-    oldest = 29 * SECOND - HISTORY_NS
+    oldest = 28 * SECOND - HISTORY_NS  # of the last but one, as in tf2
     assert x_of(buffer.lookup('map', 'base', oldest)) == oldest / SECOND
     buffer.add(along_x('map', 'base', 0, 99), False)
     for stamp in (oldest - 1, 0):
@@ -153,8 +153,8 @@ def histories(draw):
     found, repeated = [], draw(st.booleans())
     for k in range(1, draw(st.integers(2, 6))):
         parent, static = f'frame{draw(st.integers(0, k - 1))}', draw(st.booleans())
-        stamps = draw(st.lists(st.integers(1, 12 * SECOND), min_size=1, max_size=5, unique=True))
-        for stamp in [*stamps, *[13 * SECOND] * 2 * repeated]:
+        stamps = draw(st.lists(st.integers(1, 15 * SECOND), min_size=1, max_size=5, unique=True))
+        for stamp in [*stamps, *[16 * SECOND] * 2 * repeated]:
             translation, quaternion = draw(motions())
             scaled = tuple(draw(st.floats(0.5, 2.0)) * part for part in quaternion)
             each = StampedTransform(parent, f'frame{k}', stamp, translation, scaled)

@@ -107,11 +107,15 @@ class _Link:
         if self.static:
             self.transforms = [transform]
             return
+        if self.transforms:  # as in tf2, what is new does not yet count
+            oldest = self.latest_ns - HISTORY_NS
+            if transform.stamp_ns < oldest:
+                return
+            del self.transforms[:self._index(oldest)]
         k = self._index(transform.stamp_ns)
         # The last transform of a time counts, as in tf2.
         same = k < len(self.transforms) and self.transforms[k].stamp_ns == transform.stamp_ns
         self.transforms[k:k + same] = [transform]
-        del self.transforms[:self._index(self.latest_ns - HISTORY_NS)]
 
     def _index(self, stamp_ns: int) -> int:
         return bisect_left(self.transforms, stamp_ns, key=lambda each: each.stamp_ns)
