@@ -109,9 +109,9 @@ class _Link:
             return
         if self.transforms:  # as in tf2, what is new does not yet count
             oldest = self.latest_ns - HISTORY_NS
+            del self.transforms[:self._index(oldest)]
             if transform.stamp_ns < oldest:
                 return
-            del self.transforms[:self._index(oldest)]
         k = self._index(transform.stamp_ns)
         # The last transform of a time counts, as in tf2.
         same = k < len(self.transforms) and self.transforms[k].stamp_ns == transform.stamp_ns
