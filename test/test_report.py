@@ -125,7 +125,7 @@ def test_the_numbers_are_those_of_the_strategy(made, a_plan):
 
 def test_departures_and_settings_are_listed_without_routes_and_seeds(made):
     page, section = made
-    assert '2023-11-15 22:13 UTC' in page.text and 'game.secured_radius' in page.text
+    assert '2023-11-15 22:13:20 UTC' in page.text and 'game.secured_radius' in page.text
     assert 'frame of the map' in page.text
     assert 'seed' not in dict(report_words.settings(section))
     for each in section.departures:

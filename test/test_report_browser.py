@@ -19,7 +19,7 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 from audit_samples import departure, drawn, parameters, record, sample_plan
 
 from ambush_planner.commands import report
-from ambush_planner.commands.figures import AMBUSHER, ROUTES
+from ambush_planner.commands.colours import AMBUSHER, ROUTES
 
 MAP = 'figure.map'
 BINARY = next(

@@ -162,7 +162,7 @@ def histories(draw):
     return found
 
 
-@settings(max_examples=500)
+@settings(max_examples=150)
 @given(histories())
 def test_lookups_agree_with_tf2(history):
     tf2 = pytest.importorskip('tf2_py')

@@ -35,7 +35,7 @@ SPACING = 360.0
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
 # Budgets of the frontier, and the time limit of each solve [s].
-DETOURS, SLACKS, SWEEP_SECONDS = (1.1, 1.2, 1.5), (0.01, 0.1), 30.0
+DETOURS, SLACKS, SWEEP_SECONDS = (1.05, 1.1, 1.15, 1.2, 1.3, 1.4, 1.5), (0.0, 0.01, 0.03, 0.1), 30.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,

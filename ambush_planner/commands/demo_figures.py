@@ -16,7 +16,8 @@ from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
 from ..planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 from . import figures
-from .figures import AMBUSHER, OBSTACLE, SECURED_DASHES
+from .colours import AMBUSHER, OBSTACLE
+from .figures import SECURED_DASHES
 
 # Colours and dashes of the fixed routes.
 FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))))

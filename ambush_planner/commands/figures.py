@@ -2,7 +2,7 @@
 
 Each ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` sets the axes
 to the map's extent, with ticks in km or m. Risk is grey, impassable ground black, the convoy blue
-and the ambusher orange; colour-blind readers can distinguish them.
+and the ambusher orange.
 """
 
 from __future__ import annotations
@@ -24,15 +24,13 @@ from matplotlib.transforms import Affine2D
 
 from ..arrays import FloatArray
 from ..maps.risk_map import RiskMap
+from ..recordings.audit import Audit
+from .colours import AMBUSHER, OBSTACLE, ROUTES
 
-OBSTACLE = '#1c1714'
-AMBUSHER = '#e66100'
 RISK = LinearSegmentedColormap.from_list('risk', ['#ffffff', '#848484'])
 PROBABILITY = LinearSegmentedColormap.from_list(
     'probability', ['#7fb8e6', '#2f7fd0', '#1146b0', '#14075c']
 )
-# Paul Tol's vibrant and muted colour schemes without orange, the ambusher's colour, and greys.
-ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
 # Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
 SECURED_DASHES = (0, (4, 3))
@@ -108,6 +106,32 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     for k, route in enumerate(routes):
         axes.plot(*np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
                   path_effects=HALO, solid_joinstyle='round', zorder=4)
+
+
+def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
+    """Published and recorded frequencies on the map, and the losses caused by an observer."""
+    figure = Figure((21.0, 8.0), layout='constrained')
+    published, recorded, observer = figure.subplots(1, 3)
+    scale = probability_scale(result.expected / result.departures)
+    for axes, passages, title in (
+        (published, result.expected, 'Published: probability that the convoy drives here'),
+        (recorded, result.passages, f'Recorded: share of {result.departures} departures'),
+    ):
+        frame(axes, risk_map, title)
+        draw_risk_map(axes, risk_map)
+        edges = draw_segments(axes, result.segments, passages / result.departures, scale)
+    figure.colorbar(edges, ax=[published, recorded], location='bottom', shrink=0.5, aspect=50,
+                    label='share of departures')
+    count = np.arange(1, len(result.observer_losses) + 1)
+    observer.axhline(result.value, color='grey', label='published value')
+    observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
+                  label='observer who learns as he goes')
+    observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
+                     label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
+    observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
+    observer.set_title('Could one foresee the next departure?', loc='left', fontsize='large')
+    observer.legend()
+    return figure
 
 
 def as_png(figure: Figure) -> bytes:

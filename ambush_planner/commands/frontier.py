@@ -17,7 +17,8 @@ from ..errors import InvalidOption
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .figures import AMBUSHER, PROBABILITY
+from .colours import AMBUSHER
+from .figures import PROBABILITY
 from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))

@@ -18,7 +18,7 @@ from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
 from .cli import count, resource
-from .figures import ROUTES
+from .colours import ROUTES
 
 SEVERAL = (
     'The start, the goal or the settings moved a little, so {} strategies were computed for this '

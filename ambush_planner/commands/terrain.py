@@ -21,7 +21,8 @@ from ..maps.elevation_file import read_raster
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
 from . import cli
-from .figures import OBSTACLE, draw_risk_map, frame
+from .colours import OBSTACLE
+from .figures import draw_risk_map, frame
 
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[terrain]'), or an npz file with elevation (H, W) [m],

@@ -25,6 +25,8 @@ MOST_CELLS = 2000
 OBSTACLE = 255
 # Edges with smaller probabilities do not count at the pointer.
 LEAST_PROBABILITY = 1e-7
+# Turns of a driven path that add up to less than this are left out [rad].
+LEAST_TURN = 0.05
 # Sites with a smaller share of the likeliest site's probability are left out.
 LEAST_SITE = 1e-3
 
@@ -78,7 +80,7 @@ def map_data(section: Section) -> dict[str, Any]:
     used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
-    routes = [each.strategy.network.points[each.route] - corner for each in section.departures]
+    routes = [outline(each.path_poses[:, :2]) - corner for each in section.departures]
     ends = [network.source, network.target, *network.stops]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
@@ -93,6 +95,14 @@ def map_data(section: Section) -> dict[str, Any]:
         'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
     }
+
+
+def outline(line: FloatArray) -> FloatArray:
+    """Return the points (K, 2) of a line (L, 2) that show its turns, the ends included."""
+    steps = np.diff(line, axis=0)
+    turned = np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).cumsum()
+    turns = 1 + np.flatnonzero(np.diff(np.floor(turned / LEAST_TURN), prepend=0.0))
+    return line[[0, *turns, len(line) - 1]]
 
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
