@@ -25,8 +25,8 @@ MOST_CELLS = 2000
 OBSTACLE = 255
 # Edges with smaller probabilities do not count at the pointer.
 LEAST_PROBABILITY = 1e-7
-# Turns of a driven path that add up to less than this are left out [rad].
-LEAST_TURN = 0.05
+# Accuracy of driven paths in the picture [cells of the map].
+PATH_ACCURACY = 0.1
 # Sites with a smaller share of the likeliest site's probability are left out.
 LEAST_SITE = 1e-3
 
@@ -80,7 +80,8 @@ def map_data(section: Section) -> dict[str, Any]:
     used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
-    routes = [outline(each.path_poses[:, :2]) - corner for each in section.departures]
+    routes = [outline(each.path_poses[:, :2], PATH_ACCURACY * cell) - corner
+              for each in section.departures]
     ends = [network.source, network.target, *network.stops]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
@@ -97,12 +98,22 @@ def map_data(section: Section) -> dict[str, Any]:
     }
 
 
-def outline(line: FloatArray) -> FloatArray:
-    """Return the points (K, 2) of a line (L, 2) that show its turns, the ends included."""
-    steps = np.diff(line, axis=0)
-    turned = np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).cumsum()
-    turns = 1 + np.flatnonzero(np.diff(np.floor(turned / LEAST_TURN), prepend=0.0))
-    return line[[0, *turns, len(line) - 1]]
+def outline(line: FloatArray, tolerance: float) -> FloatArray:
+    """Simplify a line (L, 2): no point lies further than ``tolerance`` [m] from the result (K, 2).
+
+    By Douglas and Peucker (1973): the farthest point is kept, then that of each half.
+    """
+    kept, parts = {0, len(line) - 1}, [(0, len(line) - 1)]
+    while parts:
+        first, last = parts.pop()
+        inner, chord = line[first + 1:last] - line[first], line[last] - line[first]
+        share = np.clip(inner @ chord / (chord @ chord or 1.0), 0.0, 1.0)
+        off = np.hypot(*(inner - share[:, None] * chord).T)
+        if off.max(initial=0.0) > tolerance:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            parts += [(first, middle), (middle, last)]
+    return line[sorted(kept)]
 
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:
