@@ -10,16 +10,21 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
+from scipy.ndimage import distance_transform_edt
+from test_config import flat
+from test_launch import NAV2
 from waiting import answer_of
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
+from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
 from ambush_planner.planning.parameters import PARAMETERS
 from ambush_planner.planning.plan import DriveOptions, PlanningOptions
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -191,6 +196,31 @@ def test_a_dump_is_loaded_in_any_order(tmp_path, order):
         found = {name: second.planner.get_parameter(name).value for name in PARAMETERS}
         assert found == expected
         second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
+
+
+def costmap():
+    """Blocks on 40 m x 40 m, with the costs that Nav2's inflation layer puts around them."""
+    rng, blocks = np.random.default_rng(2), np.zeros((160, 160), bool)
+    for row, column, height, width in zip(*rng.integers(10, 140, (2, 25)),
+                                          *rng.integers(3, 14, (2, 25)), strict=True):
+        blocks[row:row + height, column:column + width] = 12 < column < 130
+    distance = 0.25 * distance_transform_edt(~blocks)
+    costs = 98 * np.exp(-3.0 * (distance - 0.3)) * (distance < 1.5)
+    return np.where(blocks, 100, np.where(distance <= 0.3, 99, costs)).astype(np.int8)
+
+
+def test_costs_of_a_costmap_taken_as_losses_make_a_convoy_easier_to_meet():
+    nav2 = flat(yaml.safe_load(NAV2.read_text())['/**']['ros__parameters'])
+    met, risk = (
+        plan_trip(risk_map_from_occupancy(costmap(), 0.25, (0.0, 0.0, 0.0), each.occupancy),
+                  (1.5, 20.0), (38.5, 20.0), each.planning).strategy
+        for each in (parameters_from({**DEFAULTS, **nav2, 'network.target_nodes': 400,
+                                      'map.preset': preset})
+                     for preset in ('costmap', 'costmap_risk')))
+    chance = worst_loss(met.game, risk.edge_probability)
+    print('RATIO', chance / met.value, met.value, chance, met.route_entropy, risk.route_entropy)
+    assert chance > 1.3 * met.value
+    assert met.route_entropy > risk.route_entropy + 2.0
 
 
 def test_contradicting_parameters_are_reported_and_requests_refused():
