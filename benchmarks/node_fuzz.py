@@ -194,9 +194,7 @@ def a_parameter(rng: Random) -> Parameter:
 
 
 def a_name(rng: Random) -> str:
-    # The operator alone decides where recordings go.
-    names = [name for name in PARAMETERS if name != 'recording.directory']
-    return pick(rng, ODD_NAMES if rng.random() < 0.05 else names)
+    return pick(rng, ODD_NAMES if rng.random() < 0.05 else list(PARAMETERS))
 
 
 REQUESTS = (

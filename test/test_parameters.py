@@ -218,7 +218,6 @@ def test_costs_of_a_costmap_taken_as_losses_make_a_convoy_easier_to_meet():
                                       'map.preset': preset})
                      for preset in ('costmap', 'costmap_risk')))
     chance = worst_loss(met.game, risk.edge_probability)
-    print('RATIO', chance / met.value, met.value, chance, met.route_entropy, risk.route_entropy)
     assert chance > 1.3 * met.value
     assert met.route_entropy > risk.route_entropy + 2.0
 

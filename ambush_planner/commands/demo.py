@@ -34,8 +34,8 @@ from .report import write_report
 SPACING = 360.0
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
-# Time limit of each solve of the frontier [s].
-SWEEP_SECONDS = 30.0
+# Slacks of the frontier, and the time limit of each solve [s].
+SLACKS, SWEEP_SECONDS = (0.01, 0.1), 15.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,
@@ -80,7 +80,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     console.step('solving for other budgets')
     game = GameOptions(ambush_radius=strategy.game.ambush_radius, secured_radius=SECURED_RADIUS)
     budgets = StrategyOptions(time_limit=SWEEP_SECONDS)
-    rows = frontier(strategy.network, game, options=budgets)
+    rows = frontier(strategy.network, game, slacks=SLACKS, options=budgets)
     write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))
