@@ -22,7 +22,7 @@ from .network.network import Network
 from .planning.evaluation import evaluate
 from .planning.frontier import FrontierRow, frontier
 from .planning.many import Problem, Solved, solve_many
-from .planning.plan import PlanningOptions
+from .planning.options import PlanningOptions
 from .planning.trip import plan_trip
 from .routes.days import DayEffect, day_effect, sample_departures
 

@@ -76,11 +76,17 @@ def terrain_network(seed: int, method: str = 'uniform_delaunay', cells: int = 12
 
 def ground_network(seed: int, kind: str) -> Network:
     """A network of 500 to 900 nodes over terrain, a city, a maze, or a depot of rooms."""
-    rng = np.random.default_rng(seed)
     if kind == 'terrain':
         return terrain_network(seed, METHODS[seed % len(METHODS)], 34)
-    cells = 40
+    return build_network(*ground(seed, kind), NetworkOptions(METHODS[seed % 2], 1.3))
+
+
+def ground(seed: int, kind: str, cells: int = 40) -> tuple[RiskMap, tuple, tuple]:
+    """Hills, a city, a maze, or a depot of rooms, with a start on the left and a goal on the right.
+    """
+    rng = np.random.default_rng(seed)
     alpha = random_map(seed, cells, 0.0).alpha
+    obstacles = np.zeros((cells, cells), bool)
     rows, columns = np.mgrid[0:cells, 0:cells]
     if kind == 'city':
         obstacles = (rows % 7 > 2) & (columns % 9 > 2) & (rng.random((cells, cells)) < 0.97)
@@ -91,15 +97,14 @@ def ground_network(seed: int, kind: str) -> Network:
         obstacles &= ~(wall & np.isin(columns % 10, rng.integers(2, 8, 2)[:, None] + (0, 1)))
         obstacles |= (rows % 13 == 8) & (columns % 10 > 2) & (columns % 20 < 8)
         obstacles &= ~(side & (rows % 13 == rng.integers(6, 11)))
-    else:
+    elif kind == 'maze':
         obstacles = columns % 5 == 4
         for wall in range(4, cells, 5):
             for door in rng.integers(0, cells - 4, 2):
                 obstacles[door : door + 4, wall] = False
     obstacles[:, [0, -1]] = False
-    risk_map = RiskMap(alpha, obstacles, 1.0)
-    ends = (0.5, rng.uniform(5, 35)), (39.5, rng.uniform(5, 35))
-    return build_network(risk_map, *ends, NetworkOptions(METHODS[seed % 2], 1.3))
+    start, goal = (0.5, rng.uniform(5, cells - 5)), (cells - 0.5, rng.uniform(5, cells - 5))
+    return RiskMap(alpha, obstacles, 1.0), start, goal
 
 
 terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_from(METHODS),
@@ -139,17 +144,49 @@ def exact_value(network: Network) -> Fraction:
         return Fraction(0)
 
 
-def geometric_hits(network: Network, radius: float) -> csr_matrix:
-    """(N, M): edges that enter the disc of a node; none if it contains an end."""
-    points, start = network.points, network.points[network.tails]
-    along = points[network.heads] - start
-    share = (points @ along.T - (start * along).sum(axis=1)) / (along**2).sum(axis=1)
-    share = np.clip(share, 0.0, 1.0)
-    away = [start[:, k] + share * along[:, k] - points[:, k, None] for k in (0, 1)]
-    apart = np.linalg.norm(points[:, None] - points, axis=2)
-    hits = (np.hypot(*away) <= radius) & (apart[:, network.tails] > radius)
-    hits[(apart[:, [network.source, network.target]] <= radius).any(axis=1)] = False
-    return csr_matrix(hits.astype(float))
+def meets(network: Network, centres: np.ndarray, radius: float, held: float) -> np.ndarray:
+    """(K, M): whether an edge comes into the disc of a centre further than ``held`` from all ends.
+
+    Along the edge, the answer changes only where it crosses a circle: a point between each two.
+    """
+    ends = network.points[network.ends]
+    start = network.points[network.tails]
+    along = network.points[network.heads] - start
+
+    def crossings(about, size):
+        near = ((about[:, None] - start) * along).sum(axis=2) / (along**2).sum(axis=1)
+        off = np.linalg.norm(start + near[..., None] * along - about[:, None], axis=2)
+        half = np.sqrt(np.maximum(size**2 - off**2, 0.0)) / np.linalg.norm(along, axis=1)
+        return np.clip([near - half, near + half], 0.0, 1.0)
+
+    with_ends = crossings(ends, held).reshape(-1, len(along))
+    hit = np.zeros((len(centres), len(along)), bool)
+    for row, centre in enumerate(centres):
+        cuts = np.vstack((0 * along.T, with_ends, crossings(centre[None], radius)[:, 0]))
+        cuts = np.sort(np.vstack((cuts, np.ones(len(along)))), axis=0)
+        places = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
+        exposed = cuts[1:] > cuts[:-1] + 1e-12
+        for end in ends:
+            exposed &= np.linalg.norm(places - end, axis=2) > held
+        hit[row] = (exposed & (np.linalg.norm(places - centre, axis=2) <= radius)).any(axis=0)
+    return hit
+
+
+def may_wait(network: Network, held: float) -> np.ndarray:
+    """(N,): whether a node is outside held ground and costs something."""
+    apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
+    return (network.alpha > 0.0) & ((apart > held).all(axis=1) | (held == 0.0))
+
+
+def geometric_hits(network: Network, radius: float, held: float | None = None) -> csr_matrix:
+    """(N, M): edges that bring a route into the disc of a node; held ground: as far as it."""
+    held = radius if held is None else held
+    near = meets(network, network.points, radius, held)
+    apart = np.linalg.norm(network.points[:, None] - network.points, axis=2)
+    exposed = (apart[:, network.ends] > held).all(axis=1) | (held == 0.0)
+    exposed[network.source] = False
+    before = (apart <= radius)[:, network.tails] & exposed[network.tails]
+    return csr_matrix((near & ~before & may_wait(network, held)[:, None]).astype(float))
 
 
 def hit_once(network: Network, p: np.ndarray, hits: np.ndarray) -> np.ndarray:

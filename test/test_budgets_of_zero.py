@@ -73,7 +73,7 @@ def test_a_strategy_without_exposure_has_none_despite_rounding():
     alpha = np.array([0.0, 0.0, 1.0, 0.5, 0.5, 0.0, 0.0])
     network = Network(np.array(points, float), alpha, np.array(edges), 0, 6)
     options = StrategyOptions(max_detour=2.0, max_exposure=1.0, risk_slack=0.1)
-    strategy = solve(network, GameOptions(ambush_radius=2.0), options)
+    strategy = solve(network, GameOptions(ambush_radius=2.0, secured_radius=0.5), options)
     assert strategy.expected_exposure == strategy.exposure_budget == 0.0
     assert strategy.value == pytest.approx(1.0 / 3.0, rel=0.1)
 

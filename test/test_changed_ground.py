@@ -14,7 +14,7 @@ from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_m
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import Assessment, ChangedGround
-from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 
 SIZE, RESOLUTION, ORIGIN = 24, 0.5, (3.0, -2.0, 0.0)

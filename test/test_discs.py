@@ -26,7 +26,7 @@ def corridor(points) -> Network:
 
 def entries(network: Network, centre_node: int, radius: float) -> np.ndarray:
     """Row (M,) of one site."""
-    return entering_edges(network, np.array([centre_node]), radius).toarray()[0]
+    return entering_edges(network, network.points[[centre_node]], radius, 0.0).toarray()[0]
 
 
 def drawn(points: np.ndarray) -> np.ndarray:
@@ -103,12 +103,12 @@ def test_every_walk_into_a_disc_on_a_rotated_lattice_is_counted(radius):
 
 
 def test_edges_that_enter_a_disc_count_once():
-    # A row of nodes one metre apart; discs of 1.2 m. Ends and their neighbours are not sites.
+    # A row of nodes one metre apart; discs of 1.2 m, and held ground as far, where nobody is hit.
     network = corridor(np.column_stack((np.arange(7.0), np.zeros(7))))
     game = make_game(network, GameOptions(ambush_radius=1.2))
     assert game.sites.tolist() == [2, 3, 4]
     assert game.hits.toarray().tolist() == [
-        [1, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0],
     ]
 
 
@@ -121,4 +121,4 @@ def test_an_edge_that_only_passes_through_a_disc_hits():
 
 def test_without_sites_there_are_no_rows():
     network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
-    assert entering_edges(network, np.empty(0, np.int64), 1.0).shape == (0, 2)
+    assert entering_edges(network, np.empty((0, 2)), 1.0, 0.0).shape == (0, 2)

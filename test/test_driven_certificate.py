@@ -8,7 +8,8 @@ from games import HUNT
 from scipy.spatial import cKDTree
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions, depart, departure_paths
+from ambush_planner.planning.options import DriveOptions, PlanningOptions
+from ambush_planner.planning.plan import depart, departure_paths
 from ambush_planner.planning.trip import plan_trip
 
 SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
@@ -53,7 +54,7 @@ def planned(ground, reach, tube, tracking_error=0.0):
         PlanningOptions(
             NetworkOptions(spacing=SPACING),
             GameOptions(ambush_radius=reach, secured_radius=SECURED),
-            StrategyOptions(max_detour=1.3), DriveOptions(tube, 0.0, tracking_error),
+            StrategyOptions(max_detour=1.3), DriveOptions(tube, tracking_error=tracking_error),
         ),
     )
 

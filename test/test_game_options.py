@@ -6,7 +6,7 @@ from nav_msgs.srv import GetPlan
 from ros_harness import pose, risk_grid, stage
 
 from ambush_planner import GameOptions, StrategyOptions, TimeLimit, solve
-from ambush_planner.planning import plan as planner
+from ambush_planner.planning import solving as planner
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.recordings import read_departure, recordings_in
 from ambush_planner.worker.process import WorkerProcess
@@ -51,20 +51,20 @@ def test_the_path_is_in_its_tube_and_the_game_has_as_much_more_reach(tmp_path, t
     found, _ = departures(tmp_path, {'game.ambush_radius': 1.5, 'route.tube': tube})
     for rows, route, strategy in found:
         assert aside(rows, strategy.network.points[route]) <= tube + 1e-9
-        assert strategy.game.ambush_radius == pytest.approx(1.5 + tube)
+        assert strategy.game.reach == pytest.approx(1.5 + tube)
     if tube:  # and it is used
         assert max(aside(rows, each.network.points[route]) for rows, route, each in found) > 0.1
 
 
 def test_turns_are_as_wide_as_asked_where_the_tube_has_the_room(tmp_path):
     """The same routes, by the seed; on open ground in a tube of half a spacing."""
-    options = {'game.ambush_radius': 1.5, 'route.tube': 1.0}
+    options = {'game.ambush_radius': 1.5, 'game.secured_radius': 5.0, 'route.tube': 1.0}
     sharp, _ = departures(tmp_path / 'sharp', options)
     wide, _ = departures(tmp_path / 'wide', {**options, 'route.turning_radius': 1.5})
     assert [route for _, route, _ in sharp] == [route for _, route, _ in wide]
     radii = [[tightest(rows) for rows, _, _ in each] for each in (sharp, wide)]
     assert min(radii[1]) > 1.2 * min(radii[0])
-    assert sum(radius > 0.98 * 1.5 for radius in radii[1]) >= 3
+    assert sum(radius > 0.98 * 1.5 for radius in radii[1]) >= 2
 
 
 @pytest.mark.parametrize('ambushers', [2, 3])

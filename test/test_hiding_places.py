@@ -9,7 +9,8 @@ import pytest
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions, build_network
 from ambush_planner.network.hiding_places import with_hiding_places
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions, add_hiding_places
+from ambush_planner.planning.options import DriveOptions, PlanningOptions
+from ambush_planner.planning.solving import add_hiding_places
 from ambush_planner.planning.trip import plan_trip
 
 START, GOAL = (0.5, 10.0), (39.5, 10.0)

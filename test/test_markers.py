@@ -13,7 +13,7 @@ from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.maps.ros_messages import risk_map_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
-from ambush_planner.planning.plan import PlanningOptions
+from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.markers import (
     ambush_sites,

@@ -9,7 +9,7 @@ from ambush_planner import GameOptions, InvalidOption, NetworkOptions, StrategyO
 from ambush_planner.option_checks import check_at_least
 
 RECORDS = (NetworkOptions, GameOptions, StrategyOptions)
-WRONG = (None, '2', [1.0], True, 1j, np.nan, -1)
+WRONG = (None, '2', [1.0], True, 1j, np.nan, -2)
 
 
 def numbers(record) -> list[str]:

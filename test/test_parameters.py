@@ -22,8 +22,8 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
+from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
-from ambush_planner.planning.plan import DriveOptions, PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.planner_node import PlannerNode
 
@@ -63,7 +63,7 @@ def test_defaults_are_the_cores_own():
     assert parameters.occupancy == OccupancyOptions()
     assert parameters.planning.network == NetworkOptions()
     assert parameters.planning.game == GameOptions()
-    assert parameters.planning.drive == DriveOptions()
+    assert parameters.planning.drive == DriveOptions(start_tolerance=math.inf)
     assert parameters.planning.max_gap == PlanningOptions().max_gap
     assert parameters.planning.strategy == StrategyOptions(time_limit=DEFAULTS['max_planning_time'])
     assert parameters.seed == -1

@@ -16,7 +16,7 @@ from ambush_planner.ros.planner_node import check_arguments, main
 START, GOAL = pose(1.5, 5.5, 0.3), pose(8.5, 5.5, -2.0)
 KEYS = {
     'state', 'code', 'message', 'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy',
-    'entropy_gap',
+    'entropy_gap', 'value_holds_at', 'held_radius',
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds', 'departures',
     'departure_id', 'recording', 'current_value', 'current_gap', 'current_length', 'stale',

@@ -7,7 +7,7 @@ from itertools import pairwise
 import networkx
 import numpy as np
 import pytest
-from games import examples, geometric_hits, hit_once, terrain_network
+from games import examples, geometric_hits, hit_once, may_wait, meets, terrain_network
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
@@ -49,17 +49,9 @@ def planar_network(seed: int) -> Network:
     return Network(points, alpha, edges, source, target)
 
 
-def reached(network: Network, reach: float, samples: int = 400) -> np.ndarray:
-    """(N, M): whether any point of an edge lies within reach of a node; no discs at the ends."""
-    start, end = (network.points[network.edges[:, k]] for k in (0, 1))
-    share = np.linspace(0, 1, samples)[:, None, None]
-    along = start + share * (end - start)
-    near = np.array([(np.linalg.norm(along - c, axis=2) <= reach).any(axis=0)
-                     for c in network.points])
-    ends = network.points[[network.source, network.target]]
-    holds = (np.linalg.norm(network.points[:, None] - ends, axis=2) <= reach).any(axis=1)
-    near[holds | (network.alpha == 0.0)] = False
-    return near
+def reached(network: Network, reach: float, held: float) -> np.ndarray:
+    """(N, M): whether an edge comes into reach of a node outside held ground, where it counts."""
+    return meets(network, network.points, reach, held) & may_wait(network, held)[:, None]
 
 
 def routes_of(network: Network) -> list[list[int]]:
@@ -112,23 +104,39 @@ def value_by_chain(network: Network, near: np.ndarray) -> float:
 
 
 @examples(40)
-@given(st.integers(0, 10**6), st.floats(0.2, 1.2))
-def test_value_and_bound_enclose_the_value_over_all_routes_which_is_the_chains(seed, reach):
+@given(st.integers(0, 10**6), st.floats(0.2, 1.2), st.sampled_from([-1.0, 0.0, 0.5, 2.0]))
+def test_value_and_bound_enclose_the_value_over_all_routes_which_is_the_chains(seed, reach, held):
     """And the bound is that value; so is the strategy's if its gap closes."""
+    game = GameOptions(ambush_radius=reach, secured_radius=held)
+    held = game.held_radius
     network = planar_network(seed)
     routes = routes_of(network)
     if len(routes) > 4000 or frozenset((network.source, network.target)) in {
         frozenset(e) for e in network.edges.tolist()
     }:
         return
-    near = reached(network, reach)
+    near = reached(network, reach, held)
     once, chain = value_by_routes(network, near, routes), value_by_chain(network, near)
+    certain = np.all([near[:, route].any(axis=1) for route in routes], axis=0)
+    chain = max(chain, network.alpha[certain].max(initial=0.0))
     assert once == pytest.approx(chain, abs=1e-7)
-    strategy = solve(network, GameOptions(ambush_radius=reach), EXACT)
+    strategy = solve(network, game, EXACT)
     assert strategy.lower_bound == pytest.approx(once, rel=1e-5, abs=1e-7)
     assert strategy.value >= once * (1 - 1e-7)
     if not strategy.counting_gap:
         assert strategy.value == pytest.approx(once, rel=2e-5, abs=1e-7)
+
+
+@examples(20)
+@given(st.integers(0, 10**6), st.floats(0.0, 2.0), st.sampled_from((1.1, np.inf)))
+def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
+    network = terrain_network(seed, cells=9)
+    options = StrategyOptions(max_detour=detour)
+    bound = 0.0
+    for reach in (0.0, 0.7, 1.5, 3.0, 6.0):
+        strategy = solve(network, GameOptions(reach, held), options)
+        assert strategy.value >= bound * (1.0 - 1e-6)
+        bound = max(bound, strategy.lower_bound)
 
 
 def test_a_route_that_comes_back_to_a_disc_is_hit_once():
@@ -169,7 +177,7 @@ def hilly_network(nodes_across: int) -> Network:
 def test_no_site_is_hit_more_often_than_the_value_allows(radius):
     strategy = solve(hilly_network(20), GameOptions(ambush_radius=radius, secured_radius=12.0))
     network, rng = strategy.network, np.random.default_rng(7)
-    near = (reached(network, radius, 20) if radius else
+    near = (reached(network, radius, 12.0) if radius else
             np.equal.outer(np.arange(len(network.points)), network.heads))
     used = [route_edges(network, route) for route in strategy.sample_routes(ROUTES, rng)]
     which = np.repeat(np.arange(ROUTES), [len(edges) for edges in used])

@@ -16,7 +16,8 @@ from ambush_planner.errors import GoalBlocked
 from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.occupancy import OccupancyOptions
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.plan import PlanningOptions, PlanRequest
+from ambush_planner.planning.options import PlanningOptions
+from ambush_planner.planning.plan import PlanRequest
 from ambush_planner.planning.trip import plan_from_request
 from ambush_planner.worker import solve_queue
 from ambush_planner.worker.solve_errors import QueueFull, SolveCancelled, Unexpected

@@ -28,7 +28,9 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.network.construction import TripGraph
-from ambush_planner.planning.plan import DriveOptions, depart, departure_path, solve_on_network
+from ambush_planner.planning.options import DriveOptions
+from ambush_planner.planning.plan import depart, departure_path
+from ambush_planner.planning.solving import solve_on_network
 from ambush_planner.planning.trip import trip_network
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import driven_paths
@@ -117,7 +119,7 @@ def check_laws(strategy, visits):
         assert [place[0], *place[begins], place[-1]] == list(visits)
         assert layer[begins].tolist() == list(range(1, legs))
         assert len(set(route.tolist())) == len(route)
-    if strategy.game.ambush_radius == 0.0:
+    if strategy.game.reach == 0.0:
         entered = np.arange(count)[:, None] == network.places[network.heads]
         losses = strategy.game.loss[:count] * hit_once(network, p, entered)
         assert strategy.value == pytest.approx(float(losses.max()))

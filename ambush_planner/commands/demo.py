@@ -15,7 +15,6 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
-from ..game.game import GameOptions
 from ..game.strategy import Strategy, StrategyOptions
 from ..maps.ros_messages import path_from_ros
 from ..planning.evaluation import evaluate
@@ -78,9 +77,8 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
                            fixed_routes(strategy), SECURED_RADIUS)
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')
-    game = GameOptions(ambush_radius=strategy.game.ambush_radius, secured_radius=SECURED_RADIUS)
     budgets = StrategyOptions(time_limit=SWEEP_SECONDS)
-    rows = frontier(strategy.network, game, slacks=SLACKS, options=budgets)
+    rows = frontier(strategy.network, strategy.game.options, slacks=SLACKS, options=budgets)
     write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))

@@ -33,15 +33,13 @@ def percent(share: float) -> str:
 def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee."""
     strategy = section.strategy
-    # A site whose disc holds the start or the goal is excluded, too.
-    held = max(section.departures[-1].parameters.planning.game.secured_radius,
-               strategy.game.ambush_radius)
+    held = strategy.game.options.held_radius
     outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
     length = ('' if strategy.length_budget == math.inf else
               f' with an expected length of at most {distance(strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
-    reach = strategy.game.ambush_radius
+    reach = strategy.game.reach
     passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
     ends = (
         f' Nobody waits within {distance(held)} of start or goal: if that ground is not secured, '

@@ -44,7 +44,7 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     the costliest leg, a lower bound, and q has probabilities at copies. Raises SolverFailed if the
     game has a reach or several ambushers.
     """
-    if game.ambush_radius > 0.0 or game.ambushers > 1:
+    if game.reach > 0.0 or game.ambushers > 1:
         raise SolverFailed('a cut solves games of one ambusher without a reach')
     safe = game.avoiding_all_sites()
     if safe is not None:

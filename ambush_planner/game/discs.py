@@ -1,6 +1,12 @@
-"""Ambushes with a reach: the edges that enter the disc around each site."""
+"""Ambushes with a reach: held ground, and the edges that bring a route into a site's disc.
+
+Held ground protects who drives in it: only the exposed part of an edge, outside held ground, can be
+hit.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -18,44 +24,98 @@ def inside(offset: FloatArray, radius: float) -> BoolArray:
     return np.asarray(np.hypot(offset[:, 0], offset[:, 1]) <= radius)
 
 
-def near_ends(network: Network, radius: float) -> BoolArray:
-    """Nodes (N,) within ``radius`` [m] of the source, a stop or the target."""
-    ends = (network.source, *network.stops, network.target)
-    near = [inside(network.points - network.points[end], radius) for end in ends]
+def near_ends(network: Network, radius: float, points: FloatArray | None = None) -> BoolArray:
+    """Whether points (K, 2), default: the nodes, are within ``radius`` [m] of an end or a stop."""
+    points = network.points if points is None else points
+    near = [inside(points - end, radius) for end in _ends(network)]
     return np.asarray(np.any(near, axis=0))
 
 
-def entering_edges(network: Network, sites: IndexArray, radius: float) -> csr_matrix:
-    """(S, M) 0/1: edges whose tail lies outside a site's disc and whose segment meets it.
+def _ends(network: Network) -> FloatArray:
+    """Positions (E, 2) of source, stops and target."""
+    return network.points[np.unique(network.ends % network.place_count)]
 
-    The sum of a row along any route that starts outside is the number of times that the route
-    enters the disc.
+
+def entering_edges(network: Network, centres: FloatArray, reach: float, held: float,
+                   edges: IndexArray | None = None) -> csr_matrix:
+    """(K, M) 0/1: edges that bring a route into the discs of radius ``reach`` round the centres.
+
+    Routes are exposed further than ``held`` [m] from source, stops and target; everywhere if it is
+    not positive. An edge counts if its exposed part meets the disc, unless the edge before it has
+    brought the route there. A route is hit exactly if it uses one of the row's edges; the sum of
+    the row along the route is the number of times that the route enters the disc. ``edges``
+    restricts the columns that are filled.
     """
-    centres = network.points[sites]
-    edge, site = _close_pairs(network, centres, radius)
-    tail = network.points[network.tails[edge]] - centres[site]
-    head = network.points[network.heads[edge]] - centres[site]
-    enters = ~inside(tail, radius) & (inside(head, radius) | _crosses(tail, head, radius))
-    shape = (len(sites), len(network.edges))
-    return csr_matrix((np.ones(int(enters.sum())), (site[enters], edge[enters])), shape=shape)
+    edges = np.arange(len(network.edges)) if edges is None else edges
+    parts = _exposed_parts(network, edges, held)
+    part, site = _close_pairs(parts, centres, reach)
+    edge = parts.edge[part]
+    tail = network.tails[edge]
+    begin, end = parts.begin[part] - centres[site], parts.end[part] - centres[site]
+    meets = inside(begin, reach) | inside(end, reach) | _crosses(begin, end, reach)
+    exposed = np.ones(len(network.points), bool) if held <= 0.0 else ~near_ends(network, held)
+    exposed[network.source] = False  # no edge before it
+    before = exposed[tail] & inside(network.points[tail] - centres[site], reach)
+    enters = meets & ~before
+    shape = (len(centres), len(network.edges))
+    found = csr_matrix((np.ones(int(enters.sum())), (site[enters], edge[enters])), shape=shape)
+    found.data[:] = 1.0  # several exposed parts of one edge
+    return found
 
 
-def _close_pairs(network: Network, centres: FloatArray,
-                 radius: float) -> tuple[IndexArray, IndexArray]:
-    """(edge, site) pairs whose segment may meet the disc."""
-    middle = (network.points[network.tails] + network.points[network.heads]) / 2
-    reach = (radius + network.lengths / 2) * (1.0 + 1e-9)
-    near = cKDTree(centres).query_ball_point(middle, reach) if len(centres) else []
+class _Parts(NamedTuple):
+    """Exposed parts of edges: their edges (K,), and both ends (K, 2)."""
+
+    edge: IndexArray
+    begin: FloatArray
+    end: FloatArray
+
+
+def _exposed_parts(network: Network, edges: IndexArray, held: float) -> _Parts:
+    """The parts of ``edges`` further than ``held`` [m] from all ends."""
+    tail, head = (network.points[network.edges[edges, k]] for k in (0, 1))
+    which = np.arange(len(edges))
+    first, last = np.zeros(len(edges)), np.ones(len(edges))
+    for centre in _ends(network) if held > 0.0 else ():
+        begin, end = _inside_interval(tail[which] - centre, head[which] - centre, held)
+        pieces = (first, np.minimum(last, begin)), (np.maximum(first, end), last)
+        which = np.tile(which, 2)
+        first, last = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1))
+        kept = last > first
+        which, first, last = which[kept], first[kept], last[kept]
+    tail, along = tail[which], (head - tail)[which]
+    end = np.where(last[:, None] == 1.0, head[which], tail + last[:, None] * along)
+    return _Parts(edges[which], tail + first[:, None] * along, end)
+
+
+def _inside_interval(tail: FloatArray, head: FloatArray,
+                     radius: float) -> tuple[FloatArray, FloatArray]:
+    """Where segments (K,) are inside the disc, as shares of their lengths; (1, 1): nowhere."""
+    along = head - tail
+    squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
+    middle = -(tail * along).sum(axis=1) / squared
+    rest = (radius**2 - ((tail + middle[:, None] * along)**2).sum(axis=1)) / squared
+    half = np.sqrt(np.maximum(rest, 0.0))
+    met = (rest > 0.0) & (middle - half < 1.0) & (middle + half > 0.0)
+    return np.where(met, middle - half, 1.0), np.where(met, middle + half, 1.0)
+
+
+def _close_pairs(parts: _Parts, centres: FloatArray, reach: float) -> tuple[IndexArray, IndexArray]:
+    """(part, centre) pairs that may meet."""
+    half = np.hypot(*(parts.end - parts.begin).T) / 2
+    far = (reach + half) * (1.0 + 1e-9)
+    tree = cKDTree(centres) if len(centres) else None
+    near = tree.query_ball_point((parts.begin + parts.end) / 2, far) if tree else []
     counts = np.array([len(found) for found in near], dtype=np.int64)
     site = np.fromiter((k for found in near for k in found), np.int64, int(counts.sum()))
     return np.repeat(np.arange(len(counts)), counts), site
 
 
-def _crosses(tail: FloatArray, head: FloatArray, radius: float) -> BoolArray:
+def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:
     """Whether segments (K,) come into the disc between their ends."""
-    along = head - tail
+    along = end - begin
     squared = (along**2).sum(axis=1)
-    projection = -(tail * along).sum(axis=1)
+    projection = -(begin * along).sum(axis=1)
     between = (projection > 0.0) & (projection < squared)
     t = np.where(between, projection / np.where(between, squared, 1.0), 0.0)
-    return np.asarray(between & inside(tail + t[:, None] * along, radius))
+    return np.asarray(between & inside(begin + t[:, None] * along, reach))

@@ -30,9 +30,11 @@ class GameOptions:
     ----------
     ambush_radius
         An ambush hits every route that passes within this distance of its site [m]; 0: routes
-        through the site's node. A site's disc cannot contain the source, a stop or the target.
+        through the site's node.
     secured_radius
-        Nobody can wait within this distance of the source, a stop or the target [m].
+        Radius of the held ground around the source, each stop and the target [m]: nobody can wait
+        there, and with a reach nobody who drives there is hit. -1: as far as the reach, an
+        assumption.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -41,6 +43,9 @@ class GameOptions:
     ambush_in_obstacles
         With a reach, the ambusher can also hide in obstacle cells: a plan adds them as nodes
         without edges.
+    tube
+        How far the driven path may leave the drawn route [m]. It adds to the reach, and held ground
+        protects only routes whose whole tube is in it. A plan sets it.
 
     Raises
     ------
@@ -49,17 +54,30 @@ class GameOptions:
     """
 
     ambush_radius: float = 0.0
-    secured_radius: float = 0.0
+    secured_radius: float = -1.0
     alpha_threshold: float = math.inf
     ambushers: int = 1
     ambush_in_obstacles: bool = False
+    tube: float = 0.0
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
-        check_at_least('secured_radius', self.secured_radius, 0.0, 'm')
+        if self.secured_radius != -1.0:
+            check_at_least('secured_radius', self.secured_radius, 0.0, 'm, or -1 for the reach')
+        check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
         check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
+
+    @property
+    def reach(self) -> float:
+        """Distance from a drawn route within which an ambush hits the driven path [m]."""
+        return self.ambush_radius + self.tube
+
+    @property
+    def held_radius(self) -> float:
+        """Radius of the held ground [m]."""
+        return self.reach if self.secured_radius == -1.0 else self.secured_radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +90,19 @@ class Game:
     """
 
     network: Network
-    ambush_radius: float
-    ambushers: int
+    options: GameOptions
     playable: BoolArray
     loss: FloatArray
+
+    @property
+    def reach(self) -> float:
+        """Distance from a drawn route within which an ambush hits [m]; 0: at nodes only."""
+        return self.options.reach
+
+    @property
+    def ambushers(self) -> int:
+        """Number of sites that the ambusher holds at once."""
+        return self.options.ambushers
 
     @property
     def node_count(self) -> int:
@@ -93,8 +120,8 @@ class Game:
 
         These are the edges into the node if the radius is 0, else those that enter the disc.
         """
-        if self.ambush_radius > 0.0:
-            return entering_edges(self.network, self.sites, self.ambush_radius)
+        if self.reach > 0.0:
+            return self.hits_from(self.network.points[self.sites])
         site_of = np.full(self.network.place_count, -1)
         site_of[self.sites] = np.arange(len(self.sites))
         site = site_of[self.network.places[self.network.heads]]
@@ -102,6 +129,15 @@ class Game:
         row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
         return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
+
+    def hits_from(self, centres: FloatArray, edges: IndexArray | None = None,
+                  wider: float = 0.0) -> csr_matrix:
+        """(K, M) 0/1: the edges, default all, that bring a route into reach of the centres.
+
+        The reach can be ``wider`` by some metres.
+        """
+        held = self.options.held_radius - self.options.tube
+        return entering_edges(self.network, centres, self.reach + wider, held, edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""
@@ -149,6 +185,10 @@ class Game:
         """The game on the edges that no ambush hits; None if no route uses only these."""
         return self.restricted_to(np.asarray(self.hits.getnnz(axis=0) == 0))
 
+    def with_one_ambusher(self) -> Game:
+        """The game against an ambusher who holds one site."""
+        return replace(self, options=replace(self.options, ambushers=1))
+
     def without_sites(self, nodes: BoolArray) -> Game:
         """The game in which nobody can wait at ``nodes`` (N,)."""
         return replace(self, loss=frozen_array(np.where(nodes, 0.0, self.loss), np.float64))
@@ -168,15 +208,14 @@ def make_game(network: Network, options: GameOptions) -> Game:
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
         network,
-        options.ambush_radius,
-        options.ambushers,
+        options,
         frozen_array(np.ones(len(network.edges)), np.bool_),
         frozen_array(np.where(_possible_sites(network, options), network.alpha, 0.0), np.float64),
     )
     game = everywhere.restricted_to(allowed[network.tails] & allowed[network.heads])
     if game is None:
         raise _no_route(network, options, int((~allowed).sum()))
-    if options.ambush_radius > 0.0:
+    if options.reach > 0.0:
         return game
     places = network.places
     driven = np.zeros(network.place_count, dtype=bool)
@@ -196,7 +235,6 @@ def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute
 
 def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     """Nodes (N,) where the ambusher can wait."""
-    radius = max(options.secured_radius, options.ambush_radius)
-    if radius == 0.0:  # other nodes may be at the same place as an end
+    if options.held_radius == 0.0:  # other nodes may be at the same place as an end
         return np.ones(len(network.points), dtype=bool)
-    return ~near_ends(network, radius)
+    return ~near_ends(network, options.held_radius)

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, sums
+from ..network.network import Network
 from .acyclic import is_acyclic
 from .game import Game
 
@@ -43,11 +44,11 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     order = np.argsort(-losses, kind='stable')
     order = order[losses[order] > 0.0]
     exact = np.zeros(len(losses))
-    flow = _Layers(game, p)
+    flow = RouteHits(game.network, p)
     least, done, size = 0.0, 0, max(8, k)
     while done < len(order) and losses[order[done]] > least:
         rows = order[done : done + size]
-        exact[rows] = game.loss[game.sites[rows]] * flow.hit_probability(rows)
+        exact[rows] = game.loss[game.sites[rows]] * flow.probability(game.hits[rows])
         done += len(rows)
         size = min(2 * size, _SITES_PER_PASS)
         least = float(np.partition(exact, -k)[-k]) if k else np.inf
@@ -60,10 +61,7 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     rows = np.arange(len(game.sites)) if rows is None else rows
     if not hits_can_differ(game):
         return np.asarray(game.hits[rows] @ p)
-    flow = _Layers(game, p)
-    parts = [rows[i : i + _SITES_PER_PASS] for i in range(0, len(rows), _SITES_PER_PASS)]
-    found = [flow.hit_probability(part) for part in parts]
-    return np.concatenate(found) if found else np.zeros(0)
+    return RouteHits(game.network, p).probability(game.hits[rows])
 
 
 def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
@@ -81,15 +79,13 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
 def hits_can_differ(game: Game) -> bool:
     """Whether a simple route can be hit by one site more than once."""
-    return game.ambush_radius > 0.0 or game.network.legs > 1
+    return game.reach > 0.0 or game.network.legs > 1
 
 
-class _Layers:
-    """The edges of an acyclic strategy by topological layers of their heads."""
+class RouteHits:
+    """The edges of an acyclic strategy p (M,) by topological layers of their heads."""
 
-    def __init__(self, game: Game, p: FloatArray) -> None:
-        network = game.network
-        self._game = game
+    def __init__(self, network: Network, p: FloatArray) -> None:
         used = np.flatnonzero(p > 0.0)
         nodes, ends = np.unique(network.edges[used], return_inverse=True)
         tail, head = ends.reshape(-1, 2).T
@@ -110,11 +106,16 @@ class _Layers:
             for a, b, i, j in zip(bounds[:-1], bounds[1:], firsts[:-1], firsts[1:], strict=True)
         ]
 
-    def hit_probability(self, rows: IndexArray) -> FloatArray:
-        """P(hit) (K,) of the sites in ``rows`` (K,)."""
-        hit = csr_matrix(self._game.hits[rows][:, self._edge].T)
+    def probability(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) of sites with these ``rows`` (K, M) of edges that bring routes to them."""
+        starts = range(0, rows.shape[0], _SITES_PER_PASS)
+        found = [self._pass(rows[start : start + _SITES_PER_PASS]) for start in starts]
+        return np.concatenate(found) if found else np.zeros(0)
+
+    def _pass(self, rows: csr_matrix) -> FloatArray:
+        hit = csr_matrix(rows[:, self._edge].T)
         which = np.repeat(np.arange(len(self._edge)), np.diff(hit.indptr))
-        unhit = np.zeros((self._count, len(rows)))
+        unhit = np.zeros((self._count, rows.shape[0]))
         unhit[self._source] = 1.0
         for a, b, nodes, first in self._layers:
             arriving = unhit[self._tail[a:b]]

@@ -20,6 +20,7 @@ from .cut import solve_by_min_cut, uniform_ambusher
 from .entries import entry_bound, entry_value, priced_edges
 from .flow_program import FlowProgram
 from .game import Game
+from .hits import hits_can_differ, worst_loss
 from .route_sampler import shortest_route_strategy
 from .two_routes import strategy_within_budgets
 
@@ -58,9 +59,10 @@ class LeastRisk:
 
 
 def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float) -> float:
-    """A lower bound of the least value within the budgets, no further off than ``closed``.
+    """The least value within the budgets, at most the share ``closed`` too low.
 
-    At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
+    If a route can come back into a site's reach, it is what the best strategy for counting every
+    entry costs. At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
     BudgetInfeasible if no strategy fits all budgets.
     """
     game = without_forbidden_edges(game, budgets)
@@ -70,7 +72,8 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
             return loose.bound
     try:
         part = initial_part(game, budgets, order_potential(game))
-        return least_risk(game, part, budgets, closed, deadline).bound
+        found = least_risk(game, part, budgets, closed, deadline)
+        return worst_loss(game, found.p) if hits_can_differ(game) else found.bound
     except (TimeLimit, SolverFailed):
         return loose.bound if loose else 0.0
 
@@ -91,15 +94,15 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
         p = shortest_route_strategy(safe) if p is None else p
         nothing = np.zeros(len(game.sites))
         return LeastRisk(0.0, 0.0, p, uniform_ambusher(game), (0.0, 0.0), nothing)
-    if game.ambush_radius > 0.0:
+    if game.reach > 0.0:
         return None
-    cut = solve_by_min_cut(replace(game, ambushers=1))
+    cut = solve_by_min_cut(game.with_one_ambusher())
     q = k * sums(game.network.places, cut.q, game.node_count)
     if q.max() > 1.0:
         return None
     lean, p = without_excessive_sites(game, cut.value), cut.p
     if lean is not game:
-        p = solve_by_min_cut(replace(lean, ambushers=1)).p
+        p = solve_by_min_cut(lean.with_one_ambusher()).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(entry_value(game, p), k * cut.value, p, q, (0.0, 0.0), level)
 
@@ -141,8 +144,8 @@ def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray)
             near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.margin
     part = game.restricted_to(near) or game
     rank = rank_by(potential)
-    if game.ambush_radius == 0.0:
-        rank = rank_around(part, solve_by_min_cut(replace(part, ambushers=1)).p, potential)
+    if game.reach == 0.0:
+        rank = rank_around(part, solve_by_min_cut(part.with_one_ambusher()).p, potential)
     return forward_part(part, rank) or part
 
 

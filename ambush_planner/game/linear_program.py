@@ -116,7 +116,7 @@ def _loss_unit(game: Game) -> float:
 
     The optimum at which an interior point method stops depends on the unit.
     """
-    value = solve_by_min_cut(game).value if game.ambush_radius == 0.0 else 0.0
+    value = solve_by_min_cut(game).value if game.reach == 0.0 else 0.0
     value = value or float(game.loss.max(initial=0.0)) or 1.0
     return 1.0 if ORDINARY[0] < value < ORDINARY[1] else value
 

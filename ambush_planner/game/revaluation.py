@@ -11,7 +11,7 @@ from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, NoRoute
 from .budget import Budget
 from .certificate import Certificate, hit_bound
-from .game import Game, GameOptions, make_game
+from .game import Game, make_game
 from .hits import worst_loss
 from .strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, least_cost
 
@@ -32,8 +32,7 @@ def budgets_in_game(game: Game, strategy: Strategy) -> tuple[Budget, Budget]:
     return length, Budget(game, network.edge_exposure, most, least, 'exposure', 'loss x m')
 
 
-def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray,
-            p: FloatArray | None = None) -> Certificate:
+def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) -> Certificate:
     """Recompute value and bound of a strategy for the node losses ``alpha`` (N,).
 
     ``p`` (M,) replaces the strategy's edge probabilities; the value of p = 0 is infinite. The
@@ -43,7 +42,7 @@ def revalue(strategy: Strategy, options: GameOptions, alpha: FloatArray,
     p = strategy.edge_probability if p is None else p
     network = replace(strategy.network, alpha=alpha)
     try:
-        game = make_game(network, replace(options, ambush_radius=strategy.game.ambush_radius))
+        game = make_game(network, strategy.game.options)
         budgets = budgets_in_game(game, strategy)
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)

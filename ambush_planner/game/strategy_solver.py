@@ -237,9 +237,10 @@ class EntropyStage:
     def _ambusher_without_reach(self) -> tuple[float, FloatArray] | None:
         """Value and q (N,) of the plain game on the same sites, which a reach can only raise."""
         game = self.game
-        if game.ambush_radius == 0.0 or game.ambushers > 1 or game.network.legs > 1:
+        if game.reach == 0.0 or game.ambushers > 1 or game.network.legs > 1:
             return None
-        plain = least_risk_by_cut(replace(game, ambush_radius=0.0))
+        at_nodes = replace(game.options, ambush_radius=0.0, tube=0.0)
+        plain = least_risk_by_cut(replace(game, options=at_nodes))
         return None if plain is None else (plain.bound, plain.q)
 
     def within_budgets(self, p: FloatArray) -> bool:
@@ -326,4 +327,4 @@ class LimitRows:
 
 def _most_hits(game: Game) -> float:
     """Largest number of hits of one site by one route; a leg may come back to a disc."""
-    return (1.0 if game.ambush_radius == 0.0 else 3.0) * game.network.legs
+    return (1.0 if game.reach == 0.0 else 3.0) * game.network.legs

@@ -1,4 +1,4 @@
-"""Hiding places: ambush sites in obstacle cells within reach of the network."""
+"""Ambush sites that are no nodes of the convoy's: in obstacle cells, or anywhere on the map."""
 
 from __future__ import annotations
 
@@ -27,15 +27,20 @@ def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
     far = reach + float(network.lengths.max(initial=0.0)) / 2.0
     near = np.isfinite(cKDTree(network.points).query(places, distance_upper_bound=far)[0])
     loss = risk_map.nearest_free_alpha()[rows[near], columns[near]]
-    return _with_nodes(network, places[near], loss)
+    return with_places(network, places[near], loss)
 
 
-def _with_nodes(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
-    """Append nodes (K, 2) with losses (K,) and without edges to each layer."""
+def with_places(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
+    """Append places (K, 2) with losses (K,) to each layer as nodes without edges."""
     legs, number = network.legs, np.arange(len(network.points))
     moved = number + number // network.place_count * len(points)
     layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
-    losses = network.alpha.reshape(legs, -1), np.tile(alpha, (legs, 1))
-    return Network(np.concatenate(layers, 1).reshape(-1, 2), np.concatenate(losses, 1).ravel(),
-                   moved[network.edges], int(moved[network.source]), int(moved[network.target]),
-                   legs=legs)
+    return Network(np.concatenate(layers, 1).reshape(-1, 2),
+                   on_places(network, network.alpha, alpha), moved[network.edges],
+                   int(moved[network.source]), int(moved[network.target]), legs=legs)
+
+
+def on_places(network: Network, values: FloatArray, added: FloatArray) -> FloatArray:
+    """Values (N,) of nodes with the values (K,) of places appended to each layer."""
+    layers = values.reshape(network.legs, -1), np.tile(added, (network.legs, 1))
+    return np.asarray(np.concatenate(layers, 1).ravel())

@@ -19,8 +19,10 @@ from ..maps.risk_map import RiskMap
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
+from .cell_losses import CellLosses
 from .conditioning import ConditionedStrategy
 from .plan import Plan, Route, depart
+from .solving import holds_anywhere
 
 _Cells = npt.NDArray[np.int64]
 # Maximum number of new obstacle cells; with more, no route is kept.
@@ -99,6 +101,7 @@ class ChangedGround:
         self._segments = _Segments(*(self._uv[network.edges[:, k]] for k in (0, 1)))
         self._conditioned: ConditionedStrategy | None = None
         self._cells = self._cells_of_nodes()
+        self._cell_losses: CellLosses | None = None
         self._latest: _Comparison | None = None
 
     def assess(self, newest: OccupancyMap) -> Assessment:
@@ -206,10 +209,31 @@ class ChangedGround:
             if self._conditioned is None:
                 self._conditioned = ConditionedStrategy(strategy)
             clear_share, p = self._conditioned.avoiding(lost)
-        known = revalue(strategy, self._plan.options.game, alpha, p)
+        known = self._at_any_cell(revalue(strategy, alpha, p), newest, p)
         assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return _Comparison(newest, assessment, centres, lost, pairs)
+
+    def _at_any_cell(self, at_sites: Certificate, newest: OccupancyMap,
+                     p: FloatArray) -> Certificate:
+        """The certificate against ambushers at any cell, if the plan's is."""
+        game, planned_on = self._plan.strategy.game, self._planned_on
+        if not holds_anywhere(game, self._plan.options) or math.isinf(at_sites.value):
+            return at_sites
+        now, before = newest.values.ravel(), planned_on.values.ravel()
+        changed = np.flatnonzero(now != before)
+        # An ambusher in a cell that has become an obstacle still counts.
+        other = bool((~_obstacles(now[changed], self._occupancy)).any())
+        if other or self._cell_losses is None:
+            values = newest.values if other else planned_on.values
+            risk_map = risk_map_from_occupancy(values, newest.resolution, newest.origin,
+                                               self._occupancy)
+            cells = CellLosses(risk_map, self._plan.options.game.ambush_in_obstacles)
+            self._cell_losses = None if other else cells
+        else:
+            cells = self._cell_losses
+        worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution)
+        return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,
                     p: FloatArray) -> Assessment:

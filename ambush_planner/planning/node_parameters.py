@@ -15,8 +15,8 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import NetworkOptions
+from .options import DriveOptions, PlanningOptions
 from .parameters import AUTOMATIC, PARAMETERS
-from .plan import DriveOptions, PlanningOptions
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 _COSTMAP_OBSTACLE = 99
@@ -72,7 +72,6 @@ class NodeParameters:
     robot: RobotOptions
     publish_path: bool
     path_spacing: float
-    start_tolerance: float
     replan_tolerance: float
     max_gap: float
     queue_size: int
@@ -116,7 +115,6 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
         robot=RobotOptions(values['robot_base_frame'], values['transform.max_age']),
         publish_path=values['path.publish'],
         path_spacing=values['route.path_spacing'],
-        start_tolerance=values['route.start_tolerance'],
         replan_tolerance=values['replan.tolerance'],
         max_gap=values['strategy.max_gap'],
         queue_size=values['queue.size'],
@@ -128,14 +126,14 @@ def parameters_from(values: Mapping[str, Any]) -> NodeParameters:
 
 
 def _drive_options(values: Mapping[str, Any]) -> DriveOptions:
-    tube, error = values['route.tube'], values['route.tracking_error']
+    tube = values['route.tube']
     if tube < 0.0 and tube != AUTOMATIC:
         raise InvalidOption(f'route.tube must be >= 0 [m], or -1 for automatic, got {tube}')
     try:
         return DriveOptions(None if tube == AUTOMATIC else tube, values['route.turning_radius'],
-                            error)
-    except InvalidOption as refused:
-        raise InvalidOption(f'route.{refused}') from refused
+                            values['route.start_tolerance'], values['route.tracking_error'])
+    except InvalidOption as error:
+        raise InvalidOption(f'route.{error}') from error
 
 
 def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],

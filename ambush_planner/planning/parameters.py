@@ -11,7 +11,7 @@ from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
 from ..maps.occupancy import OccupancyOptions
 from ..network.construction import METHODS, NetworkOptions
-from .plan import DriveOptions
+from .options import DriveOptions
 from .trip import ORDERS
 
 _MAP, _NETWORK, _GAME, _STRATEGY = (OccupancyOptions(), NetworkOptions(), GameOptions(),
@@ -73,7 +73,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'node.'),
     'game.secured_radius': Declaration(
         _GAME.secured_radius,
-        'Radius around start, stops and goal in which no ambush is possible [m].'),
+        'Radius of the held ground around start, stops and goal [m], where nobody can wait and '
+        'nobody who drives there is hit; -1: as far as the reach.', -1.0),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
     'game.ambushers': Declaration(

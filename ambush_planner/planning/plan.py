@@ -3,98 +3,25 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray, frozen_array
-from ..errors import InvalidOption, TimeLimit
 from ..game.bottleneck import Bottleneck, find_bottleneck
-from ..game.game import GameOptions
-from ..game.revaluation import open_gap
-from ..game.strategy import Strategy, StrategyOptions, solve
-from ..game.strategy_solver import Multipliers
+from ..game.strategy import Strategy
 from ..maps.obstacles import nearest_free_cell
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, chosen_spacing
-from ..network.hiding_places import with_hiding_places
 from ..network.network import Network
-from ..option_checks import check_at_least
 from ..routes.corridors import Corridors, make_corridors
 from ..routes.driven_path import Ends, different_paths, driven_path, driven_paths
+from .options import PlanningOptions, node_spacing, start_tolerance, tube
+from .solving import WarmStart
 
-# Default tube if the game has a reach, in node spacings.
-DEFAULT_TUBE = 0.35
 # Number of routes drawn to count the different paths.
 DRAWN = 1000
-
-
-@dataclass(frozen=True)
-class DriveOptions:
-    """Options that turn a drawn route into the driven path; raises InvalidOption.
-
-    Parameters
-    ----------
-    tube
-        Largest distance of the path from the drawn route [m]. It is added to the reach of the
-        game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
-        spacings; without one, the path only avoids nodes that its route does not use.
-    turning_radius
-        Least radius of turns [m], if the corridors have enough room.
-    tracking_error
-        Largest distance of the robot from the path [m], added to the reach like the tube. Only for
-        games with a reach.
-    """
-
-    tube: float | None = None
-    turning_radius: float = 0.0
-    tracking_error: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.tube is not None:
-            check_at_least('tube', self.tube, 0.0, 'm')
-        check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
-        check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
-
-
-@dataclass(frozen=True)
-class PlanningOptions:
-    """All options of a plan.
-
-    If the time limit passes, a strategy is still accepted whose gap beyond the risk slack is at
-    most ``max_gap`` times its value.
-    """
-
-    network: NetworkOptions = field(default_factory=NetworkOptions)
-    game: GameOptions = field(default_factory=GameOptions)
-    strategy: StrategyOptions = field(default_factory=StrategyOptions)
-    drive: DriveOptions = field(default_factory=DriveOptions)
-    max_gap: float = 0.1
-
-    def __post_init__(self) -> None:
-        check_at_least('max_gap', self.max_gap, 0.0, finite=False)
-        if self.drive.tracking_error > 0.0 and not self.game.ambush_radius > 0.0:
-            raise InvalidOption(f'route.tracking_error {self.drive.tracking_error} is added to the '
-                                'reach of ambushes, so game.ambush_radius must be over 0 [m]')
-
-
-@dataclass(frozen=True, eq=False)
-class WarmStart:
-    """The multipliers of another strategy, and its nodes' positions ``points`` (N, 2) [m]."""
-
-    points: FloatArray
-    multipliers: Multipliers
-
-    def on(self, network: Network) -> Multipliers:
-        """The multipliers for another network: each site's from the nearest node."""
-        if np.array_equal(self.points, network.points):
-            return self.multipliers
-        _, nearest = cKDTree(self.points).query(network.points)
-        sites = frozen_array(self.multipliers.sites[nearest], np.float64)
-        return Multipliers(sites, self.multipliers.budgets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +90,12 @@ class Plan:
     @property
     def tube(self) -> float | None:
         """Largest distance of paths from the drawn route [m]; None: they avoid other nodes."""
-        return _tube(self.options, self.spacing)
+        return tube(self.options, self.spacing)
+
+    @property
+    def start_tolerance(self) -> float:
+        """How far start and goal of a departure may be from the plan's [m]."""
+        return start_tolerance(self.options, self.spacing)
 
     @property
     def goal_xy(self) -> tuple[float, float]:
@@ -180,21 +112,13 @@ class Route:
     points: FloatArray
 
 
-def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
-                     warm: WarmStart | None = None) -> Strategy:
-    """Solve the game on a network built on the map; raises the errors of ``solve``."""
-    network = add_hiding_places(network, risk_map, options)
-    start = warm.on(network) if warm else None
-    return _solve_within_max_gap(network, options, reach(risk_map, options), start)
-
-
 def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
               begin: float) -> Plan:
     """Complete a plan from its strategy; ``begin`` [s] is when planning began."""
     spacing = node_spacing(risk_map, options.network)
-    tube = _tube(options, spacing)
+    wide = tube(options, spacing)
     bottleneck = find_bottleneck(strategy, begin + options.strategy.time_limit)
-    corridors = make_corridors(strategy.network, risk_map, options.network.clearance, tube,
+    corridors = make_corridors(strategy.network, risk_map, options.network.clearance, wide,
                                options.network.clear_of_edge)
     different = None
     if time.monotonic() < begin + options.strategy.time_limit:
@@ -203,52 +127,6 @@ def make_plan(risk_map: RiskMap, strategy: Strategy, options: PlanningOptions,
         different = different_paths(corridors, drawn)
     return Plan(strategy.network, strategy, bottleneck, corridors, options, spacing, different,
                 time.monotonic() - begin)
-
-
-def _solve_within_max_gap(network: Network, options: PlanningOptions, radius: float,
-                          start: Multipliers | None) -> Strategy:
-    """The strategy for the reach ``radius`` [m]; at the time limit, one within ``max_gap``."""
-    game = replace(options.game, ambush_radius=radius)
-    try:
-        return solve(network, game, options.strategy, start)
-    except TimeLimit as late:
-        strategy = late.strategy
-        if strategy is None:
-            raise
-        gap = open_gap(strategy, options.strategy)
-        if gap <= options.max_gap * strategy.value:
-            return strategy
-        raise TimeLimit(f'after {options.strategy.time_limit:g} s the strategy may be '
-                        f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
-                        f'{options.max_gap:g}; allow more time, or choose a larger spacing',
-                        strategy) from late
-
-
-def reach(risk_map: RiskMap, options: PlanningOptions) -> float:
-    """The reach of an ambush in the solved game [m]: radius, tube and tracking error."""
-    tube = _tube(options, node_spacing(risk_map, options.network))
-    return options.game.ambush_radius + (tube or 0.0) + options.drive.tracking_error
-
-
-def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
-    """Add the obstacle cells in which an ambusher can hide, if the game includes them."""
-    radius = reach(risk_map, options)
-    if not options.game.ambush_in_obstacles or radius == 0.0:
-        return network
-    spacing = node_spacing(risk_map, options.network)
-    return with_hiding_places(network, risk_map, radius, spacing)
-
-
-def _tube(options: PlanningOptions, spacing: float) -> float | None:
-    """The tube [m]; None if the game stays the plain one."""
-    if options.drive.tube is None and options.game.ambush_radius > 0.0:
-        return DEFAULT_TUBE * spacing
-    return options.drive.tube
-
-
-def node_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """The distance of nodes, at least the map's resolution [m]."""
-    return max(risk_map.resolution, chosen_spacing(risk_map, options))
 
 
 def risk_map_and_goal(request: PlanRequest) -> tuple[RiskMap, tuple[float, float]]:

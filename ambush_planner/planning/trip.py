@@ -26,17 +26,9 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, TripGraph, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
-from .plan import (
-    Plan,
-    PlanningOptions,
-    PlanRequest,
-    WarmStart,
-    add_hiding_places,
-    make_plan,
-    reach,
-    risk_map_and_goal,
-    solve_on_network,
-)
+from .options import PlanningOptions, solved_game
+from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
+from .solving import WarmStart, add_hiding_places, solve_on_network
 
 ORDERS = ('given', 'best')
 # Largest number of stops for which all orders (5040) are compared.
@@ -54,7 +46,7 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
     One strategy covers all legs: a site's losses add up over the legs that it hits, and value,
     certificate and ``max_detour`` are those of the whole trip. Nobody can wait at a stop, nor
-    within ``secured_radius`` or the ambush's reach of it, as at start and goal. A goal at the
+    within ``secured_radius`` of it, as at start and goal. A goal at the
     start's position makes a round trip.
 
     The order 'best' has the least value within the budget of ``max_detour`` times the shortest way
@@ -128,7 +120,7 @@ class _StopOrderSearch:
 
     def __init__(self, risk_map: RiskMap, graph: TripGraph, options: PlanningOptions) -> None:
         self._map, self._graph, self._options = risk_map, graph, options
-        self._game = replace(options.game, ambush_radius=reach(risk_map, options))
+        self._game = solved_game(risk_map, options)
         self._deadline = time.monotonic() + options.strategy.time_limit
         self._ends = sorted(set(graph.visits))
         at = {node: k for k, node in enumerate(self._ends)}
@@ -208,7 +200,7 @@ class _StopOrderSearch:
     def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
         """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""
         k = game.ambushers
-        options = replace(self._game, ambush_radius=0.0, ambushers=1)
+        options = replace(self._game, ambush_radius=0.0, tube=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
             cut = solve_by_min_cut(make_game(self._graph.network(pair), options))
             q = np.zeros(game.node_count)

@@ -21,7 +21,8 @@ from ..maps.ros_messages import occupancy_from_ros, path_from_ros
 from ..planning.changed_ground import ChangedGround
 from ..planning.conditioning import ConditionedStrategy
 from ..planning.node_parameters import NodeParameters, parameters_from
-from ..planning.plan import Plan, PlanningOptions, node_spacing
+from ..planning.options import PlanningOptions, node_spacing
+from ..planning.plan import Plan
 from ..routes.corridors import make_corridors
 from .map_changes import MAP_CHANGES_FILE, changed_map
 from .recording_errors import UnreadableRecording

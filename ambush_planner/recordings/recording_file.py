@@ -29,7 +29,7 @@ COMPRESSIONS = {
 }
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '6'
+FORMAT = '7'
 _CHUNK_SIZE = 2**20  # bytes
 
 

@@ -75,7 +75,6 @@ def map_data(section: Section) -> dict[str, Any]:
     """
     risk_map, strategy = section.risk_map, section.strategy
     network, game = strategy.network, strategy.game
-    secured = section.departures[-1].parameters.planning.game.secured_radius
     cells, levels, cell = map_cells(risk_map)
     used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
     corner = np.array(risk_map.origin[:2])
@@ -88,7 +87,7 @@ def map_data(section: Section) -> dict[str, Any]:
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
-        'reach': game.ambush_radius, 'held': max(secured, game.ambush_radius),
+        'reach': game.reach, 'held': game.options.held_radius,
         'value': strategy.value,
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),

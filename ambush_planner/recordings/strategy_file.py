@@ -24,8 +24,8 @@ NUMBERS = (
 )
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'legs')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
-# Radius of an ambush in the solved game [m]: the game's own plus the tube of the driven path.
-_REACH = 'reach'
+# What a plan adds to the game's options [m]: the tube of the driven path, and the held ground.
+_PLANNED = ('tube', 'secured_radius')
 # Whether counting each route once left the gap open.
 _COUNTING_GAP = 'counting_gap'
 
@@ -36,7 +36,7 @@ def strategy_file(strategy: Strategy) -> bytes:
     arrays: dict[str, Any] = {
         **{name: getattr(strategy.network, name) for name in _NETWORK},
         **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
-        _REACH: strategy.game.ambush_radius,
+        **{name: getattr(strategy.game.options, name) for name in _PLANNED},
         _COUNTING_GAP: strategy.counting_gap,
     }
     np.savez_compressed(stream, **arrays)
@@ -54,7 +54,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
         content = {name: archive[name] for name in archive.files}
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), legs=int(content['legs']))
-    game = make_game(network, replace(options, ambush_radius=float(content[_REACH])))
+    tube, held = (float(content[name]) for name in _PLANNED)
+    game = make_game(network, replace(options, tube=tube, secured_radius=held))
     stated = {name: float(content[name]) for name in NUMBERS}
     p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
     if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):

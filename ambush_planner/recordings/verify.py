@@ -21,7 +21,11 @@ from ..game.acyclic import is_acyclic
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
-from ..planning.plan import PlanningOptions, Route, add_hiding_places, departure_path, reach
+from ..network.hiding_places import with_places
+from ..planning.cell_losses import CellLosses
+from ..planning.options import PlanningOptions, solved_game
+from ..planning.plan import Route, departure_path
+from ..planning.solving import add_hiding_places, holds_anywhere
 from ..planning.trip import trip_network
 from .recorded_departure import (
     RecordedDeparture,
@@ -139,15 +143,26 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     recorded = strategy.network
     laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
+    cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
+    if holds_anywhere(strategy.game, planning):
+        added = slice(network.place_count, recorded.place_count)
+        points = recorded.points[added]
+        network = with_places(network, points, cells.at(points))
     ends = attrgetter('source', 'target', 'legs')
     if ends(recorded) != ends(network) or not all(
         np.array_equal(getattr(recorded, name), getattr(network, name))
         for name in ('points', 'edges', 'alpha')
     ):
         return ['network: it does not follow from the recorded map, trip and parameters']
-    if strategy.game.ambush_radius != reach(risk_map, planning):
-        return ['strategy: it is for another reach of an ambush than the parameters give']
+    if strategy.game.options != solved_game(risk_map, planning):
+        return ['strategy: it is for another reach or held ground than the parameters give']
     problems = []
+    if holds_anywhere(strategy.game, planning) and len(worst := cells.worst(
+        strategy.game, strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE),
+        max(risk_map.size)
+    ).mean_loss):
+        problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
+                        f'its value {strategy.value:.9g}')
     if planning.strategy.length_weight == 0.0:
         for what, budget in zip(
             ('length', 'exposure'), make_budgets(strategy.game, planning.strategy), strict=True
@@ -198,9 +213,8 @@ def source_problems(departure: RecordedDeparture) -> list[str]:
 def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
     """Solve the game again, from cold and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
-    game = replace(planning.game, ambush_radius=strategy.game.ambush_radius)
     try:
-        again = solve(strategy.network, game, options)
+        again = solve(strategy.network, strategy.game.options, options)
     except TimeLimit as late:
         if late.strategy is None:
             raise

@@ -15,6 +15,7 @@ from ..game.game import Game
 from ..game.revaluation import open_gap
 from ..planning.changed_ground import Assessment
 from ..planning.plan import DRAWN, Plan
+from ..planning.solving import holds_anywhere
 from ..worker.solve_errors import SolveCancelled
 from .error_codes import OK_CODE, code_of
 
@@ -161,13 +162,20 @@ def _tight_turns_warning(count: int) -> str:
 
 
 def _bottleneck_warning(plan: Plan | None) -> str:
-    """Return a warning if the value is 0, or if the minimum cut lies close to start or goal."""
+    """Return a warning if held ground decides too much: the value, or whether there is one."""
     if plan is None:
         return ''
-    bottleneck = plan.bottleneck
+    bottleneck, game = plan.bottleneck, plan.strategy.game
+    held = game.options.held_radius
+    if not len(game.sites):
+        return (f'the value is 0: within {held:.4g} m of start, stops and goal nobody can wait, '
+                'and no other place has a loss; check the map and game.secured_radius')
     if not bottleneck.value > 0.0:
-        return ('the value is 0: no possible ambush causes a loss; check the map and '
-                'game.secured_radius')
+        return 'the value is 0: there are routes that no ambush with a loss can hit; check the map'
+    if 0.0 <= plan.options.game.secured_radius < game.reach:
+        return (f'an ambush reaches {game.reach:.4g} m, tube included, but ground is held only '
+                f'{plan.options.game.secured_radius:.4g} m around start and goal: one that waits '
+                'just outside may hit every route (game.secured_radius)')
     if not bottleneck.near_ends:
         return ''
     return (
@@ -187,13 +195,18 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of the displayed plan; empty ones before the first plan."""
     if plan is None:
         return dict.fromkeys((
-            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'nodes', 'edges', 'deciding_sites',
-            'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds',
+            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
+            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
+            'order', 'solve_seconds',
         ), '')
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
         'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
+        'value_holds_at': ('any cell of the map'
+                           if holds_anywhere(plan.strategy.game, plan.options)
+                           else "the network's nodes"),
+        'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
         'nodes': str(len(plan.network.points)),
         'edges': str(len(plan.network.edges)),
         'deciding_sites': str(len(plan.bottleneck.sites)),

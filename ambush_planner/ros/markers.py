@@ -68,7 +68,7 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     often = float(q.max())
     shown = np.flatnonzero((q >= _LEAST_SHOWN * often) & (strategy.value > 0.0))
     length = _edge_length(network)
-    diameter = 2.0 * strategy.game.ambush_radius or 0.6 * length
+    diameter = 2.0 * strategy.game.reach or 0.6 * length
     marker = _marker('ambush_sites', Marker.SPHERE_LIST, header, network)
     marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
     if not shown.size:

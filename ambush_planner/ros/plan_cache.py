@@ -13,7 +13,9 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..planning.changed_ground import ChangedGround
 from ..planning.node_parameters import NodeParameters
-from ..planning.plan import Plan, PlanRequest, WarmStart
+from ..planning.options import start_tolerance
+from ..planning.plan import Plan, PlanRequest
+from ..planning.solving import WarmStart
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
@@ -49,7 +51,7 @@ class CachedPlan:
         if self.goal_was_moved and _goal(self.trip) != _goal(trip):
             return False
         distance = _distance(self.trip, trip)
-        if distance > _tolerance(parameters, self.plan.spacing):
+        if distance > self.plan.start_tolerance:
             return False
         assessment = self.ground.assess(trip.map)
         if not assessment.allows_departure(parameters.max_gap, self.plan.strategy.gap):
@@ -187,7 +189,7 @@ class PlanCache:
             multipliers = each.plan.strategy.multipliers
             other_map = each.trip.map is not trip.map
             if multipliers is not None and other_map and each.answers(trip, parameters):
-                return WarmStart(each.plan.network.points, multipliers)
+                return WarmStart(each.plan.network, multipliers)
         return None
 
     def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
@@ -215,11 +217,6 @@ def _distance(one: Trip, other: Trip) -> float:
     return max(math.dist(one.start_xy, other.start_xy), math.dist(one.goal_xy, other.goal_xy))
 
 
-def _tolerance(parameters: NodeParameters, spacing: float) -> float:
-    """Return how far start and goal may be from a plan's [m]: at most half the node spacing."""
-    return min(parameters.start_tolerance, 0.5 * spacing)
-
-
 def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> bool:
     """Whether the plan of a pending solve will probably suit a trip."""
     other, used = pending.trip, pending.parameters
@@ -229,7 +226,7 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
             and other.goal_tolerance == trip.goal_tolerance
-            and _distance(other, trip) <= _tolerance(parameters, spacing))
+            and _distance(other, trip) <= start_tolerance(parameters.planning, spacing))
 
 
 def _goal(trip: Trip) -> tuple[_Position, float]:

@@ -22,7 +22,6 @@ from scipy.sparse.csgraph import maximum_flow
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NotDistinct
 from ..game.acyclic import is_acyclic, rank_around
-from ..game.entries import entry_value
 from ..game.strategy import Strategy
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least, check_whole
@@ -54,8 +53,7 @@ class DayEffect:
     largest_change : float
         Largest change of a node's visit probability from the strategy's.
     value, standard_error : float
-        Mean loss of each convoy by the best ambush against such days, and its standard error. With
-        a reach every entry into a site's reach counts, an upper bound.
+        Mean loss of each convoy by the best ambush against such days, and its standard error.
     """
 
     share: float
@@ -120,7 +118,8 @@ def day_effect(strategy: Strategy, n: int, rng: np.random.Generator, distinct: f
     )
     middle, conditional = MiddleSection(strategy, distinct), _ConditionalFlow(strategy)
     size = max(1, min(days // _GROUPS, _NUMBERS // len(strategy.network.points)))
-    parts = [conditional.flow(middle, others[k:k + size]) for k in range(0, days, size)]
+    groups = [others[k:k + size] for k in range(0, days, size)]
+    parts = [conditional.flow(middle, group) for group in groups]
     chance, flow = np.array([part[0] for part in parts]), np.array([part[1] for part in parts])
     if not chance.sum() > 0.0:
         raise middle.not_distinct(n, 0, days)
@@ -134,16 +133,23 @@ def day_effect(strategy: Strategy, n: int, rng: np.random.Generator, distinct: f
     p = flow.sum(axis=0) / chance.sum()
     game = strategy.game
     visits, losses = game.visits(p), game.site_losses(p)
-    error = 0.0
-    if len(losses):
-        worst = int(np.argmax(losses))
+    worst: list[tuple[float, float]] = []
+    # Entries bound hits, so only sites that can still be among the worst need a pass.
+    for site in np.argsort(-losses):
+        if len(worst) == game.ambushers and losses[site] <= worst[-1][0]:
+            break
+        enters = game.hits[[site]].indices
+        unhit = [conditional.reaching_target(middle, group, enters) for group in groups]
+        cost = game.loss[game.sites[site]] * (chance - unhit)
+        loss = float(cost.sum() / chance.sum())
         # Standard error of a ratio of means over groups of days.
-        cost = np.asarray(game.hits[[worst]] @ flow.T).ravel() * game.loss[game.sites[worst]]
-        off = cost - losses[worst] * chance
+        off = cost - loss * chance
         error = float(np.sqrt(off @ off * len(off) / (len(off) - 1)) / chance.sum())
+        worst = sorted([*worst, (loss, error)], reverse=True)[: game.ambushers]
     return DayEffect(
         share, frozen_array(visits, np.float64),
-        float(np.abs(visits - strategy.visit_probability).max()), entry_value(game, p), error,
+        float(np.abs(visits - strategy.visit_probability).max()),
+        sum(loss for loss, _ in worst), sum(error for _, error in worst),
     )
 
 
@@ -247,16 +253,10 @@ class _ConditionalFlow:
     def flow(self, middle: MiddleSection,
              days: Sequence[Sequence[IndexArray]]) -> tuple[float, FloatArray]:
         """Sums over days of the probability to avoid the day's routes, and of that flow (M,)."""
-        network = self._network
-        shape = len(network.points), len(days)
-        free, ahead, behind = np.ones(shape), np.zeros(shape), np.zeros(shape)
-        for k, day in enumerate(days):
-            for route in day:
-                free[route[middle.nodes[route]], k] = 0.0
-        heads, chance = network.heads[self._edges], self._chance
-        behind[network.target], ahead[network.source] = 1.0, 1.0
-        for node, out in reversed(self._nodes):
-            behind[node] = free[node] * (chance[out] @ behind[heads[out]])
+        network, chance = self._network, self._chance
+        heads, free = network.heads[self._edges], self._free(middle, days)
+        behind, ahead = self._reaching_target(free, chance), np.zeros_like(free)
+        ahead[network.source] = 1.0
         for node, out in self._nodes:
             ahead[node] *= free[node]
             ahead[heads[out]] += chance[out, None] * ahead[node]
@@ -265,3 +265,26 @@ class _ConditionalFlow:
         p[self._edges] = chance * [ahead[tail] @ behind[head]
                                    for tail, head in network.edges[self._edges].tolist()]
         return float(behind[network.source].sum()), p
+
+    def reaching_target(self, middle: MiddleSection, days: Sequence[Sequence[IndexArray]],
+                        without: IndexArray) -> float:
+        """Sum over days of the probability to avoid the day's routes and the edges ``without``."""
+        chance = np.where(np.isin(self._edges, without), 0.0, self._chance)
+        found = self._reaching_target(self._free(middle, days), chance)
+        return float(found[self._network.source].sum())
+
+    def _free(self, middle: MiddleSection, days: Sequence[Sequence[IndexArray]]) -> FloatArray:
+        """Where no other convoy drives (N, days): 1, else 0."""
+        free = np.ones((len(self._network.points), len(days)))
+        for k, day in enumerate(days):
+            for route in day:
+                free[route[middle.nodes[route]], k] = 0.0
+        return free
+
+    def _reaching_target(self, free: FloatArray, chance: FloatArray) -> FloatArray:
+        """Probability (N, days) of reaching the target from each node by free nodes."""
+        behind, heads = np.zeros_like(free), self._network.heads[self._edges]
+        behind[self._network.target] = 1.0
+        for node, out in reversed(self._nodes):
+            behind[node] = free[node] * (chance[out] @ behind[heads[out]])
+        return behind

@@ -1,0 +1,163 @@
+"""Solve the game of a plan, with a reach against an ambusher at any cell of the map."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import FloatArray, frozen_array
+from ..errors import TimeLimit
+from ..game.game import Game, GameOptions, make_game
+from ..game.hits import worst_loss
+from ..game.revaluation import open_gap
+from ..game.strategy import Strategy, solve
+from ..game.strategy_solver import Multipliers
+from ..maps.risk_map import RiskMap
+from ..network.hiding_places import on_places, with_hiding_places, with_places
+from ..network.network import Network
+from .cell_losses import CellLosses
+from .options import PlanningOptions, node_spacing, solved_game
+
+# Most solves with the cells as sites that cost the strategy before more than its value.
+_MOST_REPETITIONS = 3
+# Share of the slack by which a cell may exceed the value without another solve.
+_EXCESS = 0.2
+# Side of the squares of which the worst cell becomes a site, in node spacings.
+_SQUARE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Another strategy to start from: its network and its multipliers."""
+
+    network: Network
+    multipliers: Multipliers
+
+    def on(self, network: Network) -> Multipliers:
+        """The multipliers for another network: each site's from the nearest node."""
+        points = self.network.points
+        if np.array_equal(points, network.points):
+            return self.multipliers
+        _, nearest = cKDTree(points).query(network.points)
+        sites = frozen_array(self.multipliers.sites[nearest], np.float64)
+        return Multipliers(sites, self.multipliers.budgets)
+
+    def sites_beyond(self, network: Network) -> FloatArray:
+        """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
+        own = self.network
+        binding = self.multipliers.sites[: own.place_count] > 0.0
+        binding[own.edges.ravel() % own.place_count] = False
+        places = np.unique(own.points[np.flatnonzero(binding)], axis=0)
+        return np.asarray(places[cKDTree(network.points).query(places)[0] > 0.0])
+
+
+def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
+                     warm: WarmStart | None = None) -> Strategy:
+    """Solve the game on a network built on the map.
+
+    With a reach, cells that cost the strategy more than its value are added to the network as
+    nodes without edges, and the game is solved again; the value then holds for all cells
+    (``holds_anywhere``). At the time limit, a strategy within ``max_gap`` is returned. Raises the
+    errors of ``solve``.
+    """
+    network = add_hiding_places(network, risk_map, options)
+    game, until = solved_game(risk_map, options), time.monotonic() + options.strategy.time_limit
+    cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
+    if warm:
+        places = warm.sites_beyond(network)
+        network = with_places(network, places, cells.at(places))
+    start = warm.on(network) if warm else None
+    strategy, late = _solved(network, game, options, until, start)
+    if not holds_anywhere(strategy.game, options):
+        return _within_max_gap(strategy, late, options)
+    square = _SQUARE * node_spacing(risk_map, options.network)
+    found: list[Strategy] = []
+    for repetitions in range(_MOST_REPETITIONS + 1):
+        worst = cells.worst(strategy.game, strategy.edge_probability, strategy.value, square)
+        found.append(_valued(strategy, worst.points[:1], worst.alpha[:1], options))
+        most = strategy.value * (1.0 + _EXCESS * options.strategy.risk_slack)
+        if late or found[-1].value <= most or repetitions == _MOST_REPETITIONS:
+            break
+        added = with_places(strategy.network, worst.points, worst.alpha)
+        start = _extended(strategy, len(worst.alpha))
+        try:
+            strategy, late = _solved(added, game, options, until, start)
+        except TimeLimit as error:
+            late = error
+    return _within_max_gap(min(found, key=lambda each: each.value), late, options)
+
+
+def holds_anywhere(game: Game, options: PlanningOptions) -> bool:
+    """Whether a plan's value holds for an ambusher at any cell of the map, not only at its sites.
+
+    Several ambushers could surround one cell, and cyclic strategies have no hit probabilities.
+    """
+    return game.reach > 0.0 and game.ambushers == 1 and options.strategy.solver == 'max_entropy'
+
+
+def _solved(network: Network, game: GameOptions, options: PlanningOptions, until: float,
+            start: Multipliers | None) -> tuple[Strategy, TimeLimit | None]:
+    """The strategy, and the error if time was up; raises it if there is no strategy."""
+    left = max(until - time.monotonic(), 1e-3)
+    try:
+        return solve(network, game, replace(options.strategy, time_limit=left), start), None
+    except TimeLimit as late:
+        if late.strategy is None:
+            raise
+        return late.strategy, late
+
+
+def _within_max_gap(strategy: Strategy, late: TimeLimit | None,
+                    options: PlanningOptions) -> Strategy:
+    """The strategy if it was solved in time or is within ``max_gap``; raises TimeLimit if not."""
+    gap = open_gap(strategy, options.strategy)
+    if late is None or gap <= options.max_gap * strategy.value:
+        return strategy
+    raise TimeLimit(f'after {options.strategy.time_limit:g} s the strategy may be '
+                    f'{gap / strategy.value:.2g} of its value from the best, more than max_gap '
+                    f'{options.max_gap:g}; allow more time, or choose a larger spacing',
+                    strategy) from late
+
+
+def _valued(strategy: Strategy, points: FloatArray, alpha: FloatArray,
+            options: PlanningOptions) -> Strategy:
+    """The strategy with more sites (K, 2) and their losses (K,), which may raise its value.
+
+    Its lower bound holds all the same: more sites cannot help the convoy.
+    """
+    if not len(alpha):
+        return strategy
+    network = with_places(strategy.network, points, alpha)
+    game = make_game(network, strategy.game.options)
+    p, none = strategy.edge_probability, np.zeros(len(alpha))
+    value = worst_loss(game, p)
+    limit = strategy.lower_bound * (1.0 + options.strategy.risk_slack)
+    return replace(
+        strategy, game=game, value=value, gap=value - strategy.lower_bound,
+        visit_probability=frozen_array(game.visits(p), np.float64),
+        ambush_probability=frozen_array(
+            on_places(strategy.network, strategy.ambush_probability, none), np.float64),
+        multipliers=_extended(strategy, len(alpha)),
+        counting_gap=strategy.counting_gap or (strategy.value <= limit < value),
+    )
+
+
+def _extended(strategy: Strategy, count: int) -> Multipliers | None:
+    """The strategy's multipliers with ``count`` more places."""
+    found = strategy.multipliers
+    if found is None:
+        return None
+    sites = on_places(strategy.network, found.sites, np.zeros(count))
+    return Multipliers(frozen_array(sites, np.float64), found.budgets)
+
+
+def add_hiding_places(network: Network, risk_map: RiskMap, options: PlanningOptions) -> Network:
+    """Add the obstacle cells in which an ambusher can hide, if the game includes them."""
+    radius = solved_game(risk_map, options).reach
+    if not options.game.ambush_in_obstacles or radius == 0.0:
+        return network
+    spacing = node_spacing(risk_map, options.network)
+    return with_hiding_places(network, risk_map, radius, spacing)

@@ -1,0 +1,78 @@
+"""A plan's value against ambushers at every cell, by geometry that shares no code with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from games import ground, hit_once, may_wait, meets
+from scipy.optimize import linprog
+
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
+from ambush_planner.game.route_sampler import route_edges
+from ambush_planner.planning.cell_losses import CellLosses
+from ambush_planner.planning.options import DriveOptions
+from ambush_planner.planning.trip import plan_trip
+
+SPACING = 1.3
+OPTIONS = PlanningOptions(NetworkOptions(spacing=SPACING), drive=DriveOptions(tube=0.0))
+
+
+def losses_at_cells(risk_map, strategy, held):
+    """Mean loss (K,) of an ambush at each free cell outside held ground, each route hit once."""
+    network, reach = strategy.network, strategy.game.reach
+    rows, columns = np.nonzero(~risk_map.obstacles)
+    centres = risk_map.to_world(np.stack((columns, rows), axis=1) + 0.5)
+    apart = np.linalg.norm(centres[:, None] - network.points[network.ends], axis=2)
+    outside = (apart > held).all(axis=1)
+    hits = meets(network, centres[outside], reach, held)
+    alpha = risk_map.alpha[rows, columns][outside]
+    return alpha * hit_once(network, strategy.edge_probability, hits)
+
+
+def least_of_sampled_routes(strategy, held, detour):
+    """Least value of mixtures of drawn routes within the budget, an upper bound of the optimum."""
+    network = strategy.network
+    near = meets(network, network.points, strategy.game.reach, held)
+    near &= may_wait(network, held)[:, None]
+    drawn = strategy.sample_routes(150, np.random.default_rng(1))
+    routes = [route_edges(network, route) for route in drawn]
+    hit = network.alpha[:, None] * np.array([near[:, each].any(axis=1) for each in routes]).T
+    length = np.array([network.lengths[each].sum() for each in routes])
+    rows = np.vstack((np.c_[hit, -np.ones(len(hit))], np.r_[length, 0.0]))
+    most = np.r_[np.zeros(len(hit)), min(max(detour * strategy.shortest_length, length.min()), 1e9)]
+    found = linprog(np.r_[0.0 * length, 1.0], rows, most, np.r_[0.0 * length + 1.0, 0.0][None],
+                    [1.0], method='highs-ds')
+    return float(found.fun)
+
+
+@pytest.mark.parametrize('spacings, detour', [(1.0, 1.15), (2.5, np.inf), (6.0, 1.15)])
+@pytest.mark.parametrize('kind', ['hills', 'city', 'maze', 'depot'])
+def test_no_cell_costs_more_than_the_value_and_no_mixture_less_than_the_bound(
+    kind, spacings, detour
+):
+    risk_map, start, goal = ground(11, kind, 26)
+    game = GameOptions(spacings * SPACING, secured_radius=[-1.0, 2.0][kind in ('city', 'hills')])
+    options = replace(OPTIONS, game=game, strategy=StrategyOptions(max_detour=detour))
+    strategy = plan_trip(risk_map, start, goal, options).strategy
+    losses = losses_at_cells(risk_map, strategy, game.held_radius)
+    assert losses.max(initial=0.0) <= strategy.value * (1.0 + 1e-9)
+    least = least_of_sampled_routes(strategy, game.held_radius, detour)
+    assert strategy.lower_bound <= least * (1.0 + 1e-6)
+    assert strategy.lower_bound <= strategy.value
+
+
+@pytest.mark.parametrize('in_obstacles', [False, True])
+def test_the_search_finds_the_worst_cell(in_obstacles):
+    rng = np.random.default_rng(3)
+    risk_map, start, goal = ground(5, 'city', 30)
+    rough = RiskMap(1.0 + 9.0 * rng.random(risk_map.alpha.shape), risk_map.obstacles, 1.0)
+    options = replace(OPTIONS, game=GameOptions(2.0, 3.0, ambush_in_obstacles=in_obstacles))
+    strategy = plan_trip(rough, start, goal, options).strategy
+    open_ground = RiskMap(rough.nearest_free_alpha(), np.zeros_like(rough.obstacles), 1.0)
+    losses = losses_at_cells(open_ground if in_obstacles else rough, strategy, 3.0)
+    p = strategy.edge_probability
+    found = CellLosses(rough, in_obstacles).worst(strategy.game, p, 0.0, 2.0)
+    assert found.mean_loss[0] == pytest.approx(losses.max(), rel=1e-9)
+    assert (np.diff(found.mean_loss) <= 0.0).all()
