@@ -2,7 +2,7 @@
 
 Each ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` sets the axes
 to the map's extent, with ticks in km or m. Risk is grey, impassable ground black, the convoy blue
-and the ambusher orange; colour-blind readers can distinguish them.
+and the ambusher orange.
 """
 
 from __future__ import annotations
@@ -24,19 +24,16 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
 from .arrays import FloatArray
+from .colours import AMBUSHER, OBSTACLE, ROUTES
 from .maps.risk_map import RiskMap
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
 
-OBSTACLE = '#1c1714'
-AMBUSHER = '#e66100'
 RISK = LinearSegmentedColormap.from_list('risk', ['#ffffff', '#848484'])
 PROBABILITY = LinearSegmentedColormap.from_list(
     'probability', ['#7fb8e6', '#2f7fd0', '#1146b0', '#14075c']
 )
-# Paul Tol's vibrant and muted colour schemes without orange, the ambusher's colour, and greys.
-ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
 # Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
 SECURED_DASHES = (0, (4, 3))

@@ -194,9 +194,7 @@ def a_parameter(rng: Random) -> Parameter:
 
 
 def a_name(rng: Random) -> str:
-    # The operator alone decides where recordings go.
-    names = [name for name in PARAMETERS if name != 'recording.directory']
-    return pick(rng, ODD_NAMES if rng.random() < 0.05 else names)
+    return pick(rng, ODD_NAMES if rng.random() < 0.05 else list(PARAMETERS))
 
 
 REQUESTS = (
@@ -222,8 +220,7 @@ def pick(rng: Random, choices: Any) -> Any:
 
 def check_good_inputs(caller: Caller) -> None:
     """Check that the node finds a route with its default parameters and good inputs."""
-    values = {name: each.default for name, each in PARAMETERS.items()
-              if not each.fixed and not name.startswith('recording')}
+    values = {name: each.default for name, each in PARAMETERS.items() if not each.fixed}
     caller.set_parameters({**values, 'max_planning_time': PLANNING_TIME})
     values = np.random.default_rng(1).integers(0, 60, (20, 20), dtype=np.int8)
     values[8:12, 8:12] = 100

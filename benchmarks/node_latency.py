@@ -120,27 +120,26 @@ def bad_maps(caller: Caller) -> Callable[[], None]:
 def departures(calls: int, nodes: int) -> tuple[str, bool]:
     """Time departures with and without recording; the table, and whether the target is met."""
     rows, every = [], []
-    with running_node({'network.target_nodes': nodes, **PATH}) as rig, empty_service(rig.domain):
-        for recording in (True, False):
-            say(f'{calls} departures of each kind, recording {recording}')
-            with Caller(rig) as caller:
-                caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
-                caller.set_parameters({'recording.enabled': recording})
-                caller.connect_empty()
-                for name, call in (
-                    ('a service that does nothing', lambda: caller.call(Trigger, EMPTY)),
-                    ('`new_route`', lambda: caller.trigger('new_route')),
-                    ('`get_plan`, with its path', lambda: caller.get_plan(START, GOAL)),
-                ):
-                    times = paced(caller, calls, call)
-                    median, seldom, _ = percentiles(times)
-                    if judged := name == '`new_route`' and recording:
-                        every.append(median < MEDIAN and seldom < SELDOM)
-                    rows.append([
-                        name, 'on' if recording else 'off', spread(times),
-                        *((f'< {MEDIAN:g} / {SELDOM:g}', 'yes' if every[-1] else '**no**')
-                          if judged else ('', '')),
-                    ])
+    for recording in (True, False):
+        settings = {'network.target_nodes': nodes, 'recording.enabled': recording, **PATH}
+        say(f'{calls} departures of each kind, recording {recording}')
+        with (running_node(settings) as rig, empty_service(rig.domain), Caller(rig) as caller):
+            caller.give(rough_map(CELLS, RESOLUTION), START, GOAL)
+            caller.connect_empty()
+            for name, call in (
+                ('a service that does nothing', lambda: caller.call(Trigger, EMPTY)),
+                ('`new_route`', lambda: caller.trigger('new_route')),
+                ('`get_plan`, with its path', lambda: caller.get_plan(START, GOAL)),
+            ):
+                times = paced(caller, calls, call)
+                median, seldom, _ = percentiles(times)
+                if judged := name == '`new_route`' and recording:
+                    every.append(median < MEDIAN and seldom < SELDOM)
+                rows.append([
+                    name, 'on' if recording else 'off', spread(times),
+                    *((f'< {MEDIAN:g} / {SELDOM:g}', 'yes' if every[-1] else '**no**')
+                      if judged else ('', '')),
+                ])
     head = ('departure', 'recording', 'median / 99 % / largest [ms]', 'target', 'met')
     text = (
         f'### A departure on a known strategy ({nodes} nodes)\n\n{calls} calls for each row, one '

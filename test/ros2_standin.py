@@ -3,8 +3,8 @@
 ``ros2 run ambush_planner`` starts the real programs.
 """
 
-import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -79,8 +79,10 @@ def answer_within(seconds, node, client):
 
 def main(arguments):
     match arguments:
-        case ['run', 'ambush_planner', name, *rest]:
-            os.execvp(name, [name, *rest])
+        case ['run', package, name, *rest]:
+            # Like the real one, which leaves its child alone when it is killed.
+            own = [sys.executable, __file__] * (package != 'ambush_planner')
+            sys.exit(subprocess.run([*own, name, *rest], check=False).returncode)
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
@@ -88,9 +90,9 @@ def main(arguments):
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node('standin')
     match arguments:
-        case ['run', 'nav2_map_server', 'map_server', '--ros-args', *rest]:
+        case ['map_server', '--ros-args', *rest]:
             serve_map(node, rest)
-        case ['run', 'nav2_util', 'lifecycle_bringup', 'map_server']:
+        case ['lifecycle_bringup', 'map_server']:
             wait_for_map(node)
         case ['topic', 'pub', '--once', topic, kind, text]:
             publish(node, topic, kind, text)

@@ -108,11 +108,11 @@ class Client:
         self._keep(PathMessage, 'path', ALL_LATCHED)
         self._keep(DiagnosticArray, '/diagnostics', 100)
         for topic in MARKER_TOPICS:
-            self._keep(MarkerArray, topic, ALL_LATCHED)
+            self._keep(MarkerArray, topic, ALL_LATCHED, f'{planner}/')
 
-    def _keep(self, kind, topic, qos):
+    def _keep(self, kind, topic, qos, prefix=''):
         self.received[topic] = []
-        self.node.create_subscription(kind, topic, self.received[topic].append, qos)
+        self.node.create_subscription(kind, prefix + topic, self.received[topic].append, qos)
 
     def publish(self, topic, message, kind=None):
         """Publish once the planner listens; maps are latched. Bytes need their ``kind``."""

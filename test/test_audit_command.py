@@ -45,7 +45,7 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     out, before = tmp_path / 'out', set(good.iterdir())
     code, text = run(capsys, good, '-o', out)
     assert code == 0 and 'Nothing suspicious' in text and 'FINDING' not in text
-    assert '12 departures, 2023-11-15 22:13 UTC to 2023-11-26 22:13 UTC' in text
+    assert '12 departures, 2023-11-15 22:13:20 UTC to 2023-11-26 22:13:20 UTC' in text
     assert re.search(r'mean loss of [\d.]+ against the published value 0\.3729', text)
     assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
     assert stat.S_IMODE(out.stat().st_mode) == 0o700

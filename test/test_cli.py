@@ -29,7 +29,8 @@ def test_entry_lists_all_commands(capsys):
     assert exit_code(['--help']) == 0
     output = capsys.readouterr().out
     assert all(f'    {name} ' in output for name in cli.COMMANDS)
-    assert exit_code([]) == exit_code(['unheard']) == 2
+    assert exit_code([]) == exit_code(['unheard']) == exit_code(['verfy']) == 2
+    assert "there is no command 'verfy'; did you mean 'verify'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize('name', cli.COMMANDS)

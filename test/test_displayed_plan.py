@@ -173,8 +173,12 @@ def test_recordings_hold_the_updated_map_and_what_has_changed_since_the_plan(tmp
 def test_a_costmap_has_obstacles_from_99_on():
     values = FLAT.copy()
     values[4:16, 8:12] = 99
-    for preset, crosses in (('alpha', True), ('costmap', False)):
+    presets = (('alpha', True, 'mean loss'), ('costmap', False, 'chance to be met'),
+               ('costmap_risk', False, 'mean loss'))
+    for preset, crosses, meaning in presets:
         with stage(parameters={'map.preset': preset}) as running:
             running.give(risk_grid(values))
             answer = running.client.get_plan(START, pose(5.0, 5.5))
             assert bool(answer.poses) == crosses
+            assert running.client.get_plan(START, pose(3.0, 8.5)).poses
+            running.client.diagnostics(value_is=meaning)

@@ -47,14 +47,14 @@ def gates():
     return alpha, obstacles
 
 
-def planned(ground, reach, tube):
+def planned(ground, reach, tube, tracking_error=0.0):
     alpha, obstacles = ground()
     return plan_trip(
         RiskMap(alpha, obstacles, SIDE / 50), (3.0, 50.0), (97.0, 50.0),
         PlanningOptions(
             NetworkOptions(spacing=SPACING),
             GameOptions(ambush_radius=reach, secured_radius=SECURED),
-            StrategyOptions(max_detour=1.3), DriveOptions(tube=tube),
+            StrategyOptions(max_detour=1.3), DriveOptions(tube, tracking_error=tracking_error),
         ),
     )
 
@@ -82,11 +82,16 @@ def dense(line, step):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(('ground', 'tube'), [(hills, None), (strewn, 1.0), (gates, None)])
-def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube):
-    a_plan = planned(ground, REACH, tube)
+@pytest.mark.parametrize(('ground', 'tube', 'tracking_error'), [
+    (hills, None, 0.0), (strewn, 1.0, 0.0), (gates, None, 0.0), (hills, None, 2.0)])
+def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking_error):
+    a_plan = planned(ground, REACH, tube, tracking_error)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
-    mean, error = losses(a_plan, [path[:, :2] for path in paths], REACH)
+    # The robot is beside its path, on one side after the other.
+    waves = tracking_error * np.sin(np.arange(2000) / 8)
+    mean, error = losses(a_plan, [
+        path[:, :2] + waves[:len(path), None] * np.column_stack(
+            (-np.sin(path[:, 2]), np.cos(path[:, 2]))) for path in paths], REACH)
     assert (mean - 4 * error).max() <= a_plan.strategy.value
     # And the value is not far above: the test could fail.
     assert mean.max() > 0.5 * a_plan.strategy.value

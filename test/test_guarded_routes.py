@@ -3,23 +3,19 @@
 import xml.etree.ElementTree as ElementTree
 from fnmatch import fnmatchcase
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
 from nav_msgs.msg import Path as PathMessage
-from nav_msgs.srv import GetPlan
 from rclpy.action.graph import get_action_server_names_and_types_by_node
-from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
 from ros_yaml import type_of
-from waiting import TIMEOUT, unstamped
+from waiting import unstamped
 
 from ambush_planner.recordings import read_recording, recordings_in
 from ambush_planner.recordings.verify import Verifier
-from ambush_planner.worker.process import WorkerProcess
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
 # Topics of every node, which contain no routes.
@@ -81,7 +77,7 @@ def names():
 
 def test_the_node_may_do_all_that_it_does(names):
     profile = Profile('/ambush_planner')
-    assert {f'/{topic}' for topic in (*MARKER_TOPICS, 'path')} <= names.published
+    assert {'/path', *(f'/ambush_planner/{topic}' for topic in MARKER_TOPICS)} <= names.published
     assert {f'/{topic}' for topic in INPUTS} <= names.subscribed
     assert '/ambush_planner/get_plan' in names.served
     assert names.published <= profile.listed('topic', 'publish')
@@ -134,7 +130,7 @@ def test_everybody_else_may_not(names):
 def spy_on_everything(running):
     """Subscribe to all topics of the graph, and return the bytes that arrive on each."""
     node, found = running.client.node, {}
-    for topic in ('path', 'diagnostics', *MARKER_TOPICS):
+    for topic in ('path', 'diagnostics', *(f'ambush_planner/{each}' for each in MARKER_TOPICS)):
         wait_until(lambda name=f'/{topic}': node.get_publishers_info_by_topic(name), topic)
     for topic, kinds in node.get_topic_names_and_types():
         found[topic] = []
@@ -162,7 +158,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
         client.diagnostics(departures='3', code='INVALID_OPTION')
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 3, 'recordings')
     assert not heard['/path']
-    assert heard['/diagnostics'] and heard['/edge_probabilities']
+    assert heard['/diagnostics'] and heard['/ambush_planner/edge_probabilities']
     # /rosout says what standard error does; one process with several nodes may have none.
     said = unstamped(''.join(capfd.readouterr()))
     for path in paths:
@@ -180,7 +176,7 @@ def test_a_route_that_is_not_published_is_in_the_answer_alone(tmp_path, capfd):
 def _of_the_network(xy, heard):
     """Whether a marker of the whole network or strategy shows this place anyway."""
     return any(np.array(xy).tobytes() in data
-               for topic in MARKER_TOPICS for data in heard[f'/{topic}'])
+               for topic in MARKER_TOPICS for data in heard[f'/ambush_planner/{topic}'])
 
 
 def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
@@ -194,40 +190,3 @@ def test_its_recording_keeps_it_under_another_name_and_holds(tmp_path):
     assert kept.topic == '/ambush_planner/get_plan/path'
     assert deserialize_message(kept.data, PathMessage) == answered
     assert Verifier().verify(file).holds
-
-
-def test_what_was_published_is_withdrawn_when_publishing_ends():
-    with stage() as running:
-        client = running.give()
-        assert client.call('new_route').success
-        assert client.last('path').poses
-        running.planner.set_parameters([Parameter('path.publish', value=False)])
-        wait_until(lambda: not client.received['path'][-1].poses, 'an empty path')
-        running.planner.set_parameters([Parameter('path.publish', value=True)])
-        assert client.call('new_route').success
-        wait_until(lambda: client.received['path'][-1].poses, 'a path')
-
-
-def test_a_route_that_is_waited_for_when_publishing_ends_is_not_published(monkeypatch):
-    begun, go_on, solve = Event(), Event(), WorkerProcess.solve
-
-    def held_up(worker, request):
-        begun.set()
-        assert go_on.wait(TIMEOUT)
-        return solve(worker, request)
-
-    monkeypatch.setattr(WorkerProcess, 'solve', held_up)
-    with stage() as running:
-        client = running.give()
-        call = GetPlan.Request(start=pose(*START), goal=pose(*GOAL))
-        waiting = client.send('new_route'), client.send('get_plan', call)
-        assert begun.wait(TIMEOUT)
-        queue = running.planner._dispatcher._plans._queue
-        wait_until(lambda: queue._running.waiters == 2, 'both requests')
-        running.planner.set_parameters([Parameter('path.publish', value=False)])
-        go_on.set()
-        wait_until(lambda: all(each.done() for each in waiting), 'the answers')
-        assert 'path.publish is false' in waiting[0].result().message
-        assert waiting[1].result().plan.poses
-        client.diagnostics(departures='1')
-    assert not client.received['path']

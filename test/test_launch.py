@@ -77,7 +77,9 @@ def launched(tmp_path, **given):
                f'recording.directory:={json.dumps(str(tmp_path))}']
     with free_domain() as domain, ros_context(domain) as context:
         node = Node('client', context=context, namespace=values['namespace'])
-        running = subprocess.Popen(command, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
+        with (tmp_path / 'output').open('w') as output:
+            running = subprocess.Popen(command, stdout=output, stderr=output,
+                                       env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
         try:
             with spinning(node, SingleThreadedExecutor(context=context)):
                 yield node, running
@@ -101,7 +103,7 @@ def test_every_name_in_the_file_exists():
     assert Path(values['params_file']).is_file() and Path(values['rviz_config']).is_file()
     named = {each.get('name') for each in node_of('ambush_planner').findall('param')} - {None}
     assert named <= {*PARAMETERS, 'use_sim_time'}
-    assert [each.get('if') for each in TREE.findall('node')] == [None, '$(var use_rviz)']
+    assert [each.get('if') for each in TREE.findall('node')] == ['$(var use_rviz)', None]
 
 
 def test_nav2_does_not_listen_to_start_and_goal():
@@ -112,7 +114,7 @@ def test_nav2_does_not_listen_to_start_and_goal():
 
 
 def test_every_topic_of_the_rviz_configuration_is_remapped():
-    shown = set(re.findall(r'Value: (/\w+)', RVIZ.read_text()))
+    shown = set(re.findall(r'Value: (/[\w/]+)', RVIZ.read_text()))
     remapped = {each.get('from') for each in node_of('rviz2').findall('remap')}
     assert shown <= remapped
 
@@ -126,7 +128,10 @@ def test_arguments_reach_the_node(tmp_path):
         assert not autostart.bool_value and sim_time.bool_value
         assert (spacing.double_value, preset.string_value) == (0.05, 'costmap')
         client = Client(node, '/convoy/ambush_planner')
-        assert 'not configured' in client.call('new_route').message
+        answer = client.call('new_route').message
+        assert 'not configured' in answer and 'start and goal have to be published again' in answer
+        names = '/risk, /convoy/ambush/start_pose, /convoy/ambush/goal_pose; /convoy/ambush_planner'
+        assert f'it needs {names}/new_route' in (tmp_path / 'output').read_text()
         assert not node.count_subscribers('/risk')
 
 

@@ -4,17 +4,18 @@ import os
 import signal
 import subprocess
 from contextlib import contextmanager
+from pathlib import Path
 from threading import Event
 
 import pytest
 from nav_msgs.srv import GetPlan
-from rclpy.parameter import Parameter
 from recording_samples import read_with_rosbags
 from ros_harness import free_domain, pose, risk_grid, stage, wait_until
 from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
+from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
 
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -60,15 +61,44 @@ def test_a_full_disk_is_reported_and_recording_resumes(tmp_path):
         assert all(read_with_rosbags(path) for path in recordings(tmp_path))
 
 
-def test_recording_is_switched_off_and_on(tmp_path):
-    with stage(tmp_path) as running:
+def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monkeypatch):
+    steps, replaced = [], os.replace
+
+    def written(source, target):
+        replaced(source, target)
+        steps.append((Path(target).name, len(client.received['path'])))
+
+    parameters = {'recording.required': True, 'recording.service_events': True}
+    with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs', parameters) as running:
         client = running.give()
-        for enabled, state in ((False, 'off'), (True, 'on')):
-            running.planner.set_parameters([Parameter('recording.enabled', value=enabled)])
-            client.diagnostics(recording=state)
-            departs(client)
-        wait_until(lambda: recordings(tmp_path), 'a recording')
-    assert len(recordings(tmp_path)) == 1
+        monkeypatch.setattr(durable.os, 'replace', written)
+        answer = client.call('new_route')
+        assert answer.success and client.last('path', 1).poses
+        monkeypatch.undo()
+        # Both files were on the disk before anybody heard of the path.
+        assert [name.rpartition('.')[2] for name, _ in steps] == ['mcap', 'yaml']
+        assert {heard for _, heard in steps} == {0}
+        with pytest.raises(OSError, match='No space left'):
+            (tmp_path / 'filler').write_bytes(bytes(4_000_000))
+        for _ in range(3):
+            refused = client.call('new_route')
+            assert not refused.success and 'No space left on device' in refused.message
+            assert not client.get_plan(START, GOAL).poses
+        assert client.diagnostics(code='RECORDING_FAILED')['departures'] == '1'
+        (tmp_path / 'filler').unlink()
+        later = client.call('new_route')
+        assert later.success and len(client.last('path', 2).poses)
+        files = recordings(tmp_path)
+        assert len(files) == len(client.received['path']) == 2, 'refused departures leave no file'
+        for path, said in zip(files, (answer, later), strict=True):
+            assert Verifier().verify(path).holds
+            events = [each for topic, _, each in read_with_rosbags(path)
+                      if topic.endswith('_service_event') and len(each.response)]
+            assert events[0].response[0].message == said.message
+            reports = [each for topic, _, each in read_with_rosbags(path)
+                       if topic == '/diagnostics']
+            values = {pair.key: pair.value for pair in reports[0].status[0].values}
+            assert values['departure_id'] in said.message and values['recording'] == 'on'
 
 
 def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
@@ -107,8 +137,6 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
             for _ in range(20):
                 departs(client)
-            running.planner.set_parameters([Parameter('recording.enabled', value=False)])
-            client.diagnostics(recording='off', code='NONE')
         finally:
             monkeypatch.undo()
             go_on.set()

@@ -3,20 +3,28 @@
 import math
 import random
 
+import numpy as np
 import pytest
 import yaml
 from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter, parameter_dict_from_yaml_file
 from ros_harness import free_domain, ros_context, stage
+from scipy.ndimage import distance_transform_edt
+from test_config import flat
+from test_launch import NAV2
+from waiting import answer_of
 
 from ambush_planner.errors import InvalidOption
 from ambush_planner.game.game import GameOptions
+from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import StrategyOptions
-from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.planning.node_parameters import parameters_from
 from ambush_planner.planning.options import DriveOptions, PlanningOptions
 from ambush_planner.planning.parameters import PARAMETERS
+from ambush_planner.planning.trip import plan_trip
 from ambush_planner.ros.planner_node import PlannerNode
 
 DEFAULTS = {name: declaration.default for name, declaration in PARAMETERS.items()}
@@ -88,9 +96,12 @@ def test_every_parameter_is_described_and_ranged(node, name):
     ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
     ({'strategy__length_weight': 1.0}, 'strategy.length_weight must be in [0, 1)'),
     ({'route__path_spacing': math.inf}, 'route.path_spacing must be finite'),
-    ({'recording__directory': ' '}, 'recording.directory must not be empty'),
-    ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
-    ({'seed': 7}, 'read-only'),
+    *(({name: value}, 'read-only: it is read at the start') for name, value in (
+        ('seed', 7), ('path__publish', False), ('parameters__locked', True),
+        ('recording__enabled', False), ('recording__directory', '/tmp'),
+        ('recording__compression', 'lz4'), ('recording__required', True))),
+    ({'route__tracking_error': 0.2, 'game__ambush_radius': 0.0},
+     'route.tracking_error 0.2 is added to the reach of ambushes, so game.ambush_radius must be'),
     ({'map__alpha_min': 20.0, 'map__alpha_max': 10.0},
      '0 <= map.alpha_min <= map.alpha_max must hold, got alpha_min 20.0'),
     ({'strategy__length_weight': 0.01, 'strategy__solver': 'max_entropy'},
@@ -108,9 +119,38 @@ def test_bad_values_are_refused_with_the_reason(node, values, words):
     assert [node.get_parameter(name).value for name in PARAMETERS] == before
 
 
-def test_bad_values_stop_the_start_with_the_reason():
-    with pytest.raises(InvalidOption, match='alpha_min 20.0 and alpha_max 10.0'):
-        start(map__alpha_min=20.0)
+@pytest.mark.parametrize('values, words', [
+    ({'map__alpha_min': 20.0}, 'alpha_min 20.0 and alpha_max 10.0'),
+    ({'recording__directory': ' '}, 'recording.directory must not be empty'),
+    ({'recording__compression': 'rar'}, 'recording.compression must be one of zstd, lz4, none'),
+    ({'recording__required': True, 'recording__enabled': False},
+     'recording.required is true, but recording.enabled is false'),
+])
+def test_bad_values_stop_the_start_with_the_reason(values, words):
+    with pytest.raises(InvalidOption, match=words):
+        start(**values)
+
+
+def test_locked_parameters_keep_their_values_while_the_node_is_active():
+    with stage(parameters={'parameters.locked': True}) as running:
+        planner = running.planner
+        for name, value in (('strategy__max_detour', 1.4), ('use_sim_time', True)):
+            answer = change(planner, **{name: value})
+            assert not answer.successful and 'parameters.locked is true' in answer.reason
+        assert change(planner, strategy__max_detour=1.2).successful
+        planner.trigger_deactivate()
+        assert change(planner, strategy__max_detour=1.4).successful
+
+
+def test_a_costmap_gives_the_chance_to_be_met_or_losses():
+    nav2 = {**DEFAULTS, 'map.preset': 'costmap', 'map.unknown_alpha': 3.0}
+    met, risk = (parameters_from({**nav2, 'map.preset': preset}).occupancy
+                 for preset in ('costmap', 'costmap_risk'))
+    cells = np.array([[-1, 0, 50, 98, 99, 100]], dtype=np.int8)
+    for options, losses in ((met, [1.0, 1.0, 1.0, 1.0]), (risk, [3.0, 1.0, 5.5, 9.82])):
+        ground = risk_map_from_occupancy(cells, 1.0, (0.0, 0.0, 0.0), options)
+        assert ground.obstacles.tolist() == [[False, False, False, False, True, True]]
+        assert ground.alpha[0, :4] == pytest.approx(losses)
 
 
 # Pairs that contradict the defaults of one another, infinities, and an empty string.
@@ -146,7 +186,8 @@ def test_a_dump_is_loaded_in_any_order(tmp_path, order):
     names = sorted(loaded)
     if order == 'random':
         random.Random(order).shuffle(names)
-    with stage(parameters={'seed': 7}) as second:
+    fixed = {name: value for name, value in DUMPED.items() if PARAMETERS[name].fixed}
+    with stage(parameters=fixed) as second:
         answers = {
             name: second.planner.set_parameters([Parameter.from_parameter_msg(loaded[name])])[0]
             for name in names
@@ -157,10 +198,37 @@ def test_a_dump_is_loaded_in_any_order(tmp_path, order):
         second.client.diagnostics(message='waiting for alpha_map, start_pose, goal_pose')
 
 
+def costmap():
+    """Blocks on 20 m x 20 m, with the costs that Nav2's inflation layer puts around them."""
+    rng, blocks = np.random.default_rng(0), np.zeros((160, 160), bool)
+    for row, column, height, width in zip(*rng.integers(10, 140, (2, 25)),
+                                          *rng.integers(3, 14, (2, 25)), strict=True):
+        blocks[row:row + height, column:column + width] = 12 < column < 130
+    distance = 0.125 * distance_transform_edt(~blocks)
+    costs = 98 * np.exp(-3.0 * (distance - 0.3)) * (distance < 1.5)
+    return np.where(blocks, 100, np.where(distance <= 0.3, 99, costs)).astype(np.int8)
+
+
+def test_costs_of_a_costmap_taken_as_losses_make_a_convoy_easier_to_meet():
+    nav2 = flat(yaml.safe_load(NAV2.read_text())['/**']['ros__parameters'])
+    met, risk = (
+        plan_trip(risk_map_from_occupancy(costmap(), 0.125, (0.0, 0.0, 0.0), each.occupancy),
+                  (0.75, 10.0), (19.25, 10.0), each.planning).strategy
+        for each in (parameters_from({**DEFAULTS, **nav2, 'network.target_nodes': 400,
+                                      'map.preset': preset})
+                     for preset in ('costmap', 'costmap_risk')))
+    assert np.array_equal(met.network.edges, risk.network.edges)
+    assert worst_loss(met.game, risk.edge_probability) > 1.5 * met.value
+
+
 def test_contradicting_parameters_are_reported_and_requests_refused():
     with stage() as running:
         client = running.give()
-        assert change(running.planner, strategy__length_weight=0.5).successful
+        service = client.node.create_client(SetParameters, 'ambush_planner/set_parameters')
+        weight = Parameter('strategy.length_weight', value=0.5).to_parameter_msg()
+        (answer,) = answer_of(service, SetParameters.Request(parameters=[weight])).results
+        assert answer.successful
+        assert answer.reason.startswith('parameters contradict each other, and requests are ref')
         found = client.diagnostics(code='NONE', level=b'\1')
         assert 'strategy.length_weight 0.5 needs the strategy.solver' in found['message']
         for service in ('new_route', 'replan'):
@@ -168,6 +236,7 @@ def test_contradicting_parameters_are_reported_and_requests_refused():
             assert not answer.success
             assert 'parameters contradict each other: strategy.length_weight' in answer.message
         assert client.diagnostics(code='INVALID_OPTION')
-        assert change(running.planner, strategy__solver='simplex').successful
+        answer = change(running.planner, strategy__solver='simplex')
+        assert answer.successful and answer.reason == ''
         assert client.call('new_route').success
         assert 'contradict' not in client.diagnostics(departures='1')['message']

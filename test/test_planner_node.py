@@ -20,7 +20,7 @@ KEYS = {
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds', 'departures',
     'departure_id', 'departure_value', 'departure_gap', 'recording', 'current_value', 'current_gap',
-    'current_length', 'stale', 'tight_turns', 'different_paths_of_1000',
+    'current_length', 'stale', 'tight_turns', 'different_paths_of_1000', 'value_is',
 }
 
 

@@ -3,27 +3,35 @@
 import hashlib
 import json
 import re
-from base64 import b64encode
+import subprocess
+import sys
+import zlib
+from base64 import b64decode, b64encode
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from audit_samples import START, departure, drawn, parameters, record, sample_plan
+from commands import documented_keys
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-
-pytest.importorskip('matplotlib', reason='pictures need matplotlib')
-
-from audit_samples import START, departure, drawn, parameters, record, sample_plan
-from commands import documented_keys
 from ros_harness import stage
+from scipy.spatial import cKDTree
+from test_driven_certificate import dense
 
 from ambush_planner.commands import cli, report, report_words
 from ambush_planner.maps.risk_map import RiskMap
 from ambush_planner.planning.evaluation import evaluate
 from ambush_planner.recordings import recordings_in
 from ambush_planner.recordings.recorded_departures import read_departures
-from ambush_planner.recordings.report_data import OBSTACLE, map_cells, sections_of
+from ambush_planner.recordings.report_data import (
+    OBSTACLE,
+    map_cells,
+    map_data,
+    outline,
+    sections_of,
+)
 
 HOSTILE = '"><script>alert(1)</script><img src=x onerror=alert(2)>&amp;\'\u202e'
 SHAPES = st.tuples(st.integers(1, 9), st.integers(1, 9))
@@ -125,13 +133,51 @@ def test_the_numbers_are_those_of_the_strategy(made, a_plan):
 
 def test_departures_and_settings_are_listed_without_routes_and_seeds(made):
     page, section = made
-    assert '2023-11-15 22:13 UTC' in page.text and 'game.secured_radius' in page.text
+    assert '2023-11-15 22:13:20 UTC' in page.text and 'game.secured_radius' in page.text
     assert 'frame of the map' in page.text
     assert 'seed' not in dict(report_words.settings(section))
     for each in section.departures:
         assert each.id in page.text
         assert str(each.route_entropy_source[0]) not in page.html
         assert ', '.join(map(str, each.route[:4].tolist())) not in page.text
+
+
+def test_the_driven_paths_are_drawn_not_the_nodes(made):
+    _, section = made
+    data = map_data(section)
+    drawn = np.frombuffer(zlib.decompress(b64decode(data['routes'])), '<f4').reshape(-1, 2)
+    paths = np.split(drawn + data['origin'], np.cumsum(data['counts'])[:-1])
+    lengths = [float(row[4].split()[0]) for row in report_words.departures(section)[1:]]
+    for path, length, each in zip(paths, lengths, section.departures, strict=True):
+        wanted = each.path_poses[:, :2]
+        assert off(wanted, path) <= 0.11 * data['cell']
+        assert length == pytest.approx(np.hypot(*np.diff(wanted, axis=0).T).sum(), abs=0.5)
+
+
+def off(points, line):
+    """How far points lie from a line at most."""
+    return cKDTree(dense(line, 0.01)).query(points)[0].max()
+
+
+@given(st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=12), st.floats(0.1, 3.0))
+def test_an_outline_is_as_accurate_as_asked_for_and_has_few_points(turns, tolerance):
+    yaw = np.repeat(np.cumsum(turns), 9)
+    line = np.cumsum(np.column_stack((np.cos(yaw), np.sin(yaw))), axis=0)
+    found = outline(line, tolerance)
+    assert (found[[0, -1]] == line[[0, -1]]).all()
+    assert off(line, found) <= tolerance + 0.01
+    assert len(found) <= 2 * len(turns) + 2  # two points of a leg that is parallel to a chord
+
+
+def test_report_and_audit_need_no_matplotlib(tmp_path, a_plan):
+    record(tmp_path / 'in', [departure(a_plan, each) for each in drawn(a_plan, 2)])
+    for arguments in (['report', '-o', str(tmp_path / 'out')], ['audit']):
+        code = ('import sys\nsys.modules["matplotlib"] = None\n'
+                'from ambush_planner.commands import cli\n'
+                f'sys.exit(cli.main({[*arguments, str(tmp_path / "in")]}))')
+        done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
+                              timeout=60, check=False)
+        assert done.returncode == (0 if arguments[0] == 'report' else 4), done.stderr
 
 
 def test_a_fixed_seed_and_an_unusable_system_are_warned_about(tmp_path, a_plan, made):

@@ -18,8 +18,8 @@ pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
 from audit_samples import departure, drawn, parameters, record, sample_plan
 
+from ambush_planner.colours import AMBUSHER, ROUTES
 from ambush_planner.commands import report
-from ambush_planner.figures import AMBUSHER, ROUTES
 from ambush_planner.maps.coordinates import Coordinates
 
 MAP = 'figure.map'

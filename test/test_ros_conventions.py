@@ -66,7 +66,7 @@ def test_topics_and_name_can_be_remapped():
 def test_quality_of_service_is_as_the_interface_table_says():
     with stage() as running:
         planner = running.planner
-        for topic in ('path', *MARKER_TOPICS):
+        for topic in ('path', *(f'ambush_planner/{each}' for each in MARKER_TOPICS)):
             (info,) = planner.get_publishers_info_by_topic(topic)
             assert info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL, topic
             assert info.qos_profile.reliability == ReliabilityPolicy.RELIABLE, topic

@@ -1,11 +1,15 @@
 """The transform buffer, against matrices."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rclpy.duration import Duration
+from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
 from ambush_planner.ros.tf_buffer import (
@@ -118,7 +122,7 @@ def test_frames_that_are_not_connected(target, source, words):
 
 def test_transforms_older_than_the_history_are_dropped():
     buffer = buffer_of(*(('map', 'base', k * SECOND, k) for k in range(30)))
-    oldest = 29 * SECOND - HISTORY_NS
+    oldest = 28 * SECOND - HISTORY_NS  # of the last but one, as in tf2
     assert x_of(buffer.lookup('map', 'base', oldest)) == oldest / SECOND
     buffer.add(along_x('map', 'base', 0, 99), False)
     for stamp in (oldest - 1, 0):
@@ -127,11 +131,63 @@ def test_transforms_older_than_the_history_are_dropped():
 
 
 def test_invalid_transforms_are_ignored():
-    buffer = buffer_of(('map', 'base', 1, 1), ('map', 'base', 1, 5), ('map', 'map', 2, 2),
-                       ('', 'base', 2, 2), ('map', '', 2, 2), ('map', 'base', 2, math.nan))
+    buffer = buffer_of(('map', 'base', 1, 1), ('map', 'map', 2, 2), ('', 'base', 2, 2),
+                       ('map', '', 2, 2), ('map', 'base', 2, math.nan))
     for quaternion in ((0.0,) * 4, (0.0, 0.0, 0.0, math.nan)):
         buffer.add(StampedTransform('map', 'base', 2, (2.0, 0.0, 0.0), quaternion), False)
     assert x_of(buffer.lookup('map', 'base')) == 1
+
+
+def test_quaternions_are_normalised_and_the_last_transform_of_a_time_counts():
+    buffer = buffer_of(('map', 'base', 1, 1), ('map', 'base', 1, 5))
+    assert x_of(buffer.lookup('map', 'base')) == 5
+    half = (0.0, 0.0, 0.9 * math.sin(0.25), 0.9 * math.cos(0.25))
+    buffer.add(StampedTransform('map', 'base', 2, (2.0, 0.0, 0.0), half), False)
+    assert buffer.lookup('map', 'base').rigid.rotation.as_rotvec()[2] == pytest.approx(0.5)
+    assert x_of(buffer.lookup('nowhere', 'nowhere')) == 0.0
+
+
+@st.composite
+def histories(draw):
+    """Transforms of a tree of frames; if times repeat, only that of the latest of all."""
+    found, repeated = [], draw(st.booleans())
+    for k in range(1, draw(st.integers(2, 6))):
+        parent, static = f'frame{draw(st.integers(0, k - 1))}', draw(st.booleans())
+        stamps = draw(st.lists(st.integers(1, 15 * SECOND), min_size=1, max_size=5, unique=True))
+        for stamp in [*stamps, *[16 * SECOND] * 2 * repeated]:
+            translation, quaternion = draw(motions())
+            scaled = tuple(draw(st.floats(0.5, 2.0)) * part for part in quaternion)
+            each = StampedTransform(parent, f'frame{k}', stamp, translation, scaled)
+            found.append((each, static))
+    return found
+
+
+@settings(max_examples=150)
+@given(histories())
+def test_lookups_agree_with_tf2(history):
+    tf2 = pytest.importorskip('tf2_py')
+    ours, theirs = TransformBuffer(), tf2.BufferCore(Duration(nanoseconds=HISTORY_NS))
+    for each, static in history:
+        ours.add(each, static)
+        (x, y, z), (qx, qy, qz, qw) = each.translation, each.quaternion
+        message = TransformStamped(child_frame_id=each.child)
+        message.header.frame_id = each.parent
+        message.header.stamp = Time(nanoseconds=each.stamp_ns).to_msg()
+        message.transform.translation = Vector3(x=x, y=y, z=z)
+        message.transform.rotation = Quaternion(x=qx, y=qy, z=qz, w=qw)
+        (theirs.set_transform_static if static else theirs.set_transform)(message, 'test')
+    frames = sorted({name for each, _ in history for name in (each.parent, each.child)})
+    for target, source in itertools.product([*frames, 'nowhere'], repeat=2):
+        try:
+            wanted = theirs.lookup_transform_core(target, source, Time()).transform
+        except tf2.TransformException:
+            with pytest.raises(TransformUnknown):
+                ours.lookup(target, source)
+            continue
+        found, p, q = ours.lookup(target, source).rigid, wanted.translation, wanted.rotation
+        np.testing.assert_allclose(found.translation, (p.x, p.y, p.z), atol=1e-6)
+        turned = found.rotation * Rotation.from_quat((q.x, q.y, q.z, q.w)).inv()
+        assert turned.magnitude() < 1e-6
 
 
 def test_another_parent_drops_the_history_and_a_leading_slash_is_ignored():

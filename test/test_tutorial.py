@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip('matplotlib', reason='the report and the audit need matplotlib')
 
 from ros_harness import free_domain
+from waiting import wait_until
 
 HERE = Path(__file__).resolve().parent
 BLOCKS = re.findall(r'(?ms)^```(.*?)\n(.*?)^```$', (HERE.parent / 'docs/tutorial.md').read_text())
@@ -23,6 +24,15 @@ def test_all_blocks_are_commands_and_the_layouts_exist():
     assert {kind for kind, _ in BLOCKS} == {'sh'}
     files = re.findall(r'`(config/\S+)`', (HERE.parent / 'docs/tutorial.md').read_text())
     assert len(files) == 2 and all((HERE.parent / file).is_file() for file in files)
+
+
+def session(leader):
+    """The processes of a session."""
+    found = []
+    for each in Path('/proc').glob('[0-9]*'):
+        with suppress(ProcessLookupError):
+            found += [int(each.name)] * (os.getsid(int(each.name)) == leader)
+    return found
 
 
 @pytest.mark.slow
@@ -51,9 +61,10 @@ def test_every_command_works(tmp_path):
             )
             try:
                 process.wait(SECONDS)
+                wait_until(lambda: not session(process.pid), 'the end of what was started')
             finally:
-                with suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
+                for each in session(process.pid):
+                    os.kill(each, signal.SIGKILL)
                 said = (tmp_path / 'output').read_text()
                 print(said)
     assert process.returncode == 0, said

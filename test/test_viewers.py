@@ -100,7 +100,8 @@ def test_rviz_shows_all_topics_and_hides_the_network(interface, rviz):
     assert {topic: DISPLAYS[each['Class']] for topic, each in displays.items()} == interface.shown
     assert len(rviz['Displays']) == len(displays)
     assert all(each['Enabled'] == each['Value'] for each in displays.values())
-    assert [topic for topic, each in displays.items() if not each['Enabled']] == ['/network']
+    hidden = [topic for topic, each in displays.items() if not each['Enabled']]
+    assert hidden == ['/ambush_planner/network']
 
 
 def test_rviz_receives_latched_messages(interface, rviz):
@@ -125,7 +126,7 @@ def test_foxglove_shows_all_topics_and_clicks_set_start_and_goal(interface, foxg
     (scene,) = panels(foxglove, '3D')
     assert set(scene['topics']) == set(interface.shown)
     hidden = [topic for topic, each in scene['topics'].items() if not each['visible']]
-    assert hidden == ['/network']
+    assert hidden == ['/ambush_planner/network']
     assert scene['followTf'] == FRAME
     for key, kind in CLICKS.items():
         assert interface.subscribed[scene['publish'][key]] == kind

@@ -6,11 +6,6 @@ import argparse
 from datetime import datetime, timezone
 from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
-
-from ..figures import AMBUSHER, as_png, draw_risk_map, draw_segments, frame, probability_scale
-from ..maps.risk_map import RiskMap
 from ..recordings import (
     RecordedDeparture,
     UnreadableRecording,
@@ -85,34 +80,8 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
 
 
 def when(stamp_ns: int) -> str:
-    """Return a time as date and minute, UTC."""
-    return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M UTC}'
-
-
-def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
-    """Published and recorded frequencies on the map, and the losses caused by an observer."""
-    figure = Figure((21.0, 8.0), layout='constrained')
-    published, recorded, observer = figure.subplots(1, 3)
-    scale = probability_scale(result.expected / result.departures)
-    for axes, passages, title in (
-        (published, result.expected, 'Published: probability that the convoy drives here'),
-        (recorded, result.passages, f'Recorded: share of {result.departures} departures'),
-    ):
-        frame(axes, risk_map, title)
-        draw_risk_map(axes, risk_map)
-        edges = draw_segments(axes, result.segments, passages / result.departures, scale)
-    figure.colorbar(edges, ax=[published, recorded], location='bottom', shrink=0.5, aspect=50,
-                    label='share of departures')
-    count = np.arange(1, len(result.observer_losses) + 1)
-    observer.axhline(result.value, color='grey', label='published value')
-    observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
-                  label='observer who learns as he goes')
-    observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
-                     label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
-    observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
-    observer.set_title('Could one foresee the next departure?', loc='left', fontsize='large')
-    observer.legend()
-    return figure
+    """Return a time as date and second, UTC."""
+    return f'{datetime.fromtimestamp(stamp_ns // 10**9, timezone.utc):%Y-%m-%d %H:%M:%S UTC}'
 
 
 def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
@@ -132,6 +101,9 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         'unreadable': [str(error) for error in unreadable],
     }
     if options.output and result:
+        from ..figures import as_png  # the text needs no matplotlib
+        from .audit_figure import audit_figure
+
         picture = as_png(audit_figure(departures[-1].risk_map, result))
         cli.write_private(options.output, {PICTURE: picture})
         console.line(f'{cli.place(options.output / PICTURE)} shows secret routes.')

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
 from importlib import resources
@@ -71,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run_command(alias, given)
     parser = _entry_parser()
     _complete(parser)
+    if given and given[0] not in COMMANDS and (near := get_close_matches(given[0], COMMANDS, 1)):
+        parser.error(f'there is no command {given[0]!r}; did you mean {near[0]!r}?')
     return _run_command(parser.parse_args(given[:1]).command, given[1:])
 
 

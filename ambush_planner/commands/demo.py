@@ -33,8 +33,8 @@ from .report import write_report
 SPACING = 360.0
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
-# Budgets of the frontier, and the time limit of each solve [s].
-DETOURS, SLACKS, SWEEP_SECONDS = (1.1, 1.2, 1.5), (0.01, 0.1), 30.0
+# Slacks of the frontier, and the time limit of each solve [s].
+SLACKS, SWEEP_SECONDS = (0.01, 0.1), 15.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,
@@ -78,7 +78,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     budgets = StrategyOptions(time_limit=SWEEP_SECONDS)
-    rows = frontier(strategy.network, strategy.game.options, DETOURS, SLACKS, budgets)
+    rows = frontier(strategy.network, strategy.game.options, slacks=SLACKS, options=budgets)
     write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))

@@ -11,7 +11,8 @@ from matplotlib.patches import Patch
 
 from .. import figures
 from ..arrays import FloatArray
-from ..figures import AMBUSHER, OBSTACLE, SECURED_DASHES
+from ..colours import AMBUSHER, OBSTACLE
+from ..figures import SECURED_DASHES
 from ..game.hits import largest_losses
 from ..game.route_sampler import route_strategy
 from ..game.strategy import Strategy

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from ..colours import AMBUSHER
 from ..errors import InvalidOption
-from ..figures import AMBUSHER, PROBABILITY
+from ..figures import PROBABILITY
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from html import escape
 from string import Template
 
-from ..figures import ROUTES
+from ..colours import ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from . import report_words as words

@@ -106,7 +106,7 @@ def departures(section: Section) -> list[tuple[str, ...]]:
     """Head and rows of the list of departures, in order of time."""
     rows = []
     for number, each in enumerate(section.departures, start=1):
-        steps = np.diff(each.strategy.network.points[each.route], axis=0)
+        steps = np.diff(each.path_poses[:, :2], axis=0)
         rows.append((
             str(number), when(each.stamp_ns), str(each.number), f'{each.strategy.value:.4f}',
             distance(float(np.hypot(*steps.T).sum())), each.id,

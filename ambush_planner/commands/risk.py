@@ -9,7 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..figures import OBSTACLE, ROUTES, draw_risk_map, frame
+from ..colours import OBSTACLE, ROUTES
+from ..figures import draw_risk_map, frame
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers

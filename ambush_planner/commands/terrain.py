@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..figures import OBSTACLE, draw_risk_map, frame
+from ..colours import OBSTACLE
+from ..figures import draw_risk_map, frame
 from ..maps import (
     Elevation,
     TerrainMap,

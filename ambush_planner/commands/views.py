@@ -19,14 +19,13 @@ import yaml
 
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
-from ..recordings import RecordingFile, read_departure, read_recording, recordings_in
+from ..recordings import read_departure, read_recording, recordings_in
 from . import cli
 from .inputs import MAP_HELP, read_risk_map
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
-MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 POSES = ('start_pose', 'goal_pose', 'initialpose')
-TOPICS = ('alpha_map', 'path', *MARKERS, *POSES)
+TOPICS = ('alpha_map', 'path', *POSES)
 EPILOG = f"""\
 RECORDING_OR_MAP is a recording, a folder of recordings (the last departure counts, with its topic
 names), or a MAP.
@@ -130,18 +129,11 @@ def _scene(source: Path, namespace: str) -> Scene:
         return scene_of(read_risk_map(source, OccupancyOptions()), topics=topics)
     path = recordings_in(source)[-1]
     departure = read_departure(path)
-    return scene_of(departure.risk_map, frame=departure.frame,
-                    topics=topics | _recorded_topics(read_recording(path)),
-                    node=departure.call['service'].rpartition('/')[0])
-
-
-def _recorded_topics(file: RecordingFile) -> dict[str, str]:
-    """The names that a recording has for topics, by our own."""
-    drawn = ((each, file.decoded(each).markers) for each in file.messages
-             if each.type == 'visualization_msgs/msg/MarkerArray')
-    topics = {markers[0].ns: each.topic for each, markers in drawn if markers}
+    recorded = read_recording(path).entries['topics']
     roles = {'alpha_map': 'map', 'path': 'path', 'start_pose': 'start', 'goal_pose': 'goal'}
-    return topics | {name: file.entries['topics'][role] for name, role in roles.items()}
+    return scene_of(departure.risk_map, frame=departure.frame,
+                    topics=topics | {name: recorded[role] for name, role in roles.items()},
+                    node=departure.call['service'].rpartition('/')[0])
 
 
 def _renamed(value: Any, scene: Scene) -> Any:

@@ -31,15 +31,19 @@ _Options = TypeVar('_Options')
 class RecordingOptions:
     """Whether, where and how departures are recorded.
 
-    Raises InvalidOption if the directory is empty, or its home directory is unknown.
+    With ``required`` a departure is refused unless it has been recorded. Raises InvalidOption if
+    that contradicts ``enabled``, the directory is empty, or its home directory is unknown.
     """
 
     enabled: bool
     directory: str
     compression: str
     service_events: bool = False
+    required: bool = False
 
     def __post_init__(self) -> None:
+        if self.required and not self.enabled:
+            raise InvalidOption('required is true, but enabled is false')
         if not self.directory.strip():
             raise InvalidOption('directory must not be empty')
         try:
@@ -92,9 +96,12 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
             f'route.path_spacing must be finite [m], got {values["route.path_spacing"]}'
         )
     occupancy = _options(OccupancyOptions, 'map', values)
-    if values['map.preset'] == 'costmap':
+    if values['map.preset'] != 'alpha':
         threshold = min(occupancy.obstacle_threshold, COSTMAP_OBSTACLE)
         occupancy = replace(occupancy, obstacle_threshold=threshold)
+    if values['map.preset'] == 'costmap':
+        occupancy = replace(occupancy, alpha_min=1.0, alpha_max=1.0,
+                            unknown_alpha=min(occupancy.unknown_alpha, 1.0))
     limit = values['max_planning_time']
     return NodeParameters(
         occupancy=occupancy,
@@ -126,7 +133,7 @@ def _drive_options(values: Mapping[str, Any]) -> DriveOptions:
         raise InvalidOption(f'route.tube must be >= 0 [m], or -1 for automatic, got {tube}')
     try:
         return DriveOptions(None if tube == AUTOMATIC else tube, values['route.turning_radius'],
-                            values['route.start_tolerance'])
+                            values['route.start_tolerance'], values['route.tracking_error'])
     except InvalidOption as error:
         raise InvalidOption(f'route.{error}') from error
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.risk_map import RiskMap
@@ -36,17 +37,22 @@ class DriveOptions:
         How far the start and goal of a departure may be from the plan's [m]. Held ground shrinks by
         it, so that the certificate holds for all of them. At most half a node spacing; with a
         reach, also at most a quarter of it and the radius of held ground.
+    tracking_error
+        Largest distance of the robot from the path [m], which counts like more tube. Only for games
+        with a reach.
     """
 
     tube: float | None = None
     turning_radius: float = 0.0
     start_tolerance: float = 0.0
+    tracking_error: float = 0.0
 
     def __post_init__(self) -> None:
         if self.tube is not None:
             check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('turning_radius', self.turning_radius, 0.0, 'm')
         check_at_least('start_tolerance', self.start_tolerance, 0.0, 'm', finite=False)
+        check_at_least('tracking_error', self.tracking_error, 0.0, 'm')
 
 
 @dataclass(frozen=True)
@@ -65,12 +71,15 @@ class PlanningOptions:
 
     def __post_init__(self) -> None:
         check_at_least('max_gap', self.max_gap, 0.0, finite=False)
+        if self.drive.tracking_error > 0.0 and not self.game.ambush_radius > 0.0:
+            raise InvalidOption(f'route.tracking_error {self.drive.tracking_error} is added to the '
+                                'reach of ambushes, so game.ambush_radius must be over 0 [m]')
 
 
 def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
     """The game of a plan: with its tube, and with held ground for all starts that it serves."""
     spacing = node_spacing(risk_map, options.network)
-    game = replace(options.game, tube=tube(options, spacing) or 0.0)
+    game = _driven_game(options, spacing)
     held = game.held_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))
 
@@ -82,11 +91,17 @@ def start_tolerance(options: PlanningOptions, spacing: float) -> float:
     """
     if options.network.roads:
         return 0.0
-    game = replace(options.game, tube=tube(options, spacing) or 0.0)
+    game = _driven_game(options, spacing)
     most = math.inf
     if game.reach > 0.0:
         most = min(game.held_radius, LARGEST_TOLERANCE * game.reach)
     return min(options.drive.start_tolerance, 0.5 * spacing, most)
+
+
+def _driven_game(options: PlanningOptions, spacing: float) -> GameOptions:
+    """The game with the distance of the robot from the drawn route as its tube."""
+    strays = (tube(options, spacing) or 0.0) + options.drive.tracking_error
+    return replace(options.game, tube=strays)
 
 
 def tube(options: PlanningOptions, spacing: float) -> float | None:

@@ -51,8 +51,9 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'map.preset': Declaration(
         'alpha',
         'Source of the map: alpha, a risk map for this planner; costmap, a costmap of Nav2, in '
-        'which 99 (inscribed) is an obstacle like 100 (lethal), whatever the threshold.',
-        choices=('alpha', 'costmap')),
+        'which cells from 99 (inscribed) are obstacles and each ambush costs 1, so that the value '
+        'is the chance to be met; costmap_risk, the same obstacles, but losses from the costs.',
+        choices=('alpha', 'costmap', 'costmap_risk')),
     'map.costmap': Declaration(
         False,
         'Whether obstacles also come from the topic costmap, a costmap of Nav2; departures wait '
@@ -126,6 +127,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the node configures and activates itself at the start; false: a lifecycle '
         'manager does.', fixed=True),
+    'parameters.locked': Declaration(
+        False, 'Whether parameters keep their values while the node is active.', fixed=True),
     'robot_base_frame': Declaration(
         '',
         'Frame of the robot, such as base_link: without a start, routes begin at its pose by TF '
@@ -142,6 +145,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'Maximum distance of the driven path from the drawn route [m], added to the reach of '
         'ambushes; -1: as far as the path meets no other node, or, with an ambush_radius, a '
         'fraction of the distance between nodes.', AUTOMATIC),
+    'route.tracking_error': Declaration(
+        DriveOptions().tracking_error,
+        'Maximum distance of the robot from the driven path [m], added to the reach of ambushes; '
+        'needs an ambush_radius over 0.'),
     'route.turning_radius': Declaration(
         DriveOptions().turning_radius, 'Minimum radius of turns if there is room for it [m].'),
     'route.path_spacing': Declaration(
@@ -151,21 +158,25 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'path.publish': Declaration(
         True,
         'Whether the path is published. If not, only the answers of get_plan carry routes, and '
-        'new_route is refused.'),
+        'new_route is refused.', fixed=True),
     'trip.order': Declaration(
         'given',
         'Order of the stops of via_poses: as given, or (best) the order of least value within the '
         'length budget of the shortest order; with more than 7 stops, a short order.',
         choices=ORDERS),
-    'recording.enabled': Declaration(True, 'Whether departures are recorded.'),
+    'recording.enabled': Declaration(True, 'Whether departures are recorded.', fixed=True),
+    'recording.required': Declaration(
+        False,
+        'Whether a departure is refused unless its recording is on the disk before the path is '
+        'published.', fixed=True),
     'recording.directory': Declaration(
-        '~/.ros/ambush_planner', 'Directory of the folders with recordings.'),
+        '~/.ros/ambush_planner', 'Directory of the folders with recordings.', fixed=True),
     'recording.compression': Declaration(
-        'zstd', 'Compression of the recordings.', choices=('zstd', 'lz4', 'none')),
+        'zstd', 'Compression of the recordings.', choices=('zstd', 'lz4', 'none'), fixed=True),
     'recording.service_events': Declaration(
         False,
         'Whether request and answer are also recorded as messages, for `ros2 bag play '
-        '--publish-service-requests`; many other readers refuse such files.'),
+        '--publish-service-requests`; many other readers refuse such files.', fixed=True),
     'diagnostics.error_hold': Declaration(
         30.0,
         'Time for which the diagnostics show a failed request [s]; a success ends it earlier.'),

@@ -19,7 +19,7 @@ from ..errors import InvalidOption
 from .bag_folder import FILE_NAME, BagFile, bag_text, describe_file
 from .durable_files import TEMPORARY, make_private_folder, make_private_folders, write_durably
 from .messages import RecordedMessage
-from .recording_errors import recording_to
+from .recording_errors import RecordingFailed, recording_to
 from .recording_file import COMPRESSIONS, encode
 
 SESSION_PREFIX = 'ambush_planner_'
@@ -36,16 +36,17 @@ class Recorder:
     been taken away. Several threads may use one recorder.
 
     ``directory`` is made with mode 0700 if missing; ``compression`` is ``zstd``, ``lz4`` or
-    ``none``.
+    ``none``. A file that metadata.yaml cannot list is kept, unless ``only_listed``.
     """
 
-    def __init__(self, directory: Path, compression: str = 'zstd') -> None:
+    def __init__(self, directory: Path, compression: str = 'zstd',
+                 only_listed: bool = False) -> None:
         if compression not in COMPRESSIONS:
             raise InvalidOption(
                 f'compression {compression!r} is not one of {", ".join(COMPRESSIONS)}'
             )
         self._directory = Path(directory).expanduser()
-        self._compression = compression
+        self._compression, self._only_listed = compression, only_listed
         self._folder: Path | None = None
         self._files: list[BagFile] = []
         self._next = 0
@@ -69,12 +70,20 @@ class Recorder:
             with recording_to(path):
                 write_durably(path, data)
             self._files.append(describe_file(path.name, ordered))
-            with recording_to(folder / FILE_NAME):
-                # rosbag2 refuses a folder whose metadata.yaml lists a file that is missing.
-                present = set(os.listdir(folder))
-                self._files = [each for each in self._files if each.name in present]
-                write_durably(folder / FILE_NAME, bag_text(self._files))
+            try:
+                self._write_list(folder)
+            except RecordingFailed:
+                if self._only_listed:
+                    path.unlink(missing_ok=True)
+                raise
             return path
+
+    def _write_list(self, folder: Path) -> None:
+        with recording_to(folder / FILE_NAME):
+            # rosbag2 refuses a folder whose metadata.yaml lists a file that is missing.
+            present = set(os.listdir(folder))
+            self._files = [each for each in self._files if each.name in present]
+            write_durably(folder / FILE_NAME, bag_text(self._files))
 
     def _session_folder(self) -> Path:
         if self._folder is None or self._next >= MOST_FILES or not self._folder.is_dir():

@@ -26,6 +26,8 @@ MOST_CELLS = 2000
 OBSTACLE = 255
 # Edges with smaller probabilities do not count at the pointer.
 LEAST_PROBABILITY = 1e-7
+# Accuracy of driven paths in the picture [cells of the map].
+PATH_ACCURACY = 0.1
 # Sites with a smaller share of the likeliest site's probability are left out.
 LEAST_SITE = 1e-3
 
@@ -80,7 +82,8 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
-    routes = [each.strategy.network.points[each.route] - corner for each in section.departures]
+    routes = [outline(each.path_poses[:, :2], PATH_ACCURACY * cell) - corner
+              for each in section.departures]
     ends = [network.source, network.target, *network.stops]
     return {
         'columns': cells.shape[1], 'rows': cells.shape[0], 'cell': cell, 'levels': levels,
@@ -95,6 +98,24 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
     }
+
+
+def outline(line: FloatArray, tolerance: float) -> FloatArray:
+    """Simplify a line (L, 2): no point lies further than ``tolerance`` [m] from the result (K, 2).
+
+    By Douglas and Peucker (1973): the farthest point is kept, then that of each half.
+    """
+    kept, parts = {0, len(line) - 1}, [(0, len(line) - 1)]
+    while parts:
+        first, last = parts.pop()
+        inner, chord = line[first + 1:last] - line[first], line[last] - line[first]
+        share = np.clip(inner @ chord / (chord @ chord or 1.0), 0.0, 1.0)
+        off = np.hypot(*(inner - share[:, None] * chord).T)
+        if off.max(initial=0.0) > tolerance:
+            middle = first + 1 + int(off.argmax())
+            kept.add(middle)
+            parts += [(first, middle), (middle, last)]
+    return line[sorted(kept)]
 
 
 def map_cells(risk_map: RiskMap) -> tuple[npt.NDArray[np.uint8], list[float], float]:

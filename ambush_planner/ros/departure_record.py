@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -36,11 +36,12 @@ _INPUTS_LEAD = 500_000_000
 
 @dataclass(frozen=True, eq=False)
 class ServiceCall:
-    """A service call: the service's type and full name, and the request."""
+    """A service call: the service's type and full name, the request, and how it is answered."""
 
     kind: Any
     name: str
     request: Any
+    respond: Callable[[Departure], Any]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
+from ..game.game import Game
 from ..game.revaluation import open_gap
 from ..planning.changed_ground import Assessment
 from ..planning.plan import DRAWN, Plan
@@ -110,7 +112,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     concerns = ('request', 'map', 'recording')
     problems = [status.problems[each] for each in concerns if each in status.problems]
     if problems:
-        message = '; '.join(problem.message for problem in problems)
+        message = '; '.join(dict.fromkeys(problem.message for problem in problems))
         return max(problem.level for problem in problems), problems[0].code, message
     if status.lifecycle != 'active':
         return DiagnosticStatus.OK, OK_CODE, status.lifecycle
@@ -194,16 +196,22 @@ def _bottleneck_warning(plan: Plan | None) -> str:
     )
 
 
+def _is_chance(game: Game) -> bool:
+    """Whether the value is a probability: one ambush, which costs 1 wherever it is."""
+    return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
+
+
 def _strategy_values(plan: Plan | None) -> dict[str, str]:
     """Return the numbers of the displayed plan; empty ones before the first plan."""
     if plan is None:
         return dict.fromkeys((
-            *_STRATEGY_NUMBERS, _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes', 'edges',
-            'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops', 'order',
-            'solve_seconds',
+            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
+            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
+            'order', 'solve_seconds',
         ), '')
     return {
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
+        'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
         'value_holds_at': ('any cell of the map'
                            if holds_anywhere(plan.strategy.game, plan.options)

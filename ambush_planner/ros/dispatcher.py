@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 from uuid import uuid4
 
-from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
@@ -19,7 +18,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from ..errors import AmbushPlannerError, InvalidOption
-from ..planning.node_parameters import NodeParameters, RecordingOptions
+from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
@@ -121,14 +120,6 @@ class Dispatcher:
                 f'recording: {lost} departures could not be written before the shutdown'
             )
 
-    def withdraw_path(self) -> None:
-        """Replace the latched path by an empty one, after the departures that are under way."""
-        def withdraw() -> None:
-            if self._count:
-                self._publishers.publish('path', Path())
-
-        self._departures.submit(withdraw)
-
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
         if not self._review_queued:  # one review covers many updates
@@ -151,7 +142,9 @@ class Dispatcher:
         """Log and record a departure that has been answered."""
         end = max(departure.end_ns, self._now())
         self._logger.info(f'departure {departure.number} ({departure.id})')
-        self._recordings.record(replace(departure, response=response, end_ns=end))
+        options = departure.parameters.recording
+        if options.enabled and not options.required:
+            self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, trip_request: TripRequest) -> Future[Plan]:
         """Solve a trip on the current map, whether or not a plan is cached."""
@@ -227,7 +220,6 @@ class Dispatcher:
         cached, trip = fit.cached, fit.trip
         self._recordings.wait_for_room()
         self._refuse_unless_active()
-        self._refuse_unheard(pending.call)
         if cached is not self._displayed.cached:
             self._displayed.show(cached)
             if cached.trip.map is not trip.map:
@@ -246,24 +238,46 @@ class Dispatcher:
         route, rows = drawn
         header = Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=leaving).to_msg())
         path = path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
-        published = self._publish_path(path, pending)
         self._count = number
         tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
+        name = '' if parameters.publish_path else f'{pending.call.name}/path'
+        published = self._publishers.as_recorded('path', path_bytes(path), name)
         late_start = fit.note if fit.late_by else ''
-        report, trouble = self._reporter.departed(number, departure_id, tight, fit.assessment,
-                                                  late_start)
-        pending.departure.set_result(Departure(
-            departure_id, number, pending.call, trip, parameters, cached, fit.joined is not None,
-            source, route, path, published, (*self._displayed.markers, report), pending.begin_ns,
-            max(leaving, self._now()), '; '.join(filter(None, (fit.note, trouble))),
-        ))
 
-    def _publish_path(self, path: Path, pending: _Pending) -> RecordedMessage:
-        """Publish the path if that is allowed, and return it as the recording keeps it."""
-        data = path_bytes(path)
-        if pending.parameters.publish_path and self._settings.current.publish_path:
-            return self._publishers.publish('path', data)
-        return self._publishers.as_recorded('path', data, f'{pending.call.name}/path')
+        def publish() -> tuple[RecordedMessage, str]:
+            if parameters.publish_path:
+                self._publishers.publish('path', published.data)
+            return self._reporter.departed(number, departure_id, tight, fit.assessment,
+                                           late_start)
+
+        def departure(report: RecordedMessage, trouble: str) -> Departure:
+            return Departure(
+                departure_id, number, pending.call, trip, parameters, cached,
+                fit.joined is not None, source, route, path, published,
+                (*self._displayed.markers, report), pending.begin_ns, max(leaving, self._now()),
+                '; '.join(filter(None, (fit.note, trouble))),
+            )
+
+        if parameters.recording.required:
+            later = departure(*self._reporter.departed(
+                number, departure_id, tight, fit.assessment, late_start, publish=False
+            ))
+            self._leave_once_recorded(later, publish, pending.departure)
+        else:
+            pending.departure.set_result(departure(*publish()))
+
+    def _leave_once_recorded(self, departure: Departure, publish: Callable[[], object],
+                             result: Future[Departure]) -> None:
+        """Publish the path and complete the departure when its recording is on the disk."""
+        def leave() -> None:
+            written.result()
+            self._refuse_unless_active()
+            publish()
+            result.set_result(departure)
+
+        response = departure.call.respond(departure)
+        written = self._recordings.record(replace(departure, response=response))
+        written.add_done_callback(lambda _: self._departures.submit(leave, result))
 
     def _refuse_unheard(self, call: ServiceCall) -> None:
         """Refuse a departure whose path would reach nobody."""
@@ -288,12 +302,11 @@ class Dispatcher:
         """Return the time of the node's clock [ns]."""
         return self._clock.now().nanoseconds
 
-    def _recorded(self, options: RecordingOptions, error: AmbushPlannerError | None) -> None:
+    def _recorded(self, error: AmbushPlannerError | None) -> None:
         """Log and report how the recording of a departure went."""
         if error is not None:
             self._logger.error(f'recording: {for_the_log(error)}')
-        if options == self._settings.current.recording:
-            self._reporter.recording(True, error)
+        self._reporter.recording(True, error)
 
 
 def _fit(solved: CachedPlan, trip: Trip, pending: _Pending) -> Fit | None:

@@ -40,11 +40,11 @@ class DisplayedPlan:
         plan, strategy = cached.plan, cached.plan.strategy
         header = Header(frame_id=cached.trip.map.frame, stamp=self._clock.now().to_msg())
         messages = {
-            'network': markers.network_lines(plan.network, header),
-            'edge_probabilities': markers.edge_probabilities(strategy, header),
-            'mean_direction': markers.mean_direction(strategy, header),
-            'ambush_sites': markers.ambush_sites(strategy, header),
-            'stops': markers.stops(plan.network, header),
+            '~/network': markers.network_lines(plan.network, header),
+            '~/edge_probabilities': markers.edge_probabilities(strategy, header),
+            '~/mean_direction': markers.mean_direction(strategy, header),
+            '~/ambush_sites': markers.ambush_sites(strategy, header),
+            '~/stops': markers.stops(plan.network, header),
         }
         self.markers = tuple(self._publishers.publish(topic, message)
                              for topic, message in messages.items())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from threading import Lock
 from typing import Any, TypeVar
 
 from rclpy.context import Context
@@ -17,11 +18,18 @@ _Result = TypeVar('_Result')
 
 
 class ErrorBoundary:
-    """Logs each error once and passes it to ``report`` with what it concerns."""
+    """Logs errors and passes each to ``report`` with what it concerns.
+
+    Of errors of one type in one place only the first is logged; ``log_repeated`` logs how many have
+    followed, and begins anew. It is to be called about once a second. Thread-safe.
+    """
 
     def __init__(self, context: Context, logger: RcutilsLogger,
                  report: Callable[[str, Exception], None]) -> None:
         self._context, self._logger, self._report = context, logger, report
+        # How often each error has come since the last log_repeated, and the text of the latest.
+        self._latest: dict[tuple[str, type[Exception]], tuple[int, str]] = {}
+        self._lock = Lock()
 
     def attempt(self, what: str, concern: str,
                 action: Callable[[], _Result]) -> tuple[_Result | None, Exception | None]:
@@ -35,9 +43,25 @@ class ErrorBoundary:
             forget_frames(error)
         forget_frames(known)
         if self._context.ok():
-            self._logger.error(f'{what}: {for_the_log(known)}')
+            self._log(what, known)
             self._report(concern, known)
         return None, known
+
+    def log_repeated(self) -> None:
+        """Log how many errors have not been logged."""
+        with self._lock:
+            latest, self._latest = self._latest, {}
+        for count, text in latest.values():
+            if count > 1:
+                self._logger.error(f'{text} (and {count - 1} more like this)')
+
+    def _log(self, what: str, error: AmbushPlannerError) -> None:
+        text, key = f'{what}: {for_the_log(error)}', (what, type(error))
+        with self._lock:
+            count = self._latest.get(key, (0, ''))[0] + 1
+            self._latest[key] = count, text
+        if count == 1:
+            self._logger.error(text)
 
 
 def protect_services(node: Node) -> None:

@@ -34,30 +34,35 @@ class NodeSettings:
     The changes of one request must be possible for some values of the other parameters. They may
     contradict the present values, for instance while ``ros2 param load`` sets one parameter after
     the other; then ``current`` keeps the last values that agreed, and ``contradiction`` is the
-    reason. ``changed`` is called after each change with the values before it.
+    reason. ``changed`` is called after each change. With ``parameters.locked`` changes are refused
+    while ``active`` is set.
 
     Raises InvalidOption if the initial values are invalid as a set, and
     rclpy.exceptions.ParameterException if one has the wrong type or is out of its range.
     """
 
-    def __init__(self, node: Node, changed: Callable[[NodeParameters], None]) -> None:
+    def __init__(self, node: Node, changed: Callable[[], None]) -> None:
         node.declare_parameters(
             '', [(name, each.default, _descriptor(each)) for name, each in PARAMETERS.items()]
         )
         _warn_of_unknown(node)
         self.current = parameters_from(_values(node))
         self.contradiction: InvalidOption | None = None
+        self.active = False
 
         def update(_: list[Parameter]) -> None:
-            before = self.current
             try:
                 self.current, self.contradiction = parameters_from(_values(node)), None
             except InvalidOption as error:
                 self.contradiction = error
-            changed(before)
+            changed()
+
+        def check(changes: list[Parameter]) -> SetParametersResult:
+            locked = self.active and self.current.values['parameters.locked']
+            return _check(node, changes, locked)
 
         node.add_pre_set_parameters_callback(lambda changes: [*map(_infinity_as_number, changes)])
-        node.add_on_set_parameters_callback(lambda changes: _check(node, changes))
+        node.add_on_set_parameters_callback(check)
         node.add_post_set_parameters_callback(update)
 
     def agreeing(self) -> NodeParameters:
@@ -91,13 +96,16 @@ def _infinity_as_number(change: Parameter) -> Parameter:
     return change
 
 
-def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
-    """Check whether ``changes`` are possible together; parameters of others are accepted."""
+def _check(node: Node, changes: list[Parameter], locked: bool) -> SetParametersResult:
+    """Check whether ``changes`` are possible together; unless locked, those of others are."""
     ours = {change.name: change.value for change in changes if change.name in PARAMETERS}
-    for name, value in ours.items():
-        if PARAMETERS[name].fixed and value != node.get_parameter(name).value:
-            return SetParametersResult(successful=False,
-                                       reason=f'{name} is read-only: it is read at the start')
+    for change in changes:
+        name = change.name
+        fixed = name in PARAMETERS and PARAMETERS[name].fixed
+        if (fixed or locked) and change.value != node.get_parameter(name).value:
+            why = ('it is read at the start' if fixed else
+                   'parameters.locked is true; deactivate the node to change it')
+            return SetParametersResult(successful=False, reason=f'{name} is read-only: {why}')
     try:
         _check_possible(ours)
     except InvalidOption as error:
@@ -108,7 +116,8 @@ def _check(node: Node, changes: list[Parameter]) -> SetParametersResult:
 def _check_possible(changes: Mapping[str, Any]) -> None:
     """Raise InvalidOption if the changes contradict all values of the other parameters."""
     others: dict[str, Any] = {name: each.default for name, each in PARAMETERS.items()}
-    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS, 'network.graph': _SOME_ROADS}
+    others |= {'map.alpha_min': 0.0, 'map.alpha_max': MOST_LOSS, 'network.graph': _SOME_ROADS,
+               'game.ambush_radius': 1.0}
     if changes.get('network.graph'):
         others['network.method'] = 'graph'  # so that the file is read
     for solver in reversed(SOLVERS):  # the reason given is that of the first solver

@@ -14,6 +14,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
+from ..planning.options import start_tolerance
 from ..planning.plan import Plan, PlanRequest
 from ..planning.solving import WarmStart
 from ..worker.solve_queue import SolveQueue

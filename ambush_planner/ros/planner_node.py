@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import ctypes
 import gc
+import os
 import signal
 import sys
 import time
@@ -13,15 +14,16 @@ from threading import Event
 from typing import Any, TypeVar
 
 import rclpy
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
-from ..planning.node_parameters import NodeParameters
 from .compute_path import ACTIONS, ComputePath
 from .departure_record import software_versions
 from .dispatcher import Dispatcher
@@ -32,6 +34,7 @@ from .parameter_changes import NodeSettings
 from .publishers import PLAN_TOPICS, STATUS_TOPICS, Publishers
 from .reporter import Reporter
 from .requests import Requests
+from .shared_memory import hide_segments
 from .subscriptions import Subscriptions
 from .transforms import FrameTransforms
 
@@ -73,6 +76,7 @@ class PlannerNode(LifecycleNode):
 
     def _build(self) -> None:
         """Make the parts that exist in every state."""
+        hide_segments()
         protect_services(self)
         self._dispatcher: Dispatcher | None = None
         self._inputs: Inputs | None = None
@@ -91,6 +95,7 @@ class PlannerNode(LifecycleNode):
         self._error_boundary = ErrorBoundary(
             self.context, self.get_logger(), self._reporter.failed
         )
+        self._closing.callback(self._error_boundary.log_repeated)
         self._reporter.recording(self._settings.current.recording.enabled)
         requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
                             lambda: _configured(self._inputs), self._settings)
@@ -124,12 +129,14 @@ class PlannerNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Answer requests."""
         _configured(self._dispatcher).resume()
+        self._settings.active = True
         self._reporter.set(lifecycle='active')
         return TransitionCallbackReturn.SUCCESS
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests and cancel solves; plans and inputs are kept."""
         _configured(self._dispatcher).pause()
+        self._settings.active = False
         self._reporter.set(lifecycle='inactive')
         return TransitionCallbackReturn.SUCCESS
 
@@ -185,15 +192,22 @@ class PlannerNode(LifecycleNode):
         """Answer waiting requests, write the last recordings, and end all parts of the node."""
         self._closing.close()
 
-    def _parameters_changed(self, before: NodeParameters) -> None:
-        now, contradiction = self._settings.current, self._settings.contradiction
-        self._reporter.warn('parameters', '' if contradiction is None else (
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters; the reason of a success says if they now contradict others."""
+        result = super().set_parameters_atomically(parameter_list)
+        if result.successful:  # rclpy drops the reason that a callback gives
+            result.reason = self._contradiction()
+        return result
+
+    def _contradiction(self) -> str:
+        """Describe how parameters contradict each other; '' if they do not."""
+        contradiction = self._settings.contradiction
+        return '' if contradiction is None else (
             f'parameters contradict each other, and requests are refused: {contradiction}'
-        ))
-        if self._dispatcher is not None and before.publish_path and not now.publish_path:
-            self._dispatcher.withdraw_path()
-        if now.recording != before.recording:
-            self._reporter.recording(now.recording.enabled)
+        )
+
+    def _parameters_changed(self) -> None:
+        self._reporter.warn('parameters', self._contradiction())
         self._report_missing()
 
     def _report_missing(self) -> None:
@@ -209,6 +223,7 @@ class PlannerNode(LifecycleNode):
         listening = self._topic_subscriptions
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
         self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
+        self._error_boundary.log_repeated()
         self._reporter.report()
 
 
@@ -217,7 +232,8 @@ def _configured(part: _Part | None) -> _Part:
     if part is None:
         raise NotActive(
             'the node is not configured: nobody departs before it is configured and activated '
-            '(ros2 lifecycle set)'
+            '(ros2 lifecycle set); after a cleanup a latched map comes again, but start and goal '
+            'have to be published again'
         )
     return part
 
@@ -249,6 +265,7 @@ def check_arguments(arguments: list[str] | None) -> None:
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT, SIGTERM or the end of its context; return the exit code."""
     check_arguments(args)
+    os.umask(0o077)  # for logs, and whatever else libraries write
     # Handlers that only set a flag: rclpy's end the context at once, whatever its threads are
     # doing, which crashes a starting node. A second Ctrl-C does not interrupt the clean-up.
     stop = Event()
@@ -261,9 +278,10 @@ def main(args: list[str] | None = None) -> int:
         except RuntimeError as error:  # a missing parameter file, for instance
             raise InvalidOption(str(error)) from error
         node = PlannerNode()
+        names = [node.resolve_topic_name(name) for name in ('alpha_map', 'start_pose', 'goal_pose')]
         node.get_logger().info(
-            f'version {software_versions()["ambush_planner"]}; it needs alpha_map, start_pose and '
-            'goal_pose; ~/new_route is a departure, once the node is active'
+            f'version {software_versions()["ambush_planner"]}; it needs {", ".join(names)}; '
+            f'{node.resolve_service_name("~/new_route")} is a departure, once the node is active'
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)

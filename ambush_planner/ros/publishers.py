@@ -16,10 +16,10 @@ from ..recordings import RecordedMessage, type_name
 from .qos import DIAGNOSTICS, LATCHED
 
 Topics = Mapping[str, tuple[type, QoSProfile]]
-MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
+_MARKERS = ('network', 'edge_probabilities', 'mean_direction', 'ambush_sites', 'stops')
 # Topics that exist while the node is configured.
 PLAN_TOPICS: Topics = {'path': (PathMessage, LATCHED),
-                       **dict.fromkeys(MARKERS, (MarkerArray, LATCHED))}
+                       **{f'~/{each}': (MarkerArray, LATCHED) for each in _MARKERS}}
 # Topics that exist in all states of the node.
 STATUS_TOPICS: Topics = {'/diagnostics': (DiagnosticArray, DIAGNOSTICS)}
 
@@ -34,16 +34,16 @@ class Publishers:
 
     def publish(self, topic: str, message: Any) -> RecordedMessage:
         """Publish a message, or its serialised bytes, on one of ``topics``."""
-        publisher = self._publishers[topic]
-        recorded = self.as_recorded(topic, message, publisher.topic_name)
-        publisher.publish(recorded.data)
+        recorded = self.as_recorded(topic, message)
+        self._publishers[topic].publish(recorded.data)
         return recorded
 
-    def as_recorded(self, topic: str, message: Any, name: str) -> RecordedMessage:
-        """Return a message as a recording keeps it, under the full ``name``, unpublished."""
+    def as_recorded(self, topic: str, message: Any, name: str = '') -> RecordedMessage:
+        """Return a message as a recording keeps it (by default under its topic), unpublished."""
         data = message if isinstance(message, bytes) else serialize_message(message)
         kind, qos = self._topics[topic]
         stamp = self._node.get_clock().now().nanoseconds
+        name = name or self._publishers[topic].topic_name
         return RecordedMessage(name, type_name(kind), data, qos, stamp)
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
 from threading import Condition, Thread
@@ -25,20 +26,20 @@ _PATIENCE = 2.0
 
 
 class Recordings:
-    """Writes departures one after the other, each as its own parameters say.
+    """Writes departures one after the other.
 
     At the start, temporary files in the folder of ``options`` are removed, and ``warn`` called for
-    each. Once a departure is written or given up, ``done`` gets its recording options, and the
-    error or None.
+    each. Once a departure is written or given up, ``done`` gets the error or None.
     """
 
     def __init__(self, options: RecordingOptions,
-                 done: Callable[[RecordingOptions, AmbushPlannerError | None], None],
+                 done: Callable[[AmbushPlannerError | None], None],
                  warn: Callable[[str], object]) -> None:
         self._options, self._done, self._warn = options, done, warn
-        self._recorder: Recorder | None = None
+        self._recorder = Recorder(Path(options.directory), options.compression, options.required)
         self._strategies: WeakKeyDictionary[Plan, bytes] = WeakKeyDictionary()
-        self._unwritten: deque[Departure] = deque()  # the first one is being written
+        # The first one is being written.
+        self._unwritten: deque[tuple[Departure, Future[None]]] = deque()
         self._condition = Condition()
         # Whether the disk has kept a departure waiting in vain since the last write.
         self._stuck = False
@@ -53,21 +54,20 @@ class Recordings:
                                             _PATIENCE)
             self._stuck = self._stuck or not room
 
-    def record(self, departure: Departure) -> None:
-        """Queue a departure if its parameters enable recording; never waits."""
-        options = departure.parameters.recording
-        if not options.enabled:
-            return
+    def record(self, departure: Departure) -> Future[None]:
+        """Queue a departure; never waits. The future is done when it is on the disk."""
+        written: Future[None] = Future()
         with self._condition:
             if not (self._full and self._stuck):
-                self._unwritten.append(departure)
+                self._unwritten.append((departure, written))
                 self._condition.notify_all()
-                return
-        self._done(options, RecordingFailed(
-            Path(options.directory),
+                return written
+        self._finish(written, RecordingFailed(
+            Path(self._options.directory),
             f'{_MOST_WAITING} departures wait for the disk, which does not answer; departure '
             f'{departure.number} is not recorded',
         ))
+        return written
 
     def hurry(self) -> None:
         """Stop all waiting for room, for good: the node shuts down."""
@@ -97,13 +97,13 @@ class Recordings:
                 self._condition.wait_for(lambda: self._unwritten or self._closing)
                 if not self._unwritten:
                     return
-            self._write(self._unwritten[0])
+            self._write(*self._unwritten[0])
             with self._condition:
                 self._unwritten.popleft()
                 self._stuck = False
                 self._condition.notify_all()
 
-    def _write(self, departure: Departure) -> None:
+    def _write(self, departure: Departure, written: Future[None]) -> None:
         error: AmbushPlannerError | None = None
         try:
             self._record(departure)
@@ -112,15 +112,19 @@ class Recordings:
         except Exception as unknown:  # the thread must live to write the next one
             error = unexpected(unknown)
         forget_frames(error)
+        self._finish(written, error)
+
+    def _finish(self, written: Future[None], error: AmbushPlannerError | None) -> None:
         with suppress(Exception):  # during shutdown the node may be unable to report
-            self._done(departure.parameters.recording, error)
+            self._done(error)
+        if error is None:
+            written.set_result(None)
+        else:
+            written.set_exception(error)
 
     def _record(self, departure: Departure) -> None:
-        options, plan = departure.parameters.recording, departure.held.plan
+        plan = departure.held.plan
         if plan not in self._strategies:
             self._strategies[plan] = strategy_file(plan.strategy)
-        if self._recorder is None or options != self._options:
-            self._recorder = Recorder(Path(options.directory), options.compression)
-            self._options = options
         self._recorder.record_departure(recorded_messages(departure), metadata_entries(departure),
                                         attachments(departure, self._strategies[plan]))

@@ -73,19 +73,24 @@ class Reporter:
         self._change(change)
 
     def departed(self, number: int, departure_id: str, tight_turns: int, worth: Assessment,
-                 late_start: str) -> tuple[RecordedMessage, str]:
+                 late_start: str, publish: bool = True) -> tuple[RecordedMessage, str]:
         """Report a departure; return the report, and what is wrong with the recording, if anything.
 
         ``worth`` is its assessment, and ``late_start`` says why it begins where the convoy was.
-
-        Both come from one status, so the answer and the recorded diagnostics agree.
+        Both results come from one status, so the answer and the recorded diagnostics agree. Without
+        ``publish`` the departure leaves once it is recorded: the report of then is only returned.
         """
         with self._lock:
-            self._status = replace(self._status.without_problem('request'), departures=number,
-                                   departure_id=departure_id, tight_turns=tight_turns,
-                                   departure_worth=worth, late_start=late_start)
-            problem = self._status.problems.get('recording')
-            return self.report(), problem.message if problem else ''
+            status = replace(self._status.without_problem('request'), departures=number,
+                             departure_id=departure_id, tight_turns=tight_turns,
+                             departure_worth=worth, late_start=late_start)
+            if publish:
+                self._status = status
+                problem = status.problems.get('recording')
+                return self.report(), problem.message if problem else ''
+            status = replace(status.without_problem('recording'), recording='on')
+            message = status_to_ros(status, self._name, self._clock.now().to_msg())
+            return self._publishers.as_recorded('/diagnostics', message), ''
 
     def recording(self, enabled: bool, error: Exception | None = None) -> None:
         """Report whether departures are recorded, and the error of the last recording."""

@@ -106,7 +106,8 @@ class Requests:
 
     def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
                 client: str) -> Future[Departure]:
-        call = ServiceCall(kind, self._node.resolve_service_name(service), request)
+        respond = self._new_route_response if kind is Trigger else plan_response
+        call = ServiceCall(kind, self._node.resolve_service_name(service), request, respond)
         return self._dispatcher().depart(call, trip, client)
 
     def _latest_trip(self) -> TripRequest:

@@ -20,8 +20,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from ..arrays import FloatArray
 
 HISTORY_NS = 10_000_000_000
-# Tolerance of a quaternion's squared norm, as in tf2.
-_UNIT_TOLERANCE = 1e-2
 
 
 class TransformUnknown(Exception):
@@ -61,11 +59,11 @@ class StampedTransform(NamedTuple):
 
     @property
     def is_valid(self) -> bool:
-        """Whether the frames are two and the numbers are a rigid motion."""
+        """Whether the frames are two and the numbers, once normalised, are a rigid motion."""
         norm = math.fsum(part * part for part in self.quaternion)
         return (
             '' not in (self.parent, self.child) and self.parent != self.child
-            and all(map(math.isfinite, self.translation)) and abs(norm - 1.0) <= _UNIT_TOLERANCE
+            and all(map(math.isfinite, self.translation)) and 0.0 < norm < math.inf
         )
 
 
@@ -109,11 +107,15 @@ class _Link:
         if self.static:
             self.transforms = [transform]
             return
+        if self.transforms:  # as in tf2, what is new does not yet count
+            oldest = self.latest_ns - HISTORY_NS
+            del self.transforms[:self._index(oldest)]
+            if transform.stamp_ns < oldest:
+                return
         k = self._index(transform.stamp_ns)
-        # The first transform of a time is kept, as in tf2.
-        if k == len(self.transforms) or self.transforms[k].stamp_ns != transform.stamp_ns:
-            self.transforms.insert(k, transform)
-        del self.transforms[:self._index(self.latest_ns - HISTORY_NS)]
+        # The last transform of a time counts, as in tf2.
+        same = k < len(self.transforms) and self.transforms[k].stamp_ns == transform.stamp_ns
+        self.transforms[k:k + same] = [transform]
 
     def _index(self, stamp_ns: int) -> int:
         return bisect_left(self.transforms, stamp_ns, key=lambda each: each.stamp_ns)
@@ -146,9 +148,11 @@ class TransformBuffer:
     def lookup(self, target: str, source: str, stamp_ns: int | None = None) -> Found:
         """Return the motion from ``source`` to ``target``, by default at the latest common time.
 
-        Raises TransformUnknown if a frame does not exist, or the two frames are not connected at
-        one time.
+        Raises TransformUnknown if a frame does not exist (unless it is both), or the two frames are
+        not connected at one time.
         """
+        if target == source:
+            return Found(Rigid(np.zeros(3), Rotation.identity()), stamp_ns)
         with self._lock:
             up, down = self._to_root(source), self._to_root(target)
             # Links above the nearest common ancestor do not matter.

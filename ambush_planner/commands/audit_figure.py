@@ -1,0 +1,37 @@
+"""The picture of ``ambush audit``."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..colours import AMBUSHER
+from ..figures import draw_risk_map, draw_segments, frame, probability_scale
+from ..maps.risk_map import RiskMap
+from ..recordings.audit import Audit
+
+
+def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
+    """Published and recorded frequencies on the map, and the losses caused by an observer."""
+    figure = Figure((21.0, 8.0), layout='constrained')
+    published, recorded, observer = figure.subplots(1, 3)
+    scale = probability_scale(result.expected / result.departures)
+    for axes, passages, title in (
+        (published, result.expected, 'Published: probability that the convoy drives here'),
+        (recorded, result.passages, f'Recorded: share of {result.departures} departures'),
+    ):
+        frame(axes, risk_map, title)
+        draw_risk_map(axes, risk_map)
+        edges = draw_segments(axes, result.segments, passages / result.departures, scale)
+    figure.colorbar(edges, ax=[published, recorded], location='bottom', shrink=0.5, aspect=50,
+                    label='share of departures')
+    count = np.arange(1, len(result.observer_losses) + 1)
+    observer.axhline(result.value, color='grey', label='published value')
+    observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,
+                  label='observer who learns as he goes')
+    observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
+                     label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
+    observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
+    observer.set_title('Could one foresee the next departure?', loc='left', fontsize='large')
+    observer.legend()
+    return figure
