@@ -176,7 +176,7 @@ class _DualSearch:
             weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
-            work += float(len(self.found.p)) * len(counts) ** 2
+            work += float(len(self.found.p)) * len(counts) * 100
             hessian = self._hessian(counts)
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)
@@ -196,11 +196,7 @@ class _DualSearch:
 
     def _hessian(self, counts: IndexArray) -> FloatArray:
         """Covariance (K, K) of the costs of the limits ``counts`` (K,) along a route."""
-        used = np.flatnonzero(self.found.p > NEGLIGIBLE_USE)
-        costs = np.asarray(self.rows[counts][:, used].T.toarray())
-        moved = self.network.deviations(self.share, used, costs)
-        moved *= np.sqrt(self.found.p[used])[:, None]
-        return np.asarray(moved.T @ moved)
+        return self.network.covariance(self.share, self.found.p, self.rows[counts])
 
 
 def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,
