@@ -22,7 +22,7 @@ from .acyclic import forward_part, order_potential, rank_around
 from .budget import BUDGET_TOLERANCE, ROUNDING, Budget
 from .cut import uniform_ambusher
 from .entries import entry_bound, entry_value
-from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
+from .entropy_search import GibbsStrategy, maximize_entropy
 from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
@@ -146,7 +146,7 @@ class EntropyStage:
         for kept in (self._kept_margins(least), (0.0,) * len(self.budgets)):
             limits = LimitRows(self.game, network, aimed, self.budgets, kept)
             p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
-            if not found.infeasible:
+            if not found.infeasible or limits.entropy_bound(found, 1.0) < 0.0:
                 break
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
         bound = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
@@ -168,7 +168,7 @@ class EntropyStage:
 
     def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
                        softness: float = 0.0,
-                       evaluations: int = MAX_EVALUATIONS) -> tuple[FloatArray, GibbsStrategy]:
+                       evaluations: int = 0) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result."""
         found = maximize_entropy(network, limits.rows, start,
                                  min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.deadline,
