@@ -7,7 +7,7 @@ the greatest route entropy if v >= 0 minimises the convex function
 
 This function is at least the entropy of any strategy with C p <= 1, so a value below 0 proves that
 no such strategy exists. The search begins with L-BFGS-B, which scales the multipliers to bring the
-Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: where
+Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: if
 the limits are on visits of nodes, as a primal-dual interior point method in all multipliers, whose
 systems are sparse (``node_limits``); else in the multipliers of the tight limits, with
 Levenberg-Marquardt damping. The search goes on as long as the function falls.
@@ -54,9 +54,11 @@ RISE, FALL = 6.0, 0.2
 ACCEPTED, TRUSTED = 0.01, 0.5
 # Newton's model omits limits with less excess than this share of the tolerance.
 MODEL_EXCESS = 0.1
-# The interior point method: least initial product of a multiplier and the unused share of its limit,
-# factor of the mean product per step, share of the way to 0 that a step may go, sufficient decrease and shortest step.
-INTERIOR_START, CENTRING, TO_BOUNDARY, SUFFICIENT, SHORTEST = 1e-4, 0.4, 0.99, 0.01, 1e-5
+# The interior point method: least initial product of a multiplier and the unused share of its
+# limit, factor of the mean product per step, share of the way to 0 that a step may go, sufficient
+# decrease, shortest step, and most steps in a row that lower neither value nor product.
+INTERIOR_START, CENTRING, TO_BOUNDARY, SUFFICIENT = 1e-4, 0.4, 0.99, 0.01
+SHORTEST, MOST_IDLE = 1e-5, 5
 
 
 class _SearchEnded(Exception):
@@ -191,8 +193,10 @@ class _DualSearch:
         free = np.maximum(1.0 - self.rows @ self.found.p, INTERIOR_START**0.5)
         v = np.maximum(self.found.multipliers, INTERIOR_START / free)
         value, gradient = self(v)
-        unused, length, least = np.maximum(gradient, INTERIOR_START / v), 1.0, np.inf
-        while length > SHORTEST and v @ unused > LEAST_GAIN * (1.0 + abs(value)):
+        unused, length = np.maximum(gradient, INTERIOR_START / v), 1.0
+        least, idle = self.least, 0
+        while (length > SHORTEST and idle < MOST_IDLE
+               and v @ unused > LEAST_GAIN * (1.0 + abs(value))):
             try:
                 limits.factor(self.share, self.p, unused / v)
             except RuntimeError:
@@ -211,10 +215,9 @@ class _DualSearch:
                 length *= CENTRING
             kept = _within(unused, change)
             unused = unused + (kept if length == longest else min(kept, length)) * change
-            fallen = self.least < least - LEAST_GAIN * (1.0 + abs(value))
-            if not fallen and tried @ unused >= mu / CENTRING * len(v):
-                return
-            v, least = tried, min(least, self.least)
+            gains = self.least < least - LEAST_GAIN * (1.0 + abs(value))
+            idle = 0 if gains or tried @ unused < mu / CENTRING * len(v) else idle + 1
+            v, least = tried, self.least
 
     def newton(self) -> None:
         """Take damped Newton steps in the limits of greatest weight."""

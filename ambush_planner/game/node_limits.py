@@ -54,7 +54,7 @@ class NodeLimits:
         row = np.repeat(np.arange(len(count)), count)
         whole = (count > 0) & (count == np.bincount(head, minlength=self._network.count)[first])
         whole[row[(head[rows.indices] != first[row]) | (rows.data != value[row])]] = False
-        return whole
+        return np.asarray(whole)
 
     def factor(self, share: FloatArray, p: FloatArray, diagonal: FloatArray) -> None:
         """Prepare ``solve`` for the law (share, p) and the ``diagonal`` (R,) > 0.
