@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scenarios import Scenario, city, maze, terrain
+from scenarios import Scenario, block, city, maze, terrain
 from scipy.ndimage import gaussian_filter, label
 
 from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
@@ -99,7 +99,7 @@ def _gates(rng: np.random.Generator, cells: int) -> Drawn:
     middle, gate, aside = cells // 2, max(cells // 20, 4), rng.uniform(0.2, 0.42) * cells
     wall[:, middle : middle + max(cells // 40, 2)] = True
     for row in (middle, middle - round(aside)):
-        wall[row - gate // 2 : row + gate // 2 + 1, :] &= False
+        wall[row - gate // 2 : row + gate // 2 + 1] = False
     by_the_side = math.hypot(0.46 * cells, aside) / (0.46 * cells)
     share = 0.5 * rng.uniform(0.9, 1.1)
     return _across(alpha, wall), 1.0 + share * (by_the_side - 1.0)
@@ -160,4 +160,5 @@ FAMILIES: dict[str, Family] = {
     'city': _between_random_ends(lambda rng, _: city(int(rng.integers(2**31)))),
     'maze': _between_random_ends(lambda rng, _: maze(seed=int(rng.integers(2**31)))),
     'terrain': _between_random_ends(lambda *_: terrain()),
+    'block': lambda _, cells: (_across(block(cells).alpha, block(cells).obstacles), None),
 }

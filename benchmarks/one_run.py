@@ -22,7 +22,7 @@ import numpy as np
 from families import Problem, draw
 from peers import EntropyProblem, clarabel_entropy, highs
 
-from ambush_planner import GameOptions, Network, TimeLimit, solve
+from ambush_planner import GameOptions, Network, NoRoute, TimeLimit, solve
 from ambush_planner.game import strategy as whole_solve
 from ambush_planner.game import strategy_solver
 
@@ -69,14 +69,16 @@ class Stages:
 
 def strategy(given: Problem, file: Path, limit: float) -> Answer:
     """The default strategy, all stages; saves its entropy problem for Clarabel."""
-    begin = time.process_time()
-    network = given.scenario.network(given.network_options())
+    try:
+        network = given.scenario.network(given.network_options())
+    except NoRoute:
+        return {'failed': True, 'seconds': 0.0, 'status': 'no route', 'reach': given.reach}
     spacing = float(np.median(network.lengths))
     warm_up = draw('hills-coarse:100:0', 0.0, 1.2)
     solve(warm_up.scenario.network(warm_up.network_options()))  # loads all libraries
     stages, game, status = Stages(), given.game(spacing), 'solved'
     options = given.strategy()
-    begin, built = time.process_time(), time.process_time() - begin
+    begin = time.process_time()
     try:
         found = solve(network, game, replace(options, time_limit=limit) if limit else options)
     except TimeLimit as error:
@@ -87,7 +89,7 @@ def strategy(given: Problem, file: Path, limit: float) -> Answer:
     np.savez(file, edges=np.flatnonzero(found.edge_probability > 0.0), value=found.value,
              length=found.expected_length, budget=found.length_budget, spacing=spacing)
     return {
-        'seconds': seconds, 'status': status, 'nodes': len(network.points), 'built': built,
+        'seconds': seconds, 'status': status, 'nodes': len(network.points),
         'reach': given.reach, 'detour': given.detour, 'value': found.value, 'gap': found.gap,
         'route_entropy': found.route_entropy, 'entropy_gap': found.entropy_gap,
         'price': found.length_price, 'evaluations': found.iterations,
@@ -95,7 +97,7 @@ def strategy(given: Problem, file: Path, limit: float) -> Answer:
     }
 
 
-def _plain(given: Problem, file: Path) -> tuple[Network, GameOptions]:
+def _same(given: Problem, file: Path) -> tuple[Network, GameOptions]:
     with np.load(file) as saved:
         spacing = float(saved['spacing'])
     return given.scenario.network(given.network_options()), given.game(spacing)
@@ -112,7 +114,7 @@ def interior_point(given: Problem, file: Path, limit: float) -> Answer:
 
 
 def _highs(given: Problem, file: Path, solver: str, limit: float) -> Answer:
-    network, game = _plain(given, file)
+    network, game = _same(given, file)
     with np.load(file) as saved:
         run = highs(network, game, float(saved['budget']), solver)
     signal.setitimer(signal.ITIMER_PROF, limit)
@@ -121,7 +123,7 @@ def _highs(given: Problem, file: Path, solver: str, limit: float) -> Answer:
 
 def conic(given: Problem, file: Path, limit: float) -> Answer:
     """The route-entropy problem by Clarabel, within the strategy's own value and length."""
-    network, game = _plain(given, file)
+    network, game = _same(given, file)
     with np.load(file) as saved:
         entropy = EntropyProblem(saved['edges'], float(saved['value']), float(saved['length']))
     run = clarabel_entropy(network, game, entropy)

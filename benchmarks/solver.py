@@ -94,7 +94,8 @@ def by_family(answers: list[Answer]) -> str:
     """One row per family and one for all: times, the slowest problem, shares of the stages."""
     rows = []
     for family in (*FAMILIES, ''):
-        here = [a for a in answers if a['name'].startswith(family) and 'failed' not in a]
+        here = [a for a in answers
+                if 'failed' not in a and family in ('', a['name'].split(':')[0])]
         if not here:
             continue
         total = sum(a['seconds'] for a in here)
@@ -112,10 +113,7 @@ def by_family(answers: list[Answer]) -> str:
 
 def paths(answers: list[Answer]) -> str:
     """How often each way through the solver was taken; (law) found its limits infeasible."""
-    ways = Counter(
-        'failed: ' + a['status'] if 'failed' in a else
-        ('' if a['status'] == 'solved' else f"**{a['status']}**: ") + a['path'] for a in answers
-    )
+    ways = Counter(f"**{a['status']}**" if a['status'] != 'solved' else a['path'] for a in answers)
     return table(('way', 'problems'), [[w or 'none', str(n)] for w, n in ways.most_common()])
 
 
@@ -135,7 +133,7 @@ def against_peers(answers: list[Answer], peers: list[str], limit: float) -> str:
         rows.append([PEERS[peer], f'{mean:.2f}', f'**{mean / own:.1f}x**', str(late),
                      str(sum(n for state, n in states.items() if state not in solved))])
     head = ('', 'shifted geometric mean [s]', 'ratio', f'over {limit:g} s', 'failed')
-    return f"\n\n{len(shared)} problems without a reach:\n\n{table(head, rows)}"
+    return f'\n\n{len(shared)} problems without a reach:\n\n{table(head, rows)}'
 
 
 def shifted_mean(seconds: list[float]) -> float:
@@ -155,13 +153,12 @@ def main() -> None:
     parser.add_argument('--limit', type=float, default=300.0,
                         help='limit of each solve [s]; ours is elapsed time')
     options = parser.parse_args()
-    first = secrets.randbelow(10**9) if options.seed is None else options.seed
+    first = options.seed or secrets.randbelow(10**9)
     more = [f'--{key}={value}' for key in ('reach', 'detour')
             if (value := getattr(options, key)) is not None]
     sections = []
     for nodes in options.sizes:
-        names = [f'{family}:{nodes}:{first + k}'
-                 for family in options.families for k in range(options.each)]
+        names = [f'{f}:{nodes}:{first + k}' for f in options.families for k in range(options.each)]
         answers = measure(names, options.limit, options.peers, *more)
         sections.append(f'### {nodes} nodes\n\n{by_family(answers)}\n\n{paths(answers)}'
                         f'{against_peers(answers, options.peers, options.limit)}')

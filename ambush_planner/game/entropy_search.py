@@ -197,14 +197,15 @@ class _DualSearch:
         least, idle = self.least, 0
         while (length > SHORTEST and idle < MOST_IDLE
                and v @ unused > LEAST_GAIN * (1.0 + abs(value))):
+            mu = CENTRING * float(v @ unused) / len(v)
             try:
                 limits.factor(self.share, self.p, unused / v)
-            except RuntimeError:
+                step = limits.solve(mu / v - gradient)
+            except (RuntimeError, LinAlgError):  # singular by rounding
                 return
-            mu = CENTRING * float(v @ unused) / len(v)
-            step = limits.solve(mu / v - gradient)
             change = mu / v - unused - unused / v * step
-            length = longest = _within(v, step)
+            longest, tried = _within(v, step), v
+            length = longest
             barrier = value - mu * float(np.log(v).sum())
             slope = SUFFICIENT * float((gradient - mu / v) @ step)
             while length > SHORTEST:
