@@ -21,7 +21,7 @@ help:
 	@echo 'make paper      the tables and figures of the paper; results in out/paper'
 	@echo 'make test       linters, type checker and the whole test suite'
 	@echo 'make lint       linters and type checker only'
-	@echo 'make benchmark  speed of solver and node, in about 15 minutes; benchmarks/results.md'
+	@echo 'make benchmark  speed of solver and node, in an hour or more; benchmarks/results.md'
 	@echo 'make endurance  recordings killed 300 times, random games, malformed messages, the node for an hour'
 	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'

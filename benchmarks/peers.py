@@ -20,7 +20,7 @@ from scipy.sparse import bmat, csc_matrix, csr_matrix, identity, vstack
 
 from ambush_planner import GameOptions, Network
 from ambush_planner.arrays import IndexArray
-from ambush_planner.game.game import make_game
+from ambush_planner.game.game import Game, make_game
 from ambush_planner.game.linear_program import linear_program
 
 Answer = dict[str, Any]
@@ -46,12 +46,12 @@ def _answer(status: str, seconds: float, **result: float) -> Answer:
     return answer | (result if status in SOLVED else {'failed': True})
 
 
-def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
+def highs(network: Network, game: GameOptions, budget: float, solver: str) -> Callable[[], Answer]:
     """Prepare the linear program for HiGHS; ``solver`` 'simplex' (dual) or 'ipx' (no crossover).
 
     With an infinite ``budget`` the row of the expected length [m] is omitted.
     """
-    program = linear_program(make_game(network, GameOptions()), 0.0, budget, unit=1.0)
+    program = linear_program(make_game(network, game), 0.0, budget, unit=1.0)
     matrix = vstack((program.inequalities, program.equalities)).tocsc()
     model = highspy.HighsLp()
     model.num_row_, model.num_col_ = matrix.shape
@@ -84,7 +84,9 @@ def highs(network: Network, budget: float, solver: str) -> Callable[[], Answer]:
     return run
 
 
-def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], Answer]:
+def clarabel_entropy(
+    network: Network, game: GameOptions, problem: EntropyProblem
+) -> Callable[[], Answer]:
     """Prepare the route-entropy problem for Clarabel.
 
     Variables (p, t, x), where x are the visits of each node but the target: the flow into and out
@@ -110,7 +112,7 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
         [csr_matrix((1, m)), csr_matrix((1, m)), source],
     ])
     supply = np.append(np.zeros(n + int(inner.sum())), 1.0)
-    limits, kept = _limits(network, problem, node)
+    limits, kept = _limits(make_game(network, game), problem, node)
     lengths = csr_matrix(network.lengths[problem.edges] / problem.length)
     visits = limits[kept].shape[0]
     room = bmat([
@@ -142,8 +144,8 @@ def clarabel_entropy(network: Network, problem: EntropyProblem) -> Callable[[], 
 
 
 def _limits(
-    network: Network, problem: EntropyProblem, node: IndexArray
+    game: Game, problem: EntropyProblem, node: IndexArray
 ) -> tuple[csr_matrix, IndexArray]:
     """Rows alpha_j x_j / value over x, and which of them can bind: a node is visited once."""
-    share = network.alpha[node] / problem.value
+    share = game.loss[node] / problem.value
     return csr_matrix((share, (np.arange(len(node)),) * 2)), np.flatnonzero(share > 1.0)

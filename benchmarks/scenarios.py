@@ -87,9 +87,9 @@ def depot() -> Scenario:
     return Scenario(risk_map, (2.0, 7.0), (28.0, 7.0))
 
 
-def city() -> Scenario:
+def city(seed: int = 7) -> Scenario:
     """800 m by 600 m of building blocks between streets 10 to 25 m wide, with some squares."""
-    rng = np.random.default_rng(7)
+    rng = np.random.default_rng(seed)
     rows, columns = 200, 266
     across, along = _streets(rng, rows), _streets(rng, columns)
     obstacles = ~(across[:, None] | along)
@@ -115,9 +115,9 @@ def _streets(rng: np.random.Generator, cells: int) -> BoolArray:
     return street
 
 
-def maze(rooms: int = 12, side: int = 14) -> Scenario:
+def maze(rooms: int = 12, side: int = 14, seed: int = 11) -> Scenario:
     """A maze of ``rooms`` x ``rooms`` rooms of 0.7 m, with a third of its spare walls removed."""
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(seed)
     free = np.zeros((rooms * side + 1,) * 2, dtype=bool)
     for row, column in np.ndindex(rooms, rooms):
         free[row * side + 1 : (row + 1) * side, column * side + 1 : (column + 1) * side] = True

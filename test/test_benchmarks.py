@@ -19,7 +19,7 @@ SCRIPTS = {
     'markers': '--across 10',
     'random_games': '--first 57 --count 2',
     'routes': '--maps maze --departures 4 --nodes 1000 --picture routes.png',
-    'solver': '--sizes 12 --repeats 1 --repeat-for 0 --growth 10 --problems',
+    'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60',
     'trips': '--spacing 1500 --picture trip.png',
 }
 NODE_SCRIPTS = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import networkx
@@ -19,6 +20,7 @@ from ambush_planner.game.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.game.entropy_search import maximize_entropy
 from ambush_planner.game.game import make_game
 from ambush_planner.game.gibbs import AcyclicNetwork
+from ambush_planner.game.node_limits import NodeLimits
 
 NEVER = math.inf
 
@@ -83,6 +85,29 @@ def test_the_entropy_of_p_is_the_dual_value(seed, size):
     whole = on_all(network, acyclic, p)
     assert unbalanced(network, whole) < 1e-12 and p.min() >= 0.0
     assert route_entropy(network, whole) == pytest.approx(log_z + v @ (rows @ p), rel=1e-9)
+
+
+@examples(10)
+@given(st.integers(0, 10**6), st.floats(0.0, 3.0), st.sampled_from((0.0, 2.0)))
+def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
+    """Of the limits' uses by the multipliers; more rows than fit one chunk of right sides."""
+    network = terrain_network(seed, cells=8)
+    part, acyclic = forward(network)
+    rows = rows_of(replace(part, ambush_radius=reach), acyclic).tocsr()
+    rng = np.random.default_rng(seed)
+    v = size * rng.random(rows.shape[0])
+    _, p, share = acyclic.law(rows.T @ v)
+    covariance = acyclic.covariance(share, p, rows)
+    direction = rng.normal(size=len(v))
+    ahead, behind = (rows @ acyclic.law(rows.T @ (v + h * direction))[1] for h in (1e-5, -1e-5))
+    assert covariance @ direction == pytest.approx((behind - ahead) / 2e-5, abs=1e-5)
+    limits = NodeLimits(acyclic, rows)
+    assert limits.fits == (reach == 0.0)
+    if limits.fits:
+        diagonal, right = 10.0 ** rng.uniform(-2, 3, len(v)), rng.normal(size=len(v))
+        limits.factor(share, p, diagonal)
+        found = limits.solve(right)
+        assert (covariance + np.diag(diagonal)) @ found == pytest.approx(right, abs=1e-5)
 
 
 @pytest.mark.parametrize('cells, reach', [(6, 0.0), (10, 0.0), (10, 2.0), (16, 0.0)])
@@ -177,7 +202,7 @@ def test_a_soft_search_has_a_minimum_under_infeasible_limits():
     part, acyclic = forward(network)
     rows = csr_matrix(8.0 * part.hits[:, acyclic.edge])
     start = np.zeros(rows.shape[0])
-    found = maximize_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1)
+    found = maximize_entropy(acyclic, rows, start, 0.0, NEVER, softness=0.1, evaluations=300)
     assert not found.infeasible
     # At the minimum each limit is exceeded by softness * sum v at most.
     assert found.excess == pytest.approx(0.1 * found.multipliers.sum(), rel=1e-2)

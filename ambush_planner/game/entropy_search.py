@@ -7,8 +7,10 @@ the greatest route entropy if v >= 0 minimises the convex function
 
 This function is at least the entropy of any strategy with C p <= 1, so a value below 0 proves that
 no such strategy exists. The search begins with L-BFGS-B, which scales the multipliers to bring the
-Hessian's diagonal near 1 and moves only those of nearly tight limits. If few limits are tight, it
-ends with Newton's method in their multipliers, with Levenberg-Marquardt damping.
+Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: if
+the limits are on visits of nodes, as a primal-dual interior point method in all multipliers, whose
+systems are sparse (``node_limits``); else in the multipliers of the tight limits, with
+Levenberg-Marquardt damping. The search goes on as long as the function falls.
 """
 
 from __future__ import annotations
@@ -21,13 +23,16 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from ..arrays import BoolArray, FloatArray, IndexArray
+from ..arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
+from .node_limits import NodeLimits
 
-MAX_EVALUATIONS = 1500
-# Evaluations before Newton's method starts, limits that it moves at once, and multiplications for
-# its Hessians.
-FIRST_EVALUATIONS, NEWTON_LIMITS, NEWTON_WORK = 150, 800, 1e11
+# Evaluations of L-BFGS before Newton's method starts, and in each round after it.
+FIRST_EVALUATIONS, NEXT_EVALUATIONS = 150, 300
+# Limits that Newton's method moves at once.
+NEWTON_LIMITS = 3000
+# The search ends when a round lowers the function by less than this, relative.
+LEAST_GAIN = 1e-9
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3
 # Rounding of the function's value, relative to its terms.
@@ -47,9 +52,13 @@ DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-9, 1e6
 RISE, FALL = 6.0, 0.2
 # Ratios of actual to predicted decrease at which a step is accepted and the damping reduced.
 ACCEPTED, TRUSTED = 0.01, 0.5
-# Newton's model omits limits with less excess than this share of the tolerance, and edges with less
-# use than this.
-MODEL_EXCESS, NEGLIGIBLE_USE = 0.1, 1e-7
+# Newton's model omits limits with less excess than this share of the tolerance.
+MODEL_EXCESS = 0.1
+# The interior point method: least initial product of a multiplier and the unused share of its
+# limit, factor of the mean product per step, share of the way to 0 that a step may go, sufficient
+# decrease, shortest step, and most steps in a row that lower neither value nor product.
+INTERIOR_START, CENTRING, TO_BOUNDARY, SUFFICIENT = 1e-4, 0.4, 0.99, 0.01
+SHORTEST, MOST_IDLE = 1e-5, 5
 
 
 class _SearchEnded(Exception):
@@ -62,7 +71,7 @@ class _LimitJoins(Exception):
 
 @dataclass
 class GibbsStrategy:
-    """The last evaluation of the search: p (m,) and the multipliers v (R,).
+    """The best evaluation of the search: p (m,) and the multipliers v (R,).
 
     ``excess`` is max(C p) - 1; ``infeasible`` if no strategy is within the limits. With
     ``log_partition`` = log Z(C' v), log Z + u' v bounds the entropy of any p with C p <= u.
@@ -78,38 +87,37 @@ class GibbsStrategy:
 
 def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
                      deadline: float, softness: float = 0.0,
-                     evaluations: int = MAX_EVALUATIONS) -> GibbsStrategy:
+                     evaluations: int = 0) -> GibbsStrategy:
     """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
-    entropy; when the limits are proved infeasible; after ``evaluations``; or at ``deadline``
-    (``time.monotonic``). ``softness`` lets the strategy exceed its limits by softness * sum v, so
-    that a minimum always exists.
+    entropy; when the limits are proved infeasible; when the function falls no more; or at
+    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed its limits by softness
+    * sum v, so that a minimum always exists; this search ends after ``evaluations``.
     """
     if rows.shape[0] == 0:
         log_z, p, _ = network.law(np.zeros(len(network.edge)))
         return GibbsStrategy(p, start, 0.0, False, 1, log_z)
-    search = _DualSearch(network, rows, tolerance, deadline, softness, evaluations)
+    search = _DualSearch(network, rows, tolerance, deadline, softness)
     with contextlib.suppress(_SearchEnded):
-        first = min(FIRST_EVALUATIONS, evaluations)
-        search.quasi_newton(start, first)
-        if softness == 0.0:
-            search.newton()
-        search.quasi_newton(search.found.multipliers, evaluations)
+        if softness > 0.0:
+            search.quasi_newton(start, evaluations)
+        else:
+            search.run(start)
+    search.found.evaluations = search.count
     return search.found
 
 
 class _DualSearch:
-    """The dual function, its last evaluation, and the methods that minimise it."""
+    """The dual function, its least evaluation ``found``, and the methods that minimise it."""
 
     def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
-                 softness: float, evaluations: int) -> None:
+                 softness: float) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
         self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
-        self.evaluations = evaluations
-        self.found = GibbsStrategy(np.empty(0), np.empty(0))
-        self.share = self.gradient = np.empty(0)
+        self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
+        self.p = self.share = self.gradient = np.empty(0)
         # A limit used in portions of c has a use with a variance of about c.
         portion = np.asarray(rows.sum(axis=1)).ravel() / np.maximum(rows.getnnz(axis=1), 1)
         self.unit = 1.0 / np.sqrt(np.where(portion > 0.0, portion, 1.0))
@@ -119,40 +127,53 @@ class _DualSearch:
         weights = self.columns @ v
         if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
             raise _SearchEnded
-        log_z, p, self.share = self.network.law(weights)
-        used, total, found = self.rows @ p, float(v.sum()), self.found
-        found.p, found.multipliers, found.log_partition = p, v.copy(), log_z
-        found.excess = float(used.max()) - 1.0
-        found.evaluations += 1
+        log_z, self.p, self.share = self.network.law(weights)
+        used, total, hard = self.rows @ self.p, float(v.sum()), self.softness == 0.0
+        excess = float(used.max()) - 1.0
+        self.count += 1
         value = log_z + total + self.softness / 2.0 * total**2
-        hard = self.softness == 0.0
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
         near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
-        reached = hard and found.excess <= self.tolerance and near
-        found.infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
-        late = found.evaluations >= self.evaluations or time.monotonic() > self.deadline
-        if reached or found.infeasible or late:
+        reached = hard and excess <= self.tolerance and near
+        infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
+        if reached or infeasible or not value > self.least:
+            self.least = value
+            self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0, log_z)
+        if reached or infeasible or time.monotonic() > self.deadline:
             raise _SearchEnded
         self.gradient = 1.0 - used + self.softness * total
         return value, self.gradient
 
+    def run(self, start: FloatArray) -> None:
+        """Minimise by turns with L-BFGS and Newton's method until neither gains."""
+        self.quasi_newton(start, FIRST_EVALUATIONS)
+        limits = NodeLimits(self.network, self.rows)
+        if limits.fits:
+            self.interior(limits)
+        before = np.inf
+        while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
+            before = self.least
+            self.newton()
+            self.quasi_newton(self.found.multipliers, NEXT_EVALUATIONS)
+
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:
         """Run L-BFGS-B on the near limits; another limit joins once it is the worst."""
-        last, moved = self.found.evaluations + evaluations, np.zeros(len(start), dtype=bool)
-        self(start)
-        while self.found.evaluations < last:
-            moved |= (self.found.multipliers > 0.0) | (self.gradient < NEAR_LIMIT)
+        last, moved, v = self.count + evaluations, np.zeros(len(start), dtype=bool), start
+        while self.count < last:
+            _, gradient = self(v)
+            moved |= (v > 0.0) | (gradient < NEAR_LIMIT)
             with contextlib.suppress(_LimitJoins):
-                self._descend(moved, last - self.found.evaluations)
+                self._descend(moved, v, last - self.count)
                 return
+            v = self.found.multipliers
 
-    def _descend(self, moved: BoolArray, evaluations: int) -> None:
-        """Run L-BFGS-B on the limits ``moved`` (R,), from the last evaluation."""
+    def _descend(self, moved: BoolArray, start: FloatArray, evaluations: int) -> None:
+        """Run L-BFGS-B on the limits ``moved`` (R,)."""
         # Imported only here because it takes a seventh of the package's loading time.
         from scipy.optimize import fmin_l_bfgs_b
 
-        part, v = np.flatnonzero(moved), self.found.multipliers.copy()
+        part, v = np.flatnonzero(moved), start.copy()
         unit = self.unit[part]
 
         def function(scaled: FloatArray) -> tuple[float, FloatArray]:
@@ -160,27 +181,60 @@ class _DualSearch:
             value, gradient = self(v)
             worst = gradient.argmin()
             if not moved[worst] and gradient[worst] < -self.tolerance:
+                moved[worst] = True
                 raise _LimitJoins
             return value, gradient[part] * unit
 
         fmin_l_bfgs_b(function, v[part] / unit, bounds=[(0.0, None)] * len(part), m=CORRECTIONS,
                       factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations)
 
+    def interior(self, limits: NodeLimits) -> None:
+        """Take steps towards v s = mu with s = 1 - C p and falling mu, while the steps are long."""
+        free = np.maximum(1.0 - self.rows @ self.found.p, INTERIOR_START**0.5)
+        v = np.maximum(self.found.multipliers, INTERIOR_START / free)
+        value, gradient = self(v)
+        unused, length = np.maximum(gradient, INTERIOR_START / v), 1.0
+        least, idle = self.least, 0
+        while (length > SHORTEST and idle < MOST_IDLE
+               and v @ unused > LEAST_GAIN * (1.0 + abs(value))):
+            mu = CENTRING * float(v @ unused) / len(v)
+            try:
+                limits.factor(self.share, self.p, unused / v)
+                step = limits.solve(mu / v - gradient)
+            except (RuntimeError, LinAlgError):  # singular by rounding
+                return
+            change = mu / v - unused - unused / v * step
+            longest, tried = _within(v, step), v
+            length = longest
+            barrier = value - mu * float(np.log(v).sum())
+            slope = SUFFICIENT * float((gradient - mu / v) @ step)
+            while length > SHORTEST:
+                tried = v + length * step
+                value, gradient = self(tried)
+                if value - mu * float(np.log(tried).sum()) <= barrier + length * slope:
+                    break
+                length *= CENTRING
+            kept = _within(unused, change)
+            unused = unused + (kept if length == longest else min(kept, length)) * change
+            gains = self.least < least - LEAST_GAIN * (1.0 + abs(value))
+            idle = 0 if gains or tried @ unused < mu / CENTRING * len(v) else idle + 1
+            v, least = tried, self.least
+
     def newton(self) -> None:
         """Take damped Newton steps in the limits of greatest weight."""
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
-        work = 0.0
-        while work < NEWTON_WORK:
+        while True:
             weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
-            work += float(len(self.found.p)) * len(counts) ** 2
-            hessian = self._hessian(counts)
+            hessian = self.network.covariance(self.share, self.p, self.rows[counts])
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)
                 foreseen = -float(gradient[counts] @ step + step @ hessian @ step / 2.0)
+                if abs(foreseen) <= np.spacing(1.0 + abs(value)):
+                    return
                 tried = v.copy()
                 tried[counts] += step
                 new_value, new_gradient = self(tried)
@@ -194,13 +248,10 @@ class _DualSearch:
                 damping = max(damping * FALL, LEAST_DAMPING)
             v, value, gradient = tried, new_value, new_gradient
 
-    def _hessian(self, counts: IndexArray) -> FloatArray:
-        """Covariance (K, K) of the costs of the limits ``counts`` (K,) along a route."""
-        used = np.flatnonzero(self.found.p > NEGLIGIBLE_USE)
-        costs = np.asarray(self.rows[counts][:, used].T.toarray())
-        moved = self.network.deviations(self.share, used, costs)
-        moved *= np.sqrt(self.found.p[used])[:, None]
-        return np.asarray(moved.T @ moved)
+
+def _within(v: FloatArray, step: FloatArray) -> float:
+    """Length of the step, at most 1, that keeps v (R,) positive."""
+    return 1.0 / max(1.0, float((-step / v).max()) / TO_BOUNDARY)
 
 
 def _bounded_step(hessian: FloatArray, gradient: FloatArray, v: FloatArray,

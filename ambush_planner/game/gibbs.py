@@ -21,6 +21,9 @@ from ..arrays import FloatArray, IndexArray, sums
 from .game import Game
 from .triangular import UnitTriangle
 
+# Right sides of one triangular solve: bounds its memory, and they stay in the processor's cache.
+CHUNK = 32
+
 
 class AcyclicNetwork:
     """The edges of an acyclic game in topological order.
@@ -71,18 +74,35 @@ class AcyclicNetwork:
         p *= share
         return float(self._level[0]), p, share
 
-    def deviations(self, share: FloatArray, used: IndexArray, costs: FloatArray) -> FloatArray:
-        """How far the choice of each edge moves a route's costs from their mean: (U, R).
+    def covariance(self, share: FloatArray, p: FloatArray, costs: csr_matrix) -> FloatArray:
+        """Covariance (K, K) of the costs of a route; the rows of ``costs`` (K, m) add up along it.
 
-        ``costs`` (U, R) are R costs of the edges ``used`` (U,) that add up along the route. The
-        deviations are the steps of a martingale, so the covariance of the costs is the sum of
-        their products over the edges, weighted by p.
+        Rows j and k are met one after the other, first on edge e and then on edge f, with the
+        probability p_e times that of reaching f from the head of e. One forward pass for each row
+        adds these up.
         """
-        along = csr_matrix((share[used], (self.tail[used], np.arange(len(used)))),
-                           shape=(self.count, len(used)))
-        ahead = self._behind(share, along @ costs)
-        moved: FloatArray = costs + ahead[self.head[used]] - ahead[self.tail[used]]
-        return moved
+        count, every = costs.shape[0], np.arange(len(p))
+        entering = csr_matrix((p, (self.head, every)), shape=(self.count, len(p)))
+        leaving = csr_matrix((share, (self.tail, every)), shape=(self.count, len(p)))
+        met, onward = (entering @ costs.T).tocsc(), (costs @ leaving.T).tocsr()
+        covariance, mean = np.empty((count, count)), costs @ p
+        self._one_less_w.data[self._place] = -share
+        for begin in range(0, count, CHUNK):
+            chunk = slice(begin, begin + CHUNK)
+            reached = self._one_less_w.solve(met[:, chunk].toarray(order='F'), transposed=True)
+            covariance[:, chunk] = onward @ reached
+        covariance += covariance.T
+        covariance += (costs.multiply(p).tocsr() @ costs.T).toarray()
+        covariance -= np.outer(mean, mean)
+        return covariance
+
+    def covariance_with(self, share: FloatArray, p: FloatArray, costs: FloatArray) -> FloatArray:
+        """Covariance (m,) of the use of each edge with a route's sum of ``costs`` (m,)."""
+        ahead = self._behind(share, sums(self.tail, share * costs, self.count))
+        moved = p * (costs + ahead[self.head] - ahead[self.tail])
+        entered = sums(self.head, moved, self.count)
+        visits = self._one_less_w.solve(entered, transposed=True)
+        return np.asarray(visits[self.tail] * share + moved)
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         factor = self._level[self.head]

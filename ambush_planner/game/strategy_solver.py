@@ -32,7 +32,7 @@ from .certificate import hit_bound
 from .cut import uniform_ambusher
 from .disc_chain import chain_ambusher
 from .entries import entry_bound, entry_value
-from .entropy_search import MAX_EVALUATIONS, GibbsStrategy, maximize_entropy
+from .entropy_search import GibbsStrategy, maximize_entropy
 from .face_program import solve_on_faces
 from .faces import Faces, make_faces
 from .flow_program import capped_at_one
@@ -237,7 +237,7 @@ class EntropyStage:
             limits = LimitRows(self.game, network, level * (1.0 + LEVEL_AIM * self.slack),
                                self.budgets, margins)
             p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
-            if not found.infeasible:
+            if not found.infeasible or limits.entropy_bound(found, 1.0) < 0.0:
                 break
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
         most = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
@@ -259,7 +259,7 @@ class EntropyStage:
 
     def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
                        softness: float = 0.0,
-                       evaluations: int = MAX_EVALUATIONS) -> tuple[FloatArray, GibbsStrategy]:
+                       evaluations: int = 0) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result."""
         found = maximize_entropy(network, limits.rows, start,
                                  min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.deadline,

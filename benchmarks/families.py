@@ -1,0 +1,164 @@
+"""Families of random problems, each drawn from a seed: map, start, goal, reach and detour.
+
+A problem's name is ``family:nodes:seed``. A family leaves no choice to whoever measures: losses,
+obstacles, reach, detour and places are drawn, and held ground is 3 % of the map's width.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scenarios import Scenario, block, city, maze, terrain
+from scipy.ndimage import gaussian_filter, label
+
+from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
+from ambush_planner.arrays import BoolArray, FloatArray
+from ambush_planner.maps.obstacles import nearest_free_cell
+
+REACHES, DETOURS = (0.0, 2.0, 4.0), (1.05, 1.1, 1.2, 1.5)  # spacings, shortest lengths
+HELD = 0.03  # of the map's width
+OBSTACLES = 0.08  # share of the cells
+# Cells per node along a line; larger maps have finer features, not more of them.
+CELLS_PER_NODE = 1.3
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A scenario with its options; ``reach`` in spacings."""
+
+    scenario: Scenario
+    nodes: int
+    reach: float
+    detour: float
+
+    def network_options(self) -> NetworkOptions:
+        return NetworkOptions(target_nodes=self.nodes)
+
+    def game(self, spacing: float) -> GameOptions:
+        risk_map = self.scenario.risk_map
+        held = HELD * max(risk_map.alpha.shape) * risk_map.resolution
+        return GameOptions(ambush_radius=self.reach * spacing, secured_radius=held)
+
+    def strategy(self) -> StrategyOptions:
+        return StrategyOptions(max_detour=self.detour)
+
+
+def draw(name: str, reach: float | None = None, detour: float | None = None) -> Problem:
+    """The problem ``family:nodes:seed``, or with another reach or detour than the seed's."""
+    family, nodes, seed = name.split(':')
+    rng = np.random.default_rng([int(seed), list(FAMILIES).index(family)])
+    scenario, own = FAMILIES[family](rng, round(CELLS_PER_NODE * math.sqrt(int(nodes))))
+    drawn = float(rng.choice(REACHES)), own or float(rng.choice(DETOURS))
+    return Problem(scenario, int(nodes), *(b if a is None else a
+                                           for a, b in zip((reach, detour), drawn, strict=True)))
+
+
+Drawn = tuple[Scenario, float | None]
+Family = Callable[[np.random.Generator, int], Drawn]
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, ...], smooth: float) -> FloatArray:
+    """Smooth noise in 0..1; ``smooth`` is the filter's width in cells, 0: independent cells."""
+    noise = rng.random(shape)
+    if smooth > 0.0:
+        noise = gaussian_filter(noise, smooth, mode='reflect')
+    return np.asarray((noise - noise.min()) / np.ptp(noise))
+
+
+def _across(alpha: FloatArray, obstacles: BoolArray) -> Scenario:
+    """From the middle of the left edge to the middle of the right one, on connected ground."""
+    rows, columns = alpha.shape
+    ground, _ = label(~obstacles)
+    largest = ground == np.bincount(ground[ground > 0]).argmax()
+    risk_map = RiskMap(alpha, ~largest, 1.0)
+    ends = ((c, rows / 2) for c in (0.04 * columns, 0.96 * columns))
+    start, goal = (nearest_free_cell(risk_map, xy, float(columns), 0.0) for xy in ends)
+    return Scenario(risk_map, start, goal)
+
+
+def _hills(roughness: float, obstacles: float = 0.0, ratio: int = 1) -> Family:
+    """Smooth losses 1..10 with features of ``roughness`` of the map, ``ratio`` times as long."""
+
+    def make(rng: np.random.Generator, cells: int) -> Drawn:
+        shape = round(cells / math.sqrt(ratio)), round(cells * math.sqrt(ratio))
+        smooth = roughness * cells
+        alpha = 1.0 + 9.0 * _noise(rng, shape, smooth)
+        blocked = _noise(rng, shape, max(smooth / 2.0, 1.0))
+        return _across(alpha, blocked > np.quantile(blocked, 1.0 - obstacles)), None
+
+    return make
+
+
+def _gates(rng: np.random.Generator, cells: int) -> Drawn:
+    """A wall with a gate ahead and one to the side; the budget allows nearly half through it."""
+    alpha = 1.0 + 2.0 * _noise(rng, (cells, cells), 0.1 * cells)
+    wall = np.zeros((cells, cells), dtype=bool)
+    middle, gate, aside = cells // 2, max(cells // 20, 4), rng.uniform(0.2, 0.42) * cells
+    wall[:, middle : middle + max(cells // 40, 2)] = True
+    for row in (middle, middle - round(aside)):
+        wall[row - gate // 2 : row + gate // 2 + 1] = False
+    by_the_side = math.hypot(0.46 * cells, aside) / (0.46 * cells)
+    share = 0.5 * rng.uniform(0.9, 1.1)
+    return _across(alpha, wall), 1.0 + share * (by_the_side - 1.0)
+
+
+def _building(rng: np.random.Generator, cells: int) -> Drawn:
+    """A floor plan twice as long as wide: halls split at random, with two doors in each wall."""
+    shape = round(cells / math.sqrt(2.0)), round(cells * math.sqrt(2.0))
+    wall = np.zeros(shape, dtype=bool)
+    rooms = [(0, 0, *shape)]
+    door = max(cells // 16, 4)
+    while rooms:
+        top, left, bottom, right = rooms.pop()
+        tall = bottom - top > right - left
+        long, wide = (bottom - top, right - left) if tall else (right - left, bottom - top)
+        if long < 6 * door or wide < 3 * door:
+            continue
+        at = round(long * rng.uniform(0.3, 0.7))
+        line = wall[top + at, left:right] if tall else wall[top:bottom, left + at]
+        line[:] = True
+        for _ in range(2):
+            begin = int(rng.integers(1, wide - door))
+            line[begin : begin + door] = False
+        rooms += ([(top, left, top + at, right), (top + at, left, bottom, right)] if tall else
+                  [(top, left, bottom, left + at), (top, left + at, bottom, right)])
+    for _ in range(20):  # shelves
+        row, column = rng.integers(0, shape[0]), rng.integers(0, shape[1])
+        wall[row : row + door // 3, column : column + 2 * door] = True
+    return _across(1.0 + 9.0 * _noise(rng, shape, 0.05 * cells), wall), None
+
+
+def _between_random_ends(make: Callable[[np.random.Generator, int], Scenario]) -> Family:
+    """Start and goal anywhere on a scenario's map, at least half its width apart."""
+
+    def drawn(rng: np.random.Generator, cells: int) -> Drawn:
+        risk_map = make(rng, cells).risk_map
+        ground, _ = label(~risk_map.obstacles)
+        free = np.argwhere(ground == np.bincount(ground[ground > 0]).argmax())[:, ::-1]
+        while True:
+            ends = free[rng.choice(len(free), 2, replace=False)]
+            if math.dist(*ends) >= 0.5 * max(ground.shape):
+                start, goal = map(tuple, (risk_map.resolution * (ends + 0.5)).tolist())
+                return Scenario(risk_map, start, goal), None
+
+    return drawn
+
+
+FAMILIES: dict[str, Family] = {
+    'hills-coarse': _hills(0.12),
+    'hills-fine': _hills(0.02),
+    'hills-obstacles': _hills(0.05, OBSTACLES),
+    'hills-thicket': _hills(0.02, 2.0 * OBSTACLES),
+    'rough': _hills(0.0),
+    'rough-obstacles': _hills(0.0, OBSTACLES),
+    'corridor': _hills(0.05, OBSTACLES, ratio=12),
+    'gates': _gates,
+    'building': _building,
+    'city': _between_random_ends(lambda rng, _: city(int(rng.integers(2**31)))),
+    'maze': _between_random_ends(lambda rng, _: maze(seed=int(rng.integers(2**31)))),
+    'terrain': _between_random_ends(lambda *_: terrain()),
+    'block': lambda _, cells: (_across(block(cells).alpha, block(cells).obstacles), None),
+}
