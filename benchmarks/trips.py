@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from one_run import TERRAIN_SECURED
 from report import conditions, new_parser, publish, table
 from scenarios import Scenario, terrain
 
@@ -27,6 +26,7 @@ from ambush_planner.planning.plan import Plan, departure_paths
 
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
 REACH = 1.5  # spacings
+TERRAIN_SECURED = 2000.0  # m
 SHOWN = 6
 COLOURS = ('#332288', '#cc3377', '#117733', '#e69f00', '#0072b2', '#56b4e9')
 

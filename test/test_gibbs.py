@@ -93,7 +93,7 @@ def test_covariances_are_derivatives_and_solved_with(seed, size, reach):
     """Of the limits' uses by the multipliers; more rows than fit one chunk of right sides."""
     network = terrain_network(seed, cells=8)
     part, acyclic = forward(network)
-    rows = rows_of(replace(part, ambush_radius=reach), acyclic).tocsr()
+    rows = rows_of(replace(part, options=GameOptions(ambush_radius=reach)), acyclic).tocsr()
     rng = np.random.default_rng(seed)
     v = size * rng.random(rows.shape[0])
     _, p, share = acyclic.law(rows.T @ v)

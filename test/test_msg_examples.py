@@ -67,8 +67,10 @@ class Sender:
     def interface(self):
         """The planner's own subscriptions and services, with their types."""
         who = self.planner.get_name(), self.planner.get_namespace()
+        maps = f'_{who[0]}_map', who[1]
         found = [
             *self.planner.get_subscriber_names_and_types_by_node(*who),
+            *self.planner.get_subscriber_names_and_types_by_node(*maps),
             *self.planner.get_service_names_and_types_by_node(*who),
         ]
         return {name: kind for name, (kind,) in found if not kind.startswith(FOREIGN)}

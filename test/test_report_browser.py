@@ -20,6 +20,7 @@ from audit_samples import departure, drawn, parameters, record, sample_plan
 
 from ambush_planner.colours import AMBUSHER, ROUTES
 from ambush_planner.commands import report
+from ambush_planner.game.hits import hit_probabilities
 from ambush_planner.maps.coordinates import Coordinates
 
 MAP = 'figure.map'
@@ -242,7 +243,8 @@ def test_the_numbers_at_the_pointer_are_those_of_the_game(browser, tmp_path, rea
     found = browser.evaluate(f'{at}.map(([x, y]) => map.measure(x, y))')
     assert len(at) > 50 and not any(each['held'] for each in found)
     costs = np.array([each['cost'] for each in found])
-    np.testing.assert_allclose(costs, game.site_losses(p), rtol=1e-4, atol=1e-4)
+    wanted = game.loss[game.sites] * hit_probabilities(game, p)
+    np.testing.assert_allclose(costs, wanted, rtol=1e-4, atol=1e-4)
     assert costs.max() == pytest.approx(a_plan.strategy.value, rel=1e-4)
     ends = a_plan.network.points[[a_plan.network.source, a_plan.network.target]].tolist()
     assert all(browser.evaluate(f'map.measure({x}, {y}).held') for x, y in ends)

@@ -33,7 +33,8 @@ from ambush_planner import (
 )
 from ambush_planner.game.game import make_game
 from ambush_planner.maps.road_file import RoadGraph
-from ambush_planner.planning.plan import ROAD_TUBE, depart, departure_paths
+from ambush_planner.planning.options import ROAD_TUBE
+from ambush_planner.planning.plan import depart, departure_paths
 
 CRS = 'EPSG:32633'
 CORNER = (455000.0, 5410000.0)

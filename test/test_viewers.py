@@ -44,14 +44,18 @@ def interface():
         return {name: kind for name, (kind,) in names_and_types}
 
     def qos(infos):
-        (profile,) = [info.qos_profile for info in infos if info.node_name == node.get_name()]
+        own = node.get_name(), f'_{node.get_name()}_map'
+        (profile,) = [info.qos_profile for info in infos if info.node_name in own]
         return QoSProfile(depth=1, reliability=profile.reliability, durability=profile.durability)
 
     with stage() as running:
         node = running.planner
         name = node.get_name(), node.get_namespace()
         wait_until(lambda: whole_graph(node), 'the graph')
-        subscribed = types(node.get_subscriber_names_and_types_by_node(*name))
+        subscribed = types([
+            *node.get_subscriber_names_and_types_by_node(*name),
+            *node.get_subscriber_names_and_types_by_node(f'_{name[0]}_map', name[1]),
+        ])
         published = types(node.get_publisher_names_and_types_by_node(*name))
         shown = {topic: subscribed[topic] for topic in (LATCHED_INPUT, *CLICKED)}
         shown |= {topic: kind for topic, kind in published.items() if kind in DISPLAYS.values()}

@@ -39,7 +39,8 @@ class View {
     this.ground = this.#paint(true);
     this.bare = this.#paint(false);
     this.stretches = this.#stretches();
-    this.visits = this.#visits();
+    this.visits = this.#passing(1);
+    this.leaving = this.#passing(0);
     this.lines = this.#lines();
     this.#listen();
     this.showAll();
@@ -83,10 +84,11 @@ class View {
     return classes;
   }
 
-  #visits() {
-    const { points, edges, chances } = this.data, visits = new Float64Array(points.length / 2);
-    chances.forEach((p, k) => { visits[edges[2 * k + 1]] += p; });
-    return visits;
+  // Sum of the chances of the stretches that begin (0) or end (1) at each node.
+  #passing(side) {
+    const { points, edges, chances } = this.data, sums = new Float64Array(points.length / 2);
+    chances.forEach((p, k) => { sums[edges[2 * k + side]] += p; });
+    return sums;
   }
 
   #lines() {
@@ -104,7 +106,7 @@ class View {
   measure(x, y) {
     const { reach, held, ends } = this.data;
     let [u, v, hit] = [x, y, 0];
-    if (reach > 0) hit = this.#entering(x, y);
+    if (reach > 0) hit = this.data.ordered ? this.#hit(x, y) : this.#entering(x, y);
     else [u, v, hit] = this.#nearest(x, y);
     const near = Math.min(...ends.map(([a, b]) => Math.hypot(u - a, v - b)));
     const loss = this.#loss(u, v);
@@ -121,19 +123,49 @@ class View {
     return level === OBSTACLE ? NaN : levels[level];
   }
 
-  // Chance that a departure comes into the disc: stretches that begin outside and meet it.
+  // Chance that a departure comes into the disc outside held ground, counted once: what has not met
+  // it is passed on along the stretches, which are in the order of the way.
+  #hit(x, y) {
+    const { edges, chances, source, target } = this.data, unhit = new Float64Array(this.visits.length);
+    unhit[source] = 1;
+    chances.forEach((p, k) => {
+      const [i, j] = [edges[2 * k], edges[2 * k + 1]];
+      if (unhit[i] > 0 && !this.#meets(k, x, y)) unhit[j] += unhit[i] * p / this.leaving[i];
+    });
+    return 1 - unhit[target];
+  }
+
+  // How often departures on ways with circles come into the disc: stretches that begin outside it.
   #entering(x, y) {
     const { points, edges, chances, reach } = this.data;
-    let hit = 0;
-    for (let k = 0; k < chances.length; k += 1) {
-      const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
-      const [a, b] = [points[i] - x, points[i + 1] - y];
-      if (Math.hypot(a, b) <= reach) continue;
-      const [c, d] = [points[j] - points[i], points[j + 1] - points[i + 1]];
-      const t = Math.min(Math.max(-(a * c + b * d) / (c * c + d * d || 1), 0), 1);
-      if (Math.hypot(a + t * c, b + t * d) <= reach) hit += chances[k];
-    }
-    return hit;
+    return chances.reduce((sum, p, k) => {
+      const i = 2 * edges[2 * k], outside = Math.hypot(points[i] - x, points[i + 1] - y) > reach;
+      return outside && this.#meets(k, x, y) ? sum + p : sum;
+    }, 0);
+  }
+
+  // Whether the part of a stretch outside held ground comes into the disc.
+  #meets(k, x, y) {
+    const { points, edges, reach, shelter, ends } = this.data;
+    const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
+    const [a, b] = [points[i], points[i + 1]], [c, d] = [points[j] - a, points[j + 1] - b];
+    const squared = c * c + d * d || 1;
+    const inside = (u, v, radius) => { // from where to where, in shares of the stretch
+      const middle = ((u - a) * c + (v - b) * d) / squared;
+      const off = Math.hypot(a + middle * c - u, b + middle * d - v);
+      const half = Math.sqrt(Math.max(radius * radius - off * off, 0) / squared);
+      return off <= radius ? [middle - half, middle + half] : [1, 0];
+    };
+    const [first, last] = inside(x, y, reach);
+    let parts = [[Math.max(first, 0), Math.min(last, 1)]].filter(([from, to]) => from <= to);
+    if (!parts.length || shelter <= 0) return parts.length > 0;
+    ends.forEach(([u, v]) => {
+      const [low, high] = inside(u, v, shelter);
+      if (low > high) return;
+      parts = parts.flatMap(([from, to]) => [[from, Math.min(to, low)], [Math.max(from, high), to]])
+        .filter(([from, to]) => from < to);
+    });
+    return parts.length > 0;
   }
 
   #nearest(x, y) {

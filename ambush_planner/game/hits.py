@@ -83,7 +83,10 @@ def hits_can_differ(game: Game) -> bool:
 
 
 class RouteHits:
-    """The edges of an acyclic strategy p (M,) by topological layers of their heads."""
+    """The edges of an acyclic strategy p (M,) by topological layers of their heads.
+
+    ``edges`` (K,) are those in use, each after all edges into its tail.
+    """
 
     def __init__(self, network: Network, p: FloatArray) -> None:
         used = np.flatnonzero(p > 0.0)
@@ -92,7 +95,7 @@ class RouteHits:
         leaving = sums(tail, p[used], len(nodes))
         layer = _layer_of_nodes(tail, head, len(nodes))
         order = np.lexsort((head, layer[head]))
-        self._edge, self._tail = used[order], tail[order]
+        self.edges, self._tail = used[order], tail[order]
         head = head[order]
         self._share = (p[used] / leaving[tail])[order][:, None]
         self._source = int(np.searchsorted(nodes, network.source))
@@ -113,8 +116,8 @@ class RouteHits:
         return np.concatenate(found) if found else np.zeros(0)
 
     def _pass(self, rows: csr_matrix) -> FloatArray:
-        hit = csr_matrix(rows[:, self._edge].T)
-        which = np.repeat(np.arange(len(self._edge)), np.diff(hit.indptr))
+        hit = csr_matrix(rows[:, self.edges].T)
+        which = np.repeat(np.arange(len(self.edges)), np.diff(hit.indptr))
         unhit = np.zeros((self._count, rows.shape[0]))
         unhit[self._source] = 1.0
         for a, b, nodes, first in self._layers:

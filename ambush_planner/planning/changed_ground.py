@@ -49,8 +49,8 @@ class Assessment:
     The bound holds for the strategy's own network: ground that has become free counts after the
     next solve. ``clear_share`` is the probability that a route meets no new obstacle and no place
     that must not be entered; if it is below 1, the value is that of drawing until a route is clear.
-    ``expected_length`` [m] is the mean over the clear routes (inf if none is), ``length_budget``
-    what ``max_detour`` allows.
+    ``expected_length`` [``travel_unit``] is the mean over the clear routes (inf if none is),
+    ``length_budget`` what ``max_detour`` allows.
     """
 
     value: float
@@ -58,6 +58,7 @@ class Assessment:
     clear_share: float = 1.0
     expected_length: float = math.inf
     length_budget: float = math.inf
+    travel_unit: str = 'm'
 
     @property
     def gap(self) -> float:
@@ -248,7 +249,8 @@ class ChangedGround:
         plan = self.plan
         return Assessment(certificate.value, certificate.bound, clear_share,
                           float(p @ plan.network.travel_costs) if p.any() else math.inf,
-                          plan.options.strategy.max_detour * plan.strategy.shortest_length)
+                          plan.options.strategy.max_detour * plan.strategy.shortest_length,
+                          plan.network.travel_unit)
 
     def _reach(self, newest: OccupancyMap) -> float:
         """Return the distance from a cell's centre beyond which nothing meets the cell [m]."""

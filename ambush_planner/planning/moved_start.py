@@ -47,11 +47,12 @@ class JoinedPlan:
 def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan | None:
     """Return the plan for a convoy that is at ``ends[0]`` instead of at the planned start [m].
 
-    None if that is further than ``REGION`` from the planned start, if too few routes can be joined
+    None on roads, if that is further than ``REGION`` from the planned start, if too few routes can be joined
     by a straight line that is clear on the newest map, or if the strategy has cycles.
     """
     plan, network = ground.plan, ground.plan.network
-    if math.dist(ends[0], network.points[network.source].tolist()) > REGION * plan.spacing:
+    away = math.dist(ends[0], network.points[network.source].tolist())
+    if plan.options.network.roads or away > REGION * plan.spacing:
         return None
     look = ground.compare(newest)
     share, p = ground.conditioned.avoiding(look.lost | _through_start_again(network))
@@ -81,7 +82,8 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     joined = replace(fitted, network=moved, strategy=strategy,
                      corridors=replace(fitted.corridors, network=moved))
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
-                                         strategy.expected_length, strategy.length_budget))
+                                         strategy.expected_length, strategy.length_budget,
+                                         moved.travel_unit))
 
 
 def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
+from ..game.acyclic import is_acyclic
+from ..game.hits import RouteHits
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
@@ -78,7 +80,9 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     risk_map, strategy = section.risk_map, section.strategy
     network, game = strategy.network, strategy.game
     cells, levels, cell = map_cells(risk_map)
-    used = np.flatnonzero(strategy.edge_probability > LEAST_PROBABILITY)
+    p = np.where(strategy.edge_probability > LEAST_PROBABILITY, strategy.edge_probability, 0.0)
+    ordered = is_acyclic(network, p)
+    used = RouteHits(network, p).edges if ordered else np.flatnonzero(p)
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None
@@ -90,11 +94,13 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
+        'source': network.source, 'target': network.target, 'ordered': ordered,
         'reach': game.reach, 'held': game.options.held_radius,
+        'shelter': game.options.held_radius - game.options.tube,
         'value': strategy.value, 'degrees': degrees,
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
-        'chances': packed(strategy.edge_probability[used], '<f4'),
+        'chances': packed(p[used], '<f4'),
         'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
     }

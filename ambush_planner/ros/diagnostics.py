@@ -120,7 +120,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     if status.warnings or waiting:
         return DiagnosticStatus.WARN, OK_CODE, '; '.join((*waiting, *status.warnings.values()))
     changed = '; '.join(filter(None, (
-        status.stale, _length_warning(status.plan, status.assessment)
+        status.stale, _length_warning(status.assessment)
     )))
     warning = (changed or status.late_start or _gap_warning(status.plan)
                or _counting_gap_warning(status.plan) or _tight_turns_warning(status.tight_turns)
@@ -152,11 +152,11 @@ def _counting_gap_warning(plan: Plan | None) -> str:
     )
 
 
-def _length_warning(plan: Plan | None, assessment: Assessment | None) -> str:
+def _length_warning(assessment: Assessment | None) -> str:
     """Return a warning if the routes that are still clear are longer than the budget allows."""
-    if plan is None or assessment is None or not assessment.is_over_budget:
+    if assessment is None or not assessment.is_over_budget:
         return ''
-    unit = plan.network.travel_unit
+    unit = assessment.travel_unit
     length, budget = assessment.expected_length, assessment.length_budget
     return (f'the routes that are clear on the current map have a mean length of {length:.4g} '
             f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} '
