@@ -47,8 +47,8 @@ class JoinedPlan:
 def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan | None:
     """Return the plan for a convoy that is at ``ends[0]`` instead of at the planned start [m].
 
-    None on roads, if that is further than ``REGION`` from the planned start, if too few routes can be joined
-    by a straight line that is clear on the newest map, or if the strategy has cycles.
+    None on roads, if that is further than ``REGION`` from the planned start, if too few routes can
+    be joined by a straight line that is clear on the newest map, or if the strategy has cycles.
     """
     plan, network = ground.plan, ground.plan.network
     away = math.dist(ends[0], network.points[network.source].tolist())
