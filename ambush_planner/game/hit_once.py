@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 
 from .acyclic import conserved_strategy
-from .certificate import hit_bound
 from .hits import hit_probabilities, hits_can_differ, worst_loss
 from .route_program import solve_on_routes
 from .route_sampler import RouteSampler, route_edges, route_entropy, shortest_route
@@ -46,7 +45,7 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     if not hits_can_differ(game):
         return solution
     value = worst_loss(game, solution.p)
-    bound = hit_bound(game, solution.q, budgets, solution.prices)
+    bound = stage.hit_bound(solution.q, solution.prices)
     network, base = game.network, stage.level_lines
     if base is None:
         if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:

@@ -156,6 +156,8 @@ class EntropyStage:
         self.evaluations = 0
         # Searched so far, whether or not they keep the limits.
         self.laws: list[Solution] = []
+        # The last ambusher that hit_bound judged, and the bound.
+        self._judged: tuple[FloatArray, tuple[float, ...], float] | None = None
         # An optimal flow (M,) that one law of its edges may not attain, see along_level_lines.
         self.level_lines: FloatArray | None = None
 
@@ -184,7 +186,13 @@ class EntropyStage:
     def chain(self) -> tuple[float, FloatArray] | None:
         """The value without budgets and q (N,) by the cheapest chain of discs."""
         q = chain_ambusher(self.faces) if self.faces else None
-        return None if q is None else (hit_bound(self.game, q), q)
+        return None if q is None else (self.hit_bound(q, (0.0,) * len(self.budgets)), q)
+
+    def hit_bound(self, q: FloatArray, prices: tuple[float, ...]) -> float:
+        """The certificate's bound by an ambusher's strategy q (N,); the last one is remembered."""
+        if not self._judged or self._judged[0] is not q or self._judged[1] != prices:
+            self._judged = q, prices, hit_bound(self.game, q, self.budgets, prices)
+        return self._judged[2]
 
     def along_level_lines(self) -> Solution | None:
         """Level lines of the potential of the faces that has the least value within a budget.

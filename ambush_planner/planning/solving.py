@@ -13,7 +13,7 @@ from ..errors import TimeLimit
 from ..game.game import Game, GameOptions, make_game
 from ..game.hits import worst_loss
 from ..game.revaluation import open_gap
-from ..game.strategy import Strategy, solve
+from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, solve
 from ..game.strategy_solver import Multipliers
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import on_places, with_hiding_places, with_places
@@ -23,8 +23,8 @@ from .options import PlanningOptions, node_spacing, solved_game
 
 # Most solves with the cells as sites that cost the strategy before more than its value.
 _MOST_REPETITIONS = 3
-# Share of the slack by which a cell may exceed the value without another solve.
-_EXCESS = 0.2
+# Share of the slack that is left to cells which exceed the value at the sites.
+_LEFT_TO_CELLS = 0.2
 # Side of the squares of which the worst cell becomes a site, in node spacings.
 _SQUARE = 0.5
 
@@ -70,27 +70,30 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
         places = warm.sites_beyond(network)
         network = with_places(network, places, cells.at(places))
     start = warm.on(network) if warm else None
-    strategy, late = _solved(network, game, options, until, start)
-    if not holds_anywhere(strategy.game, options):
+    anywhere = holds_anywhere(game, options)
+    slack = options.strategy.risk_slack * (1.0 - _LEFT_TO_CELLS * anywhere)
+    asked = replace(options.strategy, risk_slack=slack)
+    strategy, late = _solved(network, game, asked, until, start)
+    if not anywhere:
         return _within_max_gap(strategy, late, options)
     square = _SQUARE * node_spacing(risk_map, options.network)
     found: list[Strategy] = []
     for repetitions in range(_MOST_REPETITIONS + 1):
         worst = cells.worst(strategy.game, strategy.edge_probability, strategy.value, square)
         found.append(_valued(strategy, worst.points[:1], worst.alpha[:1], options))
-        most = strategy.value * (1.0 + _EXCESS * options.strategy.risk_slack)
+        most = max(_limit(strategy, options), strategy.value)
         if late or found[-1].value <= most or repetitions == _MOST_REPETITIONS:
             break
         added = with_places(strategy.network, worst.points, worst.alpha)
         start = _extended(strategy, len(worst.alpha))
         try:
-            strategy, late = _solved(added, game, options, until, start)
+            strategy, late = _solved(added, game, asked, until, start)
         except TimeLimit as error:
             late = error
     return _within_max_gap(min(found, key=lambda each: each.value), late, options)
 
 
-def holds_anywhere(game: Game, options: PlanningOptions) -> bool:
+def holds_anywhere(game: Game | GameOptions, options: PlanningOptions) -> bool:
     """Whether a plan's value holds for an ambusher at any cell of the map, not only at its sites.
 
     Several ambushers could surround one cell, and cyclic strategies have no hit probabilities.
@@ -98,12 +101,12 @@ def holds_anywhere(game: Game, options: PlanningOptions) -> bool:
     return game.reach > 0.0 and game.ambushers == 1 and options.strategy.solver == 'max_entropy'
 
 
-def _solved(network: Network, game: GameOptions, options: PlanningOptions, until: float,
+def _solved(network: Network, game: GameOptions, options: StrategyOptions, until: float,
             start: Multipliers | None) -> tuple[Strategy, TimeLimit | None]:
     """The strategy, and the error if time was up; raises it if there is no strategy."""
     left = max(until - time.monotonic(), 1e-3)
     try:
-        return solve(network, game, replace(options.strategy, time_limit=left), start), None
+        return solve(network, game, replace(options, time_limit=left), start), None
     except TimeLimit as late:
         if late.strategy is None:
             raise
@@ -128,21 +131,26 @@ def _valued(strategy: Strategy, points: FloatArray, alpha: FloatArray,
 
     Its lower bound holds all the same: more sites cannot help the convoy.
     """
+    limit = _limit(strategy, options)
     if not len(alpha):
-        return strategy
+        return replace(strategy, counting_gap=strategy.counting_gap and strategy.value > limit)
     network = with_places(strategy.network, points, alpha)
     game = make_game(network, strategy.game.options)
     p, none = strategy.edge_probability, np.zeros(len(alpha))
     value = worst_loss(game, p)
-    limit = strategy.lower_bound * (1.0 + options.strategy.risk_slack)
     return replace(
         strategy, game=game, value=value, gap=value - strategy.lower_bound,
         visit_probability=frozen_array(game.visits(p), np.float64),
         ambush_probability=frozen_array(
             on_places(strategy.network, strategy.ambush_probability, none), np.float64),
         multipliers=_extended(strategy, len(alpha)),
-        counting_gap=strategy.counting_gap or (strategy.value <= limit < value),
+        counting_gap=value > limit and (strategy.counting_gap or strategy.value <= limit),
     )
+
+
+def _limit(strategy: Strategy, options: PlanningOptions) -> float:
+    """The largest value within the slack of the strategy's bound."""
+    return strategy.lower_bound * (1.0 + options.strategy.risk_slack + CERTIFICATE_TOLERANCE)
 
 
 def _extended(strategy: Strategy, count: int) -> Multipliers | None:

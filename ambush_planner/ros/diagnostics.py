@@ -147,8 +147,9 @@ def _counting_gap_warning(plan: Plan | None) -> str:
     if plan is None or not plan.strategy.counting_gap:
         return ''
     return (
-        f'routes come back into the reach of an ambush, and no strategy was found closer to the '
-        f'bound: the value is {plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
+        'no strategy was found closer to the bound: routes come back into the reach of an ambush, '
+        'or cells between the nodes cost more: '
+        f'the value is {plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
     )
 
 
