@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 pytest.importorskip('matplotlib', reason='the demo draws pictures')
+AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 
 from commands import documented_keys
 from matplotlib.image import imread
-from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo
