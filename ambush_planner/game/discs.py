@@ -9,11 +9,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IndexArray
 from ..network.network import Network
+
+# Discs that are handled together: bounds the memory, pairs of a disc and an edge nearby.
+_CENTRES_AT_ONCE = 2000
+# Relative rounding of distances, so that only candidates are chosen by it.
+_ROUNDING = 1e-9
 
 
 def inside(offset: FloatArray, radius: float) -> BoolArray:
@@ -48,17 +53,24 @@ def entering_edges(network: Network, centres: FloatArray, reach: float, held: fl
     """
     edges = np.arange(len(network.edges)) if edges is None else edges
     parts = _exposed_parts(network, edges, held)
-    part, site = _close_pairs(parts, centres, reach)
-    edge = parts.edge[part]
-    tail = network.tails[edge]
-    begin, end = parts.begin[part] - centres[site], parts.end[part] - centres[site]
-    meets = inside(begin, reach) | inside(end, reach) | _crosses(begin, end, reach)
     exposed = np.ones(len(network.points), bool) if held <= 0.0 else ~near_ends(network, held)
     exposed[network.source] = False  # no edge before it
-    before = exposed[tail] & inside(network.points[tail] - centres[site], reach)
-    enters = meets & ~before
+    tails = network.tails[parts.edge]
+    from_exposed = exposed[tails]
+    at_tail = from_exposed & (parts.begin == network.points[tails]).all(axis=1)
     shape = (len(centres), len(network.edges))
-    found = csr_matrix((np.ones(int(enters.sum())), (site[enters], edge[enters])), shape=shape)
+    rows = [csr_matrix((0, shape[1]))]
+    for first in range(0, len(centres), _CENTRES_AT_ONCE):
+        some = centres[first : first + _CENTRES_AT_ONCE]
+        part, site = _close_pairs(parts, some, reach, at_tail)
+        begin, end = parts.begin[part] - some[site], parts.end[part] - some[site]
+        before = from_exposed[part]
+        before &= inside(network.points[tails[part]] - some[site], reach)
+        enters = ~before & (inside(begin, reach) | inside(end, reach) | _crosses(begin, end, reach))
+        ones = np.ones(int(enters.sum()))
+        places = site[enters], parts.edge[part[enters]]
+        rows.append(csr_matrix((ones, places), (len(some), shape[1])))
+    found = csr_matrix(vstack(rows))
     found.data[:] = 1.0  # several exposed parts of one edge
     return found
 
@@ -100,15 +112,22 @@ def _inside_interval(tail: FloatArray, head: FloatArray,
     return np.where(met, middle - half, 1.0), np.where(met, middle + half, 1.0)
 
 
-def _close_pairs(parts: _Parts, centres: FloatArray, reach: float) -> tuple[IndexArray, IndexArray]:
-    """(part, centre) pairs that may meet."""
-    half = np.hypot(*(parts.end - parts.begin).T) / 2
-    far = (reach + half) * (1.0 + 1e-9)
-    tree = cKDTree(centres) if len(centres) else None
-    near = tree.query_ball_point((parts.begin + parts.end) / 2, far) if tree else []
-    counts = np.array([len(found) for found in near], dtype=np.int64)
-    site = np.fromiter((k for found in near for k in found), np.int64, int(counts.sum()))
-    return np.repeat(np.arange(len(counts)), counts), site
+def _close_pairs(parts: _Parts, centres: FloatArray, reach: float,
+                 at_tail: BoolArray) -> tuple[IndexArray, IndexArray]:
+    """(part, centre) pairs that may meet; without parts that begin at an exposed node in the disc.
+
+    The edge before such a part has brought the route there.
+    """
+    length = np.hypot(*(parts.end - parts.begin).T)
+    far = (reach + length.max(initial=0.0)) * (1.0 + _ROUNDING)
+    if not len(length):
+        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+    pairs = cKDTree(parts.begin).sparse_distance_matrix(cKDTree(centres), far,
+                                                        output_type='ndarray')
+    part, distance = pairs['i'], pairs['v']
+    near = distance <= (reach + length[part]) * (1.0 + _ROUNDING)
+    near &= ~(at_tail[part] & (distance < reach * (1.0 - _ROUNDING)))
+    return part[near], pairs['j'][near]
 
 
 def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:

@@ -179,7 +179,10 @@ class Game:
         if not useful[network.source]:
             return None
         kept = usable & useful[network.tails] & useful[network.heads]
-        return replace(self, playable=frozen_array(kept, np.bool_))
+        part = replace(self, playable=frozen_array(kept, np.bool_))
+        if 'hits' in vars(self):  # they are the same, and slow to find with a reach
+            vars(part)['hits'] = self.hits
+        return part
 
     def avoiding_all_sites(self) -> Game | None:
         """The game on the edges that no ambush hits; None if no route uses only these."""
