@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo paper test lint benchmark endurance clean
+.PHONY: help demo paper test lint benchmark endurance package release clean
 
 help:
 	@echo 'make demo       eight departures on real terrain; results in out/demo'
@@ -23,6 +23,8 @@ help:
 	@echo 'make lint       linters and type checker only'
 	@echo 'make benchmark  speed of solver and node, in an hour or more; benchmarks/results.md'
 	@echo 'make endurance  recordings killed 300 times, random games, malformed messages, the node for an hour'
+	@echo 'make package    sdist and wheel of the last commit, checked, in dist'
+	@echo 'make release    the same, if package.xml, setup.py and CITATION.cff name a maintainer'
 	@echo 'make clean      remove .venv, out and all build results'
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
@@ -63,6 +65,14 @@ endurance: $(VENV)/.test
 		$$(grep -l -e '^@examples' -e HUNT test/test_*.py)
 	$(BIN)/python benchmarks/node_fuzz.py
 	$(BIN)/python benchmarks/node_soak.py
+
+package:
+	.ci/package
+
+release:
+	@! grep -nE '\.invalid|ambush_planner maintainers' package.xml setup.py CITATION.cff || \
+		{ echo 'make release: name a maintainer in these lines first; see CONTRIBUTING.md'; exit 1; }
+	$(MAKE) package
 
 clean:
 	rm -rf $(VENV) out build install log dist *.egg-info

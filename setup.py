@@ -3,6 +3,7 @@
 import sys
 from atexit import register
 from glob import glob
+from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from setuptools import find_packages, setup
@@ -25,6 +26,8 @@ setup(
     options=options,
     version='0.1.0',
     description='Random routes that an ambusher cannot foresee, for ROS 2',
+    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     maintainer='ambush_planner maintainers',
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',

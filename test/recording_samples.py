@@ -4,6 +4,7 @@ import array
 from functools import cache
 
 import numpy as np
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Point, PoseStamped
 from mcap.reader import make_reader
@@ -13,17 +14,12 @@ from nav_msgs.msg import Path as PathMessage
 from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
-from rosbags.highlevel import AnyReader, anyreader
 from std_msgs.msg import ColorRGBA, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recordings import RecordedMessage, type_name
 from ambush_planner.recordings.recording_file import encode
-
-# Its parsers are slow, and the tests' files all hold the same definitions.
-for _parser in ('get_types_from_idl', 'get_types_from_msg'):
-    setattr(anyreader, _parser, cache(getattr(anyreader, _parser)))
 
 START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -166,8 +162,17 @@ def assert_departure(sent, read):
         assert_same(message_of(message), row[2])
 
 
+@cache
+def any_reader():
+    """The reader of rosbags; its parsers are slow, and the tests' files share all definitions."""
+    anyreader = pytest.importorskip('rosbags.highlevel.anyreader')
+    for parser in ('get_types_from_idl', 'get_types_from_msg'):
+        setattr(anyreader, parser, cache(getattr(anyreader, parser)))
+    return anyreader.AnyReader
+
+
 def read_with_rosbags(path):
-    with AnyReader([path]) as reader:
+    with any_reader()([path]) as reader:
         return [
             (connection.topic, time, reader.deserialize(data, connection.msgtype))
             for connection, time, data in reader.messages()

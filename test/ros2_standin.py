@@ -43,16 +43,34 @@ def wait_for_map(node):
     wait_until(node.create_client(Trigger, ACTIVE).service_is_ready, ACTIVE)
 
 
-def publish(node, topic, kind, text):
+def publish(node, topic, kind, text, qos):
     import yaml
-    from rclpy.qos import QoSProfile
+    from rclpy.qos import DurabilityPolicy, QoSProfile
     from ros_yaml import filled, type_of
     from waiting import wait_until
 
-    publisher = node.create_publisher(type_of(kind), topic, QoSProfile(depth=1))
+    durability = DurabilityPolicy[qos.get('--qos-durability', 'volatile').upper()]
+    publisher = node.create_publisher(type_of(kind), topic,
+                                      QoSProfile(depth=1, durability=durability))
     wait_until(publisher.get_subscription_count, f'a subscription of {topic}')
     publisher.publish(filled(type_of(kind)(), yaml.safe_load(text)))
     assert publisher.wait_for_all_acked()
+
+
+def echo(node, topic):
+    """Print a message of a latched topic."""
+    import rclpy
+    from ros_yaml import type_of
+    from waiting import wait_until
+
+    from ambush_planner.ros.qos import LATCHED
+
+    wait_until(lambda: node.get_publishers_info_by_topic(topic), f'a publisher of {topic}')
+    (info,) = node.get_publishers_info_by_topic(topic)
+    received = rclpy.task.Future()
+    node.create_subscription(type_of(info.topic_type), topic, received.set_result, LATCHED)
+    rclpy.spin_until_future_complete(node, received, timeout_sec=30.0)
+    print(received.result())
 
 
 def call(node, name, kind):
@@ -94,8 +112,11 @@ def main(arguments):
             serve_map(node, rest)
         case ['lifecycle_bringup', 'map_server']:
             wait_for_map(node)
-        case ['topic', 'pub', '--once', topic, kind, text]:
-            publish(node, topic, kind, text)
+        case ['topic', 'pub', '--once', *qos, topic, kind, text]:
+            publish(node, topic, kind, sys.stdin.read() if text == '--stdin' else text,
+                    dict(zip(qos[::2], qos[1::2], strict=True)))
+        case ['topic', 'echo', '--once', topic]:
+            echo(node, topic)
         case ['service', 'call', name, kind]:
             call(node, name, kind)
         case _:

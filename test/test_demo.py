@@ -18,7 +18,6 @@ pytest.importorskip('matplotlib', reason='the demo draws pictures')
 
 from commands import documented_keys
 from matplotlib.image import imread
-from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo
@@ -28,6 +27,7 @@ from ambush_planner.commands.node_process import NodeFailed, NodeProcess, free_d
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
+AnyReader = pytest.importorskip('rosbags.highlevel', reason='rosbags reads recordings').AnyReader
 DEPARTURES = 3
 
 

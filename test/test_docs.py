@@ -1,4 +1,4 @@
-"""Links in the documents lead somewhere."""
+"""Links in the documents lead somewhere, and modules that they name exist."""
 
 import re
 from pathlib import Path
@@ -25,3 +25,17 @@ def test_links_lead_somewhere(document):
         target = document.parent / name if name else document
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+def test_the_modules_of_the_contributors_tables_exist():
+    package = ROOT / 'ambush_planner'
+    text = (ROOT / 'CONTRIBUTING.md').read_text()
+    rooms, solving = (text.split(head)[1].split('\n\n')[0].splitlines()[2:]
+                      for head in ('| room | ', '| solving the game | '))
+    found = [(row.split('`')[1], row.split('|')[3]) for row in rooms]
+    found += [('game', row.split('|')[2]) for row in solving]
+    assert sorted({room for room, _ in found}) == sorted(
+        path.parent.name for path in package.glob('*/__init__.py'))
+    for room, names in found:
+        for name in re.findall(r'`(\w+)`', names):
+            assert (package / room / f'{name}.py').is_file(), name

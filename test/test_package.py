@@ -33,7 +33,6 @@ ROSDEP_KEYS = {
     'networkx': 'python3-networkx',
     'numpy': 'python3-numpy',
     'pytest': 'python3-pytest',
-    'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy',
     'setuptools': 'python3-setuptools',
     'tqdm': 'python3-tqdm',
@@ -102,6 +101,7 @@ def test_manifest_and_setup_agree():
     assert '@' in manifest().find('maintainer').get('email')
     assert manifest().findtext('name') == arguments['name'] == NAME
     assert manifest().findtext('version') == arguments['version']
+    assert f'\nversion: {arguments["version"]}\n' in (ROOT / 'CITATION.cff').read_text()
     assert manifest().findtext('license') == arguments['license'] == 'Apache-2.0'
 
 
@@ -152,6 +152,20 @@ def test_pip_install_leaves_nothing_in_the_checkout(tmp_path):
     assert installed == {NAME, f'{NAME}-{setup_arguments()["version"]}.data'}
     for package in setup_arguments()['packages']:
         assert f'{package.replace(".", "/")}/__init__.py' in names
+
+
+@pytest.mark.parametrize(('address', 'refused'), [('a@b.invalid', True), ('a@b.org', False)])
+def test_a_release_needs_a_maintainer_with_an_address(tmp_path, address, refused):
+    for name in ('package.xml', 'setup.py', 'CITATION.cff'):
+        (tmp_path / name).write_text(f'maintainer: {address}')
+    (tmp_path / 'Makefile').write_text((ROOT / 'Makefile').read_text())
+    (tmp_path / '.ci').mkdir()
+    (tmp_path / '.ci/package').write_text('#!/bin/sh\ntouch packaged')
+    (tmp_path / '.ci/package').chmod(0o755)
+    done = subprocess.run(['make', 'release'], cwd=tmp_path, capture_output=True, text=True,
+                          timeout=60, check=False)
+    assert ('name a maintainer' in done.stdout) == refused == bool(done.returncode), done.stderr
+    assert (tmp_path / 'packaged').exists() != refused
 
 
 def test_executables():

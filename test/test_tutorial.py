@@ -35,14 +35,12 @@ def session(leader):
     return found
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(SECONDS + 60)
-def test_every_command_works(tmp_path):
+def run_in_shell(script, tmp_path):
+    """Run a script with a stand-in for ``ros2``; return what it printed."""
     standin = tmp_path / 'bin' / 'ros2'
     standin.parent.mkdir()
     standin.write_text(f'#!/bin/sh\nexec {sys.executable} {HERE}/ros2_standin.py "$@"\n')
     standin.chmod(0o755)
-    script = '\n'.join(text for _, text in BLOCKS)
     with free_domain() as domain:
         environment = {
             **os.environ, 'HOME': str(tmp_path), 'ROS_DOMAIN_ID': str(domain),
@@ -68,6 +66,13 @@ def test_every_command_works(tmp_path):
                 said = (tmp_path / 'output').read_text()
                 print(said)
     assert process.returncode == 0, said
+    return said
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(SECONDS + 60)
+def test_every_command_works(tmp_path):
+    said = run_in_shell('\n'.join(text for _, text in BLOCKS), tmp_path)
     assert said.count('success=True') == 6, said
     folder = tmp_path / 'ambush_tutorial'
     assert 'Verified: all 6 recordings' in (folder / 'report' / 'report.html').read_text()

@@ -61,7 +61,8 @@ class Recorder:
         partial file is left, and the next departure tries again.
         """
         ordered = sorted(messages, key=lambda each: each.stamp_ns)
-        data = encode(ordered, entries, attachments, self._compression)
+        with recording_to(self._directory):
+            data = encode(ordered, entries, attachments, self._compression)
         with self._lock:
             folder = self._session_folder()
             # A number is never used twice: a gap is a departure whose recording failed.

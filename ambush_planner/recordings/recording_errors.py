@@ -34,9 +34,12 @@ class UnreadableRecording(_AtPath):
 
 @contextmanager
 def recording_to(path: Path) -> Iterator[None]:
-    """Turn an OSError met while writing ``path`` into RecordingFailed."""
+    """Turn an OSError met while writing ``path``, or a missing library, into RecordingFailed."""
     try:
         yield
+    except ModuleNotFoundError as error:
+        raise RecordingFailed(path, f'{error.name} is not installed; try: pip install '
+                              'mcap-ros2-support, or set recording.enabled to false') from error
     except OSError as error:
         raise RecordingFailed(
             path,

@@ -1,4 +1,7 @@
-"""One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded."""
+"""One departure as an MCAP file with the profile ``ros2``: encoded, read back, messages decoded.
+
+The mcap library is imported on use: apt does not have it, and a node without it can still plan.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +13,16 @@ from functools import lru_cache
 from io import BytesIO
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
-
-from mcap import records
-from mcap.stream_reader import StreamReader
-from mcap.well_known import MessageEncoding
-from mcap.writer import CompressionType, Writer
-from mcap_ros2.decoder import DecoderFactory
+from typing import TYPE_CHECKING, Any
 
 from .messages import Channel, RecordedMessage
 from .recording_errors import UnreadableRecording, reading_from
 from .schemas import load_definition
 
-COMPRESSIONS = {
-    'zstd': CompressionType.ZSTD,
-    'lz4': CompressionType.LZ4,
-    'none': CompressionType.NONE,
-}
+if TYPE_CHECKING:
+    from mcap.records import McapRecord
+
+COMPRESSIONS = ('zstd', 'lz4', 'none')
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
 FORMAT = '7'
@@ -64,10 +60,13 @@ class RecordingFile:
 def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
            attachments: Mapping[str, bytes], compression: str) -> bytes:
     """Return the bytes of a whole file; ``messages`` are in the order of time."""
+    from mcap.well_known import MessageEncoding
+    from mcap.writer import CompressionType, Writer
+
     stream = BytesIO()
     # The checksum of the data section covers metadata and attachments; chunks have their own.
-    writer = Writer(stream, chunk_size=_CHUNK_SIZE, compression=COMPRESSIONS[compression],
-                    enable_data_crcs=True)
+    writer = Writer(stream, chunk_size=_CHUNK_SIZE, enable_data_crcs=True,
+                    compression=CompressionType[compression.upper()])
     writer.start(profile='ros2')
     texts = {name: json.dumps(value) for name, value in entries.items()}
     writer.add_metadata(METADATA_RECORD, {'format': FORMAT, **texts})
@@ -94,13 +93,16 @@ def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
 
 def read_recording(path: Path | str) -> RecordingFile:
     """Read a file and check its CRCs; raises UnreadableRecording."""
+    from mcap.records import DataEnd, Metadata
+    from mcap.stream_reader import StreamReader
+
     path = Path(path)
     with reading_from(path):
         data = path.read_bytes()
     try:
         found = list(StreamReader(BytesIO(data), validate_crcs=True).records)
         # The summary repeats schemas and channels, and the library does not check its CRC.
-        found = list(takewhile(lambda each: not isinstance(each, records.DataEnd), found))
+        found = list(takewhile(lambda each: not isinstance(each, DataEnd), found))
     except Exception as error:  # mcap, struct, zstd and lz4 raise a dozen kinds of errors
         raise UnreadableRecording(
             path,
@@ -109,7 +111,7 @@ def read_recording(path: Path | str) -> RecordingFile:
         ) from error
     texts: Mapping[str, str] = next(
         (each.metadata for each in found
-         if isinstance(each, records.Metadata) and each.name == METADATA_RECORD), {},
+         if isinstance(each, Metadata) and each.name == METADATA_RECORD), {},
     )
     if texts.get('format') != FORMAT:
         raise UnreadableRecording(
@@ -126,9 +128,13 @@ def read_recording(path: Path | str) -> RecordingFile:
 
 @lru_cache(maxsize=64)
 def _decoder(definition: str, kind: str) -> Any:
+    from mcap.records import Schema
+    from mcap.well_known import MessageEncoding
+    from mcap_ros2.decoder import DecoderFactory
+
     # The decoder reads int8 one by one, in seconds for a large map, and uint8 as one slice.
     text = re.sub(r'\bint8\[', 'uint8[', definition)
-    schema = records.Schema(1, text.encode(), 'ros2msg', kind)
+    schema = Schema(1, text.encode(), 'ros2msg', kind)
     return DecoderFactory().decoder_for(MessageEncoding.CDR, schema)
 
 
@@ -137,8 +143,10 @@ def decode(definition: str, kind: str, data: bytes) -> Any:
     return _decoder(definition, kind)(data)
 
 
-def _contents(path: Path, found: Sequence[records.McapRecord],
+def _contents(path: Path, found: Sequence[McapRecord],
               entries: Mapping[str, Any]) -> RecordingFile:
+    from mcap import records
+
     schemas = {each.id: each for each in found if isinstance(each, records.Schema)}
     channels = {each.id: each for each in found if isinstance(each, records.Channel)}
     messages = []

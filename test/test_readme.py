@@ -1,0 +1,48 @@
+"""README.md is short, its commands work, and they print the numbers that it names."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip('matplotlib', reason='the picture of routes needs matplotlib')
+
+from test_tutorial import SECONDS, run_in_shell
+
+ROOT = Path(__file__).resolve().parent.parent
+TEXT = (ROOT / 'README.md').read_text()
+BLOCKS = re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', TEXT)
+COMMANDS, PYTHON, _, ROS = (text for _, text in BLOCKS)
+
+
+def test_it_is_short_and_marks_what_no_test_runs():
+    assert len(TEXT.splitlines()) <= 90
+    # .ci/run builds a colcon workspace.
+    assert [kind for kind, _ in BLOCKS] == ['sh', 'python', 'text', 'sh']
+
+
+@pytest.mark.slow
+def test_the_commands_and_the_python_plan_with_the_values_that_are_named(tmp_path):
+    (tmp_path / 'docs').symlink_to(ROOT / 'docs')
+    demo, plan = COMMANDS.splitlines()
+    assert demo.split()[:2] == ['make', 'demo']  # test_demo.py runs it
+    programs = (plan.replace('.venv/bin', str(Path(sys.executable).parent)).split(),
+                [sys.executable, '-c', PYTHON])
+    planned, printed = (subprocess.run(program, cwd=tmp_path, capture_output=True, text=True,
+                                       check=True, timeout=240).stdout for program in programs)
+    assert (tmp_path / 'routes.png').stat().st_size > 50_000
+    value, known = re.search(r'mean loss of\s(\S+); .*?, (\d\.\d)', TEXT).groups()
+    assert re.search(rf'^value +{value}\d*:', planned, re.MULTILINE)
+    assert f'would cost {known} once' in planned
+    assert printed.startswith(value)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(SECONDS + 60)
+def test_the_quick_start_publishes_a_path(tmp_path):
+    (tmp_path / 'ws/src').mkdir(parents=True)
+    (tmp_path / 'ws/src/ambush_planner').symlink_to(ROOT)
+    said = run_in_shell(f'set -m\n{ROS}kill %1\nwait', tmp_path)
+    assert 'success=True' in said and 'nav_msgs.msg.Path(' in said
