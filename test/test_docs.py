@@ -1,4 +1,4 @@
-"""Links in the documents lead somewhere."""
+"""Links in the documents lead somewhere, and their formulas render on GitHub."""
 
 import re
 from pathlib import Path
@@ -25,3 +25,19 @@ def test_links_lead_somewhere(document):
         target = document.parent / name if name else document
         assert target.exists(), link
         assert not anchor or anchor in anchors(target), link
+
+
+@pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
+def test_formulas_parse(document):
+    converter = pytest.importorskip('latex2mathml.converter', reason='it has no rosdep key')
+    text = document.read_text()
+    formulas = re.findall(r'(?ms)^ *```math\n(.*?)^ *```$', text)
+    text = re.sub(r'(?ms)^ *```.*?^ *```$', '', text)
+    formulas += re.findall(r'\$`([^`\n]+)`\$', text)
+    for formula in formulas:
+        assert '\\' not in converter.convert(formula), f'unknown command in {formula}'
+        assert r'\operatorname' not in formula, f'GitHub refuses \\operatorname: {formula}'
+        bare = re.sub(r'\\[{}]', '', formula)
+        assert bare.count('{') == bare.count('}'), formula
+    plain = re.sub(r'(?<!\w)\$`[^`\n]+`\$|`[^`\n]*`', '', text)
+    assert '$' not in plain, 'formulas are written $`...`$, on one line, or in ```math'

@@ -35,7 +35,7 @@ KEPT_COST = 1.1
 PRICES = tuple(10.0**k for k in range(-9, 1))
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
-# The first program omits edges whose routes exceed the budget by this many times its margin.
+# The first program omits edges whose routes exceed the best one by this many times the margin.
 FAR_OVER_BUDGET = 2.0
 # The program is built again if the unit of loss is off the value by more than this factor.
 MOST_RESCALED = 1e3
