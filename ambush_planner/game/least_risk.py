@@ -59,11 +59,11 @@ class LeastRisk:
 
 
 def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float) -> float:
-    """The least value within the budgets, at most the share ``closed`` too low.
+    """The least value within the budgets, too low by at most the share ``closed``.
 
-    If a route can come back into a site's reach, it is what the best strategy for counting every
-    entry costs. At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
-    BudgetInfeasible if no strategy fits all budgets.
+    If a route can come back into a site's reach, it is the value of the strategy that is best when
+    every entry counts. At the deadline it is the value without budgets, or 0 if no cut gives that.
+    Raises BudgetInfeasible if no strategy fits all budgets.
     """
     game = without_forbidden_edges(game, budgets)
     loose = least_risk_by_cut(game, budgets)
