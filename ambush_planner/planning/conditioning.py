@@ -31,7 +31,7 @@ class ConditionedStrategy:
         self._chances = (p[self._order] / leaving[tails]).tolist()
 
     def avoiding(self, lost: npt.NDArray[np.bool_]) -> tuple[float, FloatArray]:
-        """Return the probability that a route avoids the edges ``lost`` (M,), and p (M,) given that.
+        """Return the probability that a route avoids the edges ``lost`` (M,), and the new p (M,).
 
         Both are 0 if no route does, or if the strategy has a cycle.
         """
