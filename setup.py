@@ -72,6 +72,7 @@ setup(
             'pytest-timeout',
             'pytest-xdist',
             'hypothesis',
+            'latex2mathml',  # parses the formulas of the documents
             'networkx',
             'highspy',
             'clarabel',

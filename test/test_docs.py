@@ -1,4 +1,4 @@
-"""Links in the documents lead somewhere, and modules that they name exist."""
+"""Links in the documents lead somewhere, modules that they name exist, and formulas parse."""
 
 import re
 from pathlib import Path
@@ -39,3 +39,19 @@ def test_the_modules_of_the_contributors_tables_exist():
     for room, names in found:
         for name in re.findall(r'`(\w+)`', names):
             assert (package / room / f'{name}.py').is_file(), name
+
+
+@pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
+def test_formulas_parse(document):
+    converter = pytest.importorskip('latex2mathml.converter', reason='it has no rosdep key')
+    text = document.read_text()
+    formulas = re.findall(r'(?ms)^ *```math\n(.*?)^ *```$', text)
+    text = re.sub(r'(?ms)^ *```.*?^ *```$', '', text)
+    formulas += re.findall(r'\$`([^`\n]+)`\$', text)
+    for formula in formulas:
+        assert '\\' not in converter.convert(formula), f'unknown command in {formula}'
+        assert r'\operatorname' not in formula, f'GitHub refuses \\operatorname: {formula}'
+        bare = re.sub(r'\\[{}]', '', formula)
+        assert bare.count('{') == bare.count('}'), formula
+    plain = re.sub(r'(?<!\w)\$`[^`\n]+`\$|`[^`\n]*`', '', text)
+    assert '$' not in plain, 'formulas are written $`...`$, on one line, or in ```math'

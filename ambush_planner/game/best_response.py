@@ -6,8 +6,8 @@ For q (N,) >= 0 and prices of the budgets, the least of
 
 over all routes, less price * room, bounds from below what any strategy within the budgets can
 reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
-node label A dominates B if A costs no more than B even after it has paid for every site that B
-alone has met: whatever follows, A then ends no worse. There can be many labels that do not dominate
+node, label A dominates label B if A costs no more than B even after paying for every site that only
+B has met: whatever follows, A ends no worse. There can be many labels that do not dominate
 each other. So the first search counts each label at a node as having met what all earlier ones
 there have met, too. That only lowers its cost further on, so the least cost remains a lower bound.
 If the route that it finds costs more than that, a second search keeps all labels apart.

@@ -80,7 +80,7 @@ class Budget:
     def excess(self) -> FloatArray:
         """Cost (M,) that each edge adds to the best way on from its tail; inf if not playable.
 
-        The sum along a route is its cost minus the best route's, without cancellation.
+        Along a route they add up to its cost minus the best route's, without cancellation.
         """
         network, behind = self.game.network, self._behind
         with np.errstate(invalid='ignore'):

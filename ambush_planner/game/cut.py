@@ -41,7 +41,7 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     """Solve the plain game (one ambusher, radius 0, no budget) by a minimum node cut.
 
     On a trip of several legs, the copies of a place count as different sites: the value is that of
-    the costliest leg, a lower bound, and q has probabilities at copies. Raises SolverFailed if the
+    the costliest leg, a lower bound, and q is spread over the copies. Raises SolverFailed if the
     game has a reach or several ambushers.
     """
     if game.reach > 0.0 or game.ambushers > 1:

@@ -2,10 +2,10 @@
 
 On a planar two-way network a chain of discs, each with a face in common with the next, separates
 the source from the target if it closes around one of them, perhaps through the outer face. Every
-route meets it. With q in proportion to 1 / alpha on it, each route loses 1 / F, where F is the sum
-of 1 / alpha over the chain, and the cheapest chain gives the value (docs/theory.md, section 8). It
-is a shortest path from a disc to its own second copy. The certificate judges q, so the bound does
-not depend on any of this.
+route meets it. With q in proportion to 1 / alpha on it, each route loses at least 1 / K, where K is
+the sum of 1 / alpha over the chain, and the cheapest chain usually gives the value (docs/theory.md,
+Proposition 8.10). It is a shortest path from a disc to its own second copy. The certificate judges
+q, so the bound does not depend on any of this.
 """
 
 from __future__ import annotations

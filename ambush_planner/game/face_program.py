@@ -2,14 +2,14 @@
 
 On a planar two-way network every flow of size 1 is that of one reference route plus the differences
 of a potential across the links. Lifted by the crossings of that route, the potential has one value
-at each face that a disc touches. A random level line meets the disc with at most the probability by
-which these values differ. Newton's method finds the least z for which these differences are at most
-z / alpha and the level lines' mean cost is within the budget.
+at each face that a disc touches. A random level line meets the disc with a probability of at most
+the largest difference of these values. Newton's method finds the least z for which these
+differences are at most z / alpha and the level lines' mean cost is within the budget.
 
 For each z, the dual program is a flow between faces: a link carries at most its cost, and a disc,
 at a cost of z / alpha, anything between the faces that it touches. Pairs of faces join the program
 when the potential exceeds what their disc allows. The flow through the discs is the ambusher
-(docs/theory.md, section 8).
+(docs/theory.md, Proposition 8.9).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The faces of a planar two-way network, and which of them the rim of each site's reach touches.
 
 Edges that join the same two nodes are one link, with a face on either side. A curve through faces
-that separates the source from the target crosses every route an odd number of times. So crossings
-of one reference route tell on which side of it a curve through faces ends (J. H. Reif, Minimum s-t
-cut of a planar undirected network, SIAM Journal on Computing 12, 1983).
+that separates the source from the target crosses every route an odd number of times. So counting
+its crossings of one reference route decides whether a closed curve through faces separates them (J.
+H. Reif, Minimum s-t cut of a planar undirected network, SIAM Journal on Computing 12, 1983).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Faces:
     def lifts(self) -> tuple[IndexArray, BoolArray]:
         """For each entry of ``touched``, how often the way there along the rim crosses the route.
 
-        And the sites (S,) whose rims cross it an odd number of times all round: nobody passes them.
+        And the sites (S,) whose rims separate the ends: every route meets these.
         """
         size = self.touched.nnz
         reached = np.flatnonzero((self.rims @ np.abs(self.crossed)) > 0)

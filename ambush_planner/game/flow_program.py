@@ -4,8 +4,8 @@ With f = p / z, in units of a loss near the value, it is
 
     maximise |f|   subject to   loss_j (hits of j by f) <= 1,   excess' f <= margin |f|,   A f = 0.
 
-With k ambushers, the losses of any k sites must add up to at most 1: loss_j <= t + s_j with
-k t + sum s <= 1. The duals are the ambusher's q and the prices of the budgets.
+With k ambushers, the losses of any k sites must add up to at most 1: loss_j (hits of j) <= t + s_j
+with k t + sum s <= 1. The duals are the ambusher's q and the prices of the budgets.
 """
 
 from __future__ import annotations

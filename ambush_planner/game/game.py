@@ -185,7 +185,7 @@ class Game:
         return part
 
     def avoiding_all_sites(self) -> Game | None:
-        """The game on the edges that no ambush hits; None if no route uses only these."""
+        """The game on the edges that no ambush hits; None if no route avoids all ambushes."""
         return self.restricted_to(np.asarray(self.hits.getnnz(axis=0) == 0))
 
     def with_one_ambusher(self) -> Game:

@@ -1,9 +1,9 @@
 """Stage 4, for games in which a route can come back into a site's reach: count each route once.
 
 The linear program and the Gibbs law limit expected entries. Where routes come back, entries exceed
-hits, so the law keeps to limits that are too tight for some sites, and its ambusher proves nothing.
-A program over sampled routes (``route_program``) gives an ambusher that does, and a mixture of
-routes to build an acyclic part around. On it the law is searched for again, each site's limit on
+hits, so the law keeps to limits that are too tight for some sites, and its ambusher may prove
+little. A program over sampled routes (``route_program``) gives an ambusher that does, and a mixture
+of routes to build an acyclic part around. On it the law is searched for again, each site's limit on
 entries raised by its ratio of entries to hits, until its true value is within the slack.
 """
 

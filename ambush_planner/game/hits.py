@@ -1,10 +1,10 @@
-"""The probability that a drawn route is hit by an ambush, counted once however often it comes back.
+"""The probability that an ambush hits a drawn route, counted once however often it comes back.
 
-The rows of the game count how often a route enters a disc, which is what a linear program needs.
-An ambush hits a route once. On an acyclic strategy the probability of that is one pass over the
-edges in topological order: let o_k be the probability of arriving at node k unhit, o_source = 1 and
-o_k = sum over the edges i -> k that do not enter the disc of o_i p_ik / x_i. Then
-P(hit) = 1 - o_target.
+The rows of the game count how often a route enters a disc, which linear programs need because it is
+linear in p. But an ambush hits a route only once. On an acyclic strategy the probability of that is
+one pass over the edges in topological order: let o_k be the probability of arriving at node k
+unhit, o_source = 1 and o_k = sum over the edges i -> k that do not enter the disc of o_i p_ik /
+x_i. Then P(hit) = 1 - o_target.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ KEPT_COST = 1.1
 PRICES = tuple(10.0**k for k in range(-9, 1))
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
-# The first program omits edges whose routes exceed the budget by this many times its margin.
+# The first program omits edges whose routes exceed the best one by this many times the margin.
 FAR_OVER_BUDGET = 2.0
 # The program is built again if the unit of loss is off the value by more than this factor.
 MOST_RESCALED = 1e3
@@ -59,11 +59,11 @@ class LeastRisk:
 
 
 def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline: float) -> float:
-    """The least value within the budgets, at most the share ``closed`` too low.
+    """The least value within the budgets, too low by at most the share ``closed``.
 
-    If a route can come back into a site's reach, it is what the best strategy for counting every
-    entry costs. At the deadline it is the value without budgets, or 0 if no cut gives that. Raises
-    BudgetInfeasible if no strategy fits all budgets.
+    If a route can come back into a site's reach, it is the value of the strategy that is best when
+    every entry counts. At the deadline it is the value without budgets, or 0 if no cut gives that.
+    Raises BudgetInfeasible if no strategy fits all budgets.
     """
     game = without_forbidden_edges(game, budgets)
     loose = least_risk_by_cut(game, budgets)

@@ -7,8 +7,8 @@ So a step with (covariance + D) w = r, D a diagonal, solves
 
     (Q + L' D L) a = L' r,      w = L a,
 
-a positive definite system with the pattern of the network, whatever the number of limits. The few
-other rows, such as budgets, border it.
+a positive definite system as sparse as the network, whatever the number of limits: it joins nodes
+that share an edge or a predecessor. The few other rows, such as budgets, border it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Coordinate systems: world positions of a map to latitude and longitude, and back.
 
-A system is a text in a map file. It is whatever pyproj reads (``EPSG:32616``, WKT), with metres as
-its unit, or ``datum LAT LON YAW``: the local frame of a robot whose navsat_transform (package
-robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is at that place;
-its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
+A map file names its system as text: either anything that pyproj reads (``EPSG:32616``, WKT) with
+metres as its unit, or ``datum LAT LON YAW``, the local frame of a robot whose navsat_transform
+(package robot_localization) has that ``datum`` and no ``use_local_cartesian``. Its origin is LAT
+LON; its x axis points YAW [rad] counterclockwise from true east (add its ``yaw_offset`` and
 ``magnetic_declination_radians``). Lengths are those of the UTM zone.
 """
 
@@ -132,7 +132,7 @@ def utm_zone(latitude: float, longitude: float) -> Any:
 
 
 def metric_system(wkt: str, x: float, y: float) -> tuple[Any, bool]:
-    """Return a ``pyproj.CRS`` for lengths around (x, y), and whether it is another than ``wkt``.
+    """Return a ``pyproj.CRS`` for lengths around (x, y), and whether it differs from ``wkt``.
 
     It is the system itself if its metres are metres on the ground, else the UTM zone.
     """

@@ -69,7 +69,7 @@ class Raster:
 
     ``values`` (H, W) has row 0 in the south; ``row_step`` and ``column_step`` [m] are the cell size
     from south to north and from west to east. ``corner`` is the world position of the lower left
-    corner [m], in the coordinate system ``crs``; ``note`` says if the raster was reprojected.
+    corner [m], in the coordinate system ``crs``; ``note`` says whether the raster was reprojected.
     """
 
     values: FloatArray

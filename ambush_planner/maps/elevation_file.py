@@ -25,8 +25,8 @@ def read_raster(path: Path, name: str = 'elevation', nearest: bool = False) -> R
     A GeoTIFF whose units are not metres on the ground (degrees, feet, Web Mercator) is reprojected
     to its UTM zone, by bilinear interpolation or, if ``nearest``, with the values of nearest cells.
 
-    Raises InvalidTerrain if the file is malformed or too large, or a GeoTIFF and rasterio is not
-    installed; OSError if it cannot be opened.
+    Raises InvalidTerrain if the file is malformed or too large, or if a GeoTIFF needs rasterio and
+    it is not installed; OSError if the file cannot be opened.
     """
     with path.open('rb') as file:
         is_zip = file.read(4) == b'PK\x03\x04'

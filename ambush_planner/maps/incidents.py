@@ -24,7 +24,7 @@ BANDWIDTHS, MOST_VALIDATED = 24, 3000
 
 def weighted_incidents(features: GeoDataFrame,
                        values: Mapping[str, Any]) -> tuple[FloatArray, FloatArray]:
-    """Places (K, 2) [m] and weights (K,) of the incidents that count, as ``risk_layers`` says.
+    """Places (K, 2) [m] and weights (K,) of the incidents that count (see ``risk_layers``).
 
     Raises InvalidFeatures if an attribute is missing or malformed.
     """
@@ -69,9 +69,9 @@ def count_near(ground: RiskMap, places: FloatArray, distance: float) -> FloatArr
 
 def cross_validated_bandwidth(ground: RiskMap, places: FloatArray,
                               weights: FloatArray) -> tuple[float, bool]:
-    """The bandwidth [m] under which each incident is likeliest given all others.
+    """The bandwidth [m] that best predicts each incident from all others (leave-one-out).
 
-    Also returns whether it is the largest of those compared: then there is no pattern to see.
+    Also returns whether it is the largest of those compared: then there is no visible pattern.
     """
     heaviest = np.argsort(-weights, kind='stable')[:MOST_VALIDATED]
     places, weights = places[heaviest], weights[heaviest]

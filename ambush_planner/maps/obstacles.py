@@ -49,7 +49,7 @@ class ObstacleField:
         return clear
 
     def _on_map(self, uv: FloatArray, clearance: float) -> BoolArray:
-        """Return which points (K, 2) lie inside the map, off its edge by the clearance if asked."""
+        """Return which points (K, 2) lie on the map, if asked with the clearance from its edge."""
         margin = TOUCH * self._resolution + (clearance if self.clear_of_edge else 0.0)
         return np.asarray(((uv > margin) & (uv < np.array(self._size) - margin)).all(axis=1))
 

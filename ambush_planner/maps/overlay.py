@@ -1,4 +1,4 @@
-"""Obstacles of one map on another: a costmap's on a risk map."""
+"""Add the obstacles of one map, such as a costmap, to a risk map."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def with_obstacles_of(risk: OccupancyMap, other: OccupancyMap, threshold: int,
                       unknown: bool) -> OccupancyMap:
     """Return a risk map with the obstacles of another map in the same frame.
 
-    A cell of the risk map becomes an obstacle if any cell of the other one that lies on it, however
-    little, has at least the value ``threshold``, or is not known if ``unknown``. If the maps are
-    rotated against each other, the rectangle around the rotated cell counts. Ground that the other
-    map does not cover stays as it is.
+    A cell of the risk map becomes an obstacle if any cell of the other map that overlaps it has at
+    least the value ``threshold`` or, with ``unknown``, is unknown. If the maps are rotated against
+    each other, the rectangle around the rotated cell counts. Ground that the other map does not
+    cover stays as it is.
     """
     blocked = (other.values >= threshold) | (unknown & (other.values == UNKNOWN))
     sums = np.pad(blocked.cumsum(axis=0, dtype=np.int32).cumsum(axis=1), ((1, 0), (1, 0)))

@@ -1,12 +1,13 @@
-"""Risk maps joined from layers: terrain, polygons, roads and incidents.
+"""Risk maps combined from layers: terrain, polygons, roads and incidents.
 
-A YAML file has one line for each layer. Each cell begins with the loss ``base``, and the lines
-apply from top to bottom:
+A YAML file has one line per layer. Each cell starts at the loss ``base``, and the lines apply from
+top to bottom:
 
 * ``terrain: DEM`` adds ``loss`` * v / 100, with the value v that ``terrain_risk`` computes. Cells
   that are too steep or unknown are obstacles.
-* ``polygons: FILE`` adds the ``loss`` of each polygon around the cell's centre, then multiplies by
-  its ``factor``.
+* ``polygons: FILE`` adds the ``loss`` of each polygon that contains the cell's centre, then
+multiplies
+  by its ``factor``.
 * ``roads: FILE`` does the same on cells that a line with its ``width`` [m] touches; several lines
   with the same value count once.
 * ``incidents: FILE`` adds ``loss`` * K(x) / max K, where K(x) is the sum over incidents of
@@ -14,8 +15,8 @@ apply from top to bottom:
   ``until``, by default the newest incident; later ones are left out.
 
 Polygons and roads may also be ``passable`` (true: no obstacle), ``forbidden`` (every cell that they
-touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A value
-that is a text names the attribute that has it.
+touch is an obstacle) and ``held`` (the loss is 0); these apply at the end, in this order. A text
+as a value names the attribute to read it from.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class LayeredRisk:
-    """A risk map with its layers, and remarks on how it was made."""
+    """A risk map with its layers, and remarks for the user."""
 
     risk_map: RiskMap
     layers: tuple[Layer, ...]
@@ -98,7 +99,7 @@ class LayeredRisk:
 
 def risk_from_layers(description: Path | str | Mapping[str, Any], folder: Path | None = None,
                      progress: Callable[[float], None] | None = None) -> LayeredRisk:
-    """Join the layers of a YAML file, or of its content, by the formulas above.
+    """Combine the layers of a YAML file, or of its content, by the formulas above.
 
     The grid is that of the terrain, which must be the first layer; without it, that of ``bounds``
     [west, south, east, north], ``resolution`` [m] and ``crs``. Files are relative to ``folder``, by
@@ -239,7 +240,7 @@ class _Joined:
         self.layers.append(Layer(f'{name}: {effects}', self._cover(features, roads), shown))
 
     def add_incidents(self, name: str, features: GeoDataFrame, values: Mapping[str, Any]) -> None:
-        """Apply incidents, and remark on few of them."""
+        """Apply incidents, with a remark if there are few."""
         places, weights = weighted_incidents(features, values)
         bandwidth = values['bandwidth']
         if bandwidth == 'auto':

@@ -192,7 +192,7 @@ def _speeds(values: FloatArray, name: str) -> FloatArray | None:
 
 def _graph(points: FloatArray, segments: IndexArray, way: IndexArray,
            speed: npt.NDArray[np.float64] | None, crs: str) -> RoadGraph:
-    """Join equal segments (S, 2), driven both ways if ``way`` (S,) is 0; the faster one counts."""
+    """Merge equal segments (S, 2), two-way if ``way`` (S,) is 0; the higher speed counts."""
     if not np.isfinite(points).all():
         raise InvalidFeatures('coordinates must be finite')
     own = np.ones(len(segments)) if speed is None else speed

@@ -22,10 +22,10 @@ class InvalidFeatures(AmbushPlannerError, ValueError):
 
 
 def read_features(source: str, kind: str) -> GeoDataFrame:
-    """Read the features of a ``kind``, 'Point', 'LineString' or 'Polygon', one part each.
+    """Read the features of a ``kind``, 'Point', 'LineString' or 'Polygon', as single parts.
 
     ``source`` is a file, or ``FILE|layername=NAME`` as in QGIS; without a name, the layer is the
-    one that has such features. Others are left out.
+    one that has such features. Features of other kinds are left out.
 
     Raises InvalidFeatures if there are none, or if several layers have some.
     """
@@ -62,7 +62,7 @@ def read_features(source: str, kind: str) -> GeoDataFrame:
 def from_system(points: FloatArray, crs: str, map_crs: str | None) -> FloatArray:
     """Convert positions (K, 2) in the coordinate system ``crs`` to world positions of a map [m].
 
-    If the map's system is unknown, positions in metres are taken to be in it. Raises
+    If the map's system is unknown, positions in metres are assumed to be in the map's. Raises
     InvalidCoordinates if they are in another unit.
     """
     from pyproj import CRS, Transformer
@@ -106,7 +106,7 @@ def features_on(risk_map: RiskMap, source: str, kind: str) -> GeoDataFrame:
 
 
 def attribute_values(features: GeoDataFrame, key: str, value: Any) -> FloatArray:
-    """A number >= 0 for each feature: the same for all, or the attribute that a text names."""
+    """A number >= 0 for each feature: the same for all, or the attribute named by a text."""
     from pandas import to_numeric
 
     if not isinstance(value, str):

@@ -10,8 +10,8 @@ sight.) With
 
     g = (terrain height - height of the vehicle's top) / distance
 
-a person at a sample sees the vehicle, and is seen from it, if g + person's height / distance is at
-least the largest g of the nearer samples. All cells advance along a ray together.
+a person at a sample sees the vehicle, and can be seen from it, if g + person's height / distance is
+at least the largest g of the nearer samples. All cells advance along a ray together.
 
 Not modelled: vegetation and buildings missing from the elevation model, and the curvature of the
 Earth (0.02 m at 0.5 km, 0.3 m at 2 km).

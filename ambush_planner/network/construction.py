@@ -137,7 +137,7 @@ def build_trip_graph(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Ar
 
 
 def _unreachable_ends(pairs: IndexArray, count: int, ends: int, start: int) -> list[int]:
-    """Which of the last ``ends`` nodes cannot be reached from number ``start`` of them."""
+    """Which of the last ``ends`` nodes cannot be reached from the one with index ``start``."""
     first = count - ends
     both = np.concatenate((pairs, pairs[:, ::-1]))
     return np.flatnonzero(~reachable_from(both, count, first + start)[first:]).tolist()
@@ -207,7 +207,7 @@ def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
 
 def _checked_positions(risk_map: RiskMap, field: ObstacleField, given: list[npt.ArrayLike],
                        options: NetworkOptions) -> list[tuple[float, float]]:
-    """Start, stops and goal as positions, checked; start and goal are reported first."""
+    """The checked positions of start, stops and goal; errors name start and goal first."""
     last = len(given) - 1
     names = ['start', *(f'stop {k}' for k in range(1, last)), 'goal']
     for k in (0, last, *range(1, last)):

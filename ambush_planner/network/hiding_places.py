@@ -1,4 +1,4 @@
-"""Ambush sites that are no nodes of the convoy's: in obstacle cells, or anywhere on the map."""
+"""Ambush sites where the convoy has no nodes: in obstacle cells, or anywhere on the map."""
 
 from __future__ import annotations
 

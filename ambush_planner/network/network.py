@@ -87,7 +87,7 @@ class Network:
 
     @property
     def travel_costs(self) -> FloatArray:
-        """What the length budget counts of each edge (M,): time [s] if known, else length [m]."""
+        """What each edge (M,) adds to the length budget: time [s] if known, else length [m]."""
         return self.lengths if self.seconds is None else self.seconds
 
     @property
@@ -99,7 +99,7 @@ class Network:
     def edge_exposure(self) -> FloatArray:
         """Integral of alpha along each edge (M,) [loss x m]: its length times the mean of its ends.
 
-        Source, stops and target, which have no loss of their own, take that of the other end.
+        Source, stops and target have no loss of their own; the edge's other end replaces theirs.
         """
         is_end = np.zeros(len(self.points), dtype=bool)
         is_end[self.ends] = True

@@ -41,8 +41,8 @@ def roads_on_map(roads: RoadGraph, risk_map: RiskMap) -> RoadGraph:
 def in_map_frame(roads: RoadGraph, crs: str | None) -> RoadGraph:
     """The roads in the coordinates of a map with the coordinate system ``crs`` [m].
 
-    Without one, roads in metres are taken to be in those of the map. Raises InvalidOption if they
-    are in another unit.
+    Without one, roads in metres are assumed to be in the map's. Raises InvalidOption if they are in
+    another unit.
     """
     if not roads.crs:
         return roads
@@ -71,7 +71,7 @@ class _Pieces:
         return len(self.points) - 1
 
     def replace_piece(self, piece: int, pairs: list[tuple[int, int]]) -> None:
-        """Put other pieces with the same speeds in the place of one."""
+        """Replace a piece by others with the same speeds."""
         self.speeds = np.vstack((np.delete(self.speeds, piece, axis=0),
                                  np.tile(self.speeds[piece], (len(pairs), 1))))
         self.pairs = np.vstack((np.delete(self.pairs, piece, axis=0), pairs))
@@ -101,7 +101,7 @@ class _Pieces:
 def road_trip_graph(risk_map: RiskMap, field: ObstacleField, roads: RoadGraph,
                     ends: dict[str, Position], spacing: float, clearance: float,
                     join_distance: float) -> TripGraph:
-    """Cut the roads, join the ends, which are named as in error messages, and check the way.
+    """Cut the roads, join the ends and check the way; errors name the ends by their roles.
 
     Raises StartBlocked, StopBlocked or GoalBlocked if no road is within ``join_distance`` [m], or
     an obstacle lies in between; NoRoute if the roads do not connect the ends.

@@ -1,4 +1,4 @@
-"""Ambushers at any cell of the map: what they can cause beyond those at the network's nodes.
+"""Ambushers at any cell of the map: how much more they can cause than those at the nodes.
 
 With a reach, an ambush between two nodes hits other routes than one at either of them, and its cell
 may have a larger loss. The search for the worst cells goes from blocks of cells to cells: the disc
@@ -48,8 +48,8 @@ class CellLosses:
     def worst(self, game: Game, p: FloatArray, above: float, apart: float) -> Places:
         """Cells that cost an acyclic strategy p (M,) more than ``above``, the worst first.
 
-        The first one is the worst of all cells; of each square of side ``apart`` [m], at most the
-        one that may be worst is returned.
+        The first one is the worst of all cells. Of each square of side ``apart`` [m], at most one
+        cell is returned, the one with the largest bound.
         """
         side = 1
         while side * _DIVISION * self._map.resolution <= game.reach:
@@ -67,7 +67,7 @@ class CellLosses:
 
     def _exact(self, game: Game, p: FloatArray, cells: IndexArray, bound: FloatArray,
                above: float, apart: float) -> Places:
-        """Each hit counted once for cells (K, 2), which are ordered by their bounds (K,)."""
+        """Mean losses, each route counted once, of cells (K, 2) ordered by their bounds (K,)."""
         points, alpha = self._centres(cells, 1), self._loss_of_blocks(1)[tuple(cells.T)]
         used = np.flatnonzero(p > 0.0)
         hits, losses = RouteHits(game.network, p), np.zeros(len(cells))

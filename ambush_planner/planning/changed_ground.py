@@ -62,12 +62,12 @@ class Assessment:
 
     @property
     def gap(self) -> float:
-        """Upper bound on how much better another strategy could be."""
+        """Upper bound on how much lower another strategy's value could be."""
         return self.value - self.lower_bound
 
     @property
     def is_blocked(self) -> bool:
-        """Whether too many routes are blocked: most strategies use all ground a little."""
+        """Whether too many routes are blocked; most strategies use all ground a little."""
         return self.clear_share < 1.0 - _MOST_BLOCKED
 
     @property
@@ -80,10 +80,10 @@ class Assessment:
         return self.is_blocked or self.value > original_value * (1.0 + tolerance) + 1e-12
 
     def allows_departure(self, max_gap: float, original_gap: float) -> bool:
-        """Whether one can depart on the strategy before the next solve.
+        """Whether a convoy may depart on the strategy before the next solve.
 
         ``max_gap`` bounds, as a share of the value, how much the gap may exceed ``original_gap``,
-        that on the strategy's own map: a risk slack that was asked for is in both.
+        the gap on the strategy's own map; both include the risk slack.
         """
         growth = self.gap - original_gap
         return self.clear_share >= LEAST_CLEAR and growth <= max_gap * self.value + 1e-12

@@ -1,4 +1,4 @@
-"""A strategy on condition that its routes avoid some edges.
+"""A strategy, conditional on its routes avoiding some edges.
 
 Drawing routes until one is clear samples this conditional strategy. On an acyclic network it is
 exact: let w = p / x be the probability of the next edge, and Z_i = sum w_ik Z_k that of reaching
@@ -31,7 +31,7 @@ class ConditionedStrategy:
         self._chances = (p[self._order] / leaving[tails]).tolist()
 
     def avoiding(self, lost: npt.NDArray[np.bool_]) -> tuple[float, FloatArray]:
-        """Return the probability that a route avoids the edges ``lost`` (M,), and p (M,) then.
+        """Return the probability that a route avoids the edges ``lost`` (M,), and the new p (M,).
 
         Both are 0 if no route does, or if the strategy has a cycle.
         """
@@ -81,7 +81,7 @@ class ConditionedStrategy:
         return result
 
     def _steps(self, p: FloatArray) -> tuple[list[int], list[int], list[float]]:
-        """Tails and heads of the edges in use, in order, and how likely p (M,) leaves by each."""
+        """Tails and heads of the edges in use, in order, and their probabilities at the tails."""
         tails = self._network.tails[self._order]
         leaving = np.bincount(tails, p[self._order], len(self._network.points))[tails]
         chances = p[self._order] / np.where(leaving > 0.0, leaving, 1.0)

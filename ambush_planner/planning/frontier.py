@@ -1,4 +1,4 @@
-"""The trade-off of length, risk and entropy: one strategy for each of several budgets."""
+"""The trade-off between length, risk and entropy: one strategy for each of several budgets."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class FrontierRow:
 def frontier(network: Network, game: GameOptions | None = None, detours: Sequence[float] = DETOURS,
              slacks: Sequence[float] = SLACKS, options: StrategyOptions | None = None,
              on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
-    """Solve for each of ``detours``, then for each of ``slacks``; the other is that of ``options``.
+    """Solve for each of ``detours``, then for each of ``slacks``, the rest as in ``options``.
 
     Each solve starts from the previous one, the longest detour first. ``on_row`` is called with
-    each finished row; the result has the requested order. ``options.time_limit`` is that of each
-    solve; at the limit the row is that of the best strategy so far, with its bound. Raises
+    each finished row; the result has the requested order. ``options.time_limit`` applies to
+    each solve; at the limit the row is that of the best strategy so far, with its bound. Raises
     InvalidNetwork, InvalidOption and NoRoute as ``solve``, before the first solve.
     """
     options = options or StrategyOptions()

@@ -1,4 +1,4 @@
-"""A plan whose convoy has moved on: its routes, joined from where the convoy is now.
+"""A plan for a convoy that has moved on: its routes, joined from where the convoy is now.
 
 A route is joined at the node where it first leads away from the convoy. The part before that node
 is skipped, and the convoy drives straight to it. Whether an edge leads away depends on the edge
@@ -34,7 +34,7 @@ REGION = 3.0
 
 @dataclass(frozen=True, eq=False)
 class JoinedPlan:
-    """A plan from another start, and what it is worth on the newest map.
+    """A plan from another start, and its value on the newest map.
 
     Routes and paths are drawn from ``plan`` directly: none of its routes is blocked. The
     assessment's ``clear_share`` is the share of the original routes that can be joined and driven.
@@ -45,10 +45,11 @@ class JoinedPlan:
 
 
 def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> JoinedPlan | None:
-    """Return the plan for a convoy that is at ``ends[0]`` instead of at the planned start [m].
+    """Return the plan for a convoy at ``ends[0]`` [m] instead of at the planned start.
 
-    None on roads, if that is further than ``REGION`` from the planned start, if too few routes can
-    be joined by a straight line that is clear on the newest map, or if the strategy has cycles.
+    Returns None on roads, if ``ends[0]`` is further than ``REGION`` from the planned start, if too
+    few routes can be joined by a straight line that is clear on the newest map, or if the strategy
+    has cycles.
     """
     plan, network = ground.plan, ground.plan.network
     away = math.dist(ends[0], network.points[network.source].tolist())

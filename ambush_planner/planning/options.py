@@ -1,4 +1,4 @@
-"""All options of a plan, and what follows from them for the game that it solves."""
+"""All options of a plan, and the game that follows from them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class DriveOptions:
         Largest distance of the path from the drawn route [m]. It is added to the reach of the
         game, so that the certificate covers the driven path. None: with a reach, ``DEFAULT_TUBE``
         spacings, on roads at most ``ROAD_TUBE``; without one, the path only avoids nodes that its
-        route does not use, and on roads keeps as close to their lines.
+        route does not use; on roads it also stays within ``ROAD_TUBE`` of their lines.
     turning_radius
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
@@ -38,8 +38,8 @@ class DriveOptions:
         it, so that the certificate holds for all of them. At most half a node spacing; with a
         reach, also at most a quarter of it and the radius of held ground.
     tracking_error
-        Largest distance of the robot from the path [m], which counts like more tube. Only for games
-        with a reach.
+        Largest distance of the robot from the path [m]; it adds to the tube. Only for games with a
+        reach.
     """
 
     tube: float | None = None

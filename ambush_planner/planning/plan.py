@@ -1,4 +1,4 @@
-"""Requests and plans: a risk map becomes a plan once, and a plan gives a route per departure."""
+"""Requests and plans: a risk map becomes a plan once, and each departure draws a route from it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class PlanRequest:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Shown):
-    """The strategy for a map, a start and a goal, with all that departures need.
+    """The strategy for a map, a start and a goal, with everything that departures need.
 
     ``corridors`` is the space around the routes that the driven path may use. ``spacing`` is the
     distance of the network's nodes, at least the map's resolution [m]. ``different_paths`` counts

@@ -1,4 +1,4 @@
-"""Routes, a strategy and its ground as tables of geometries (GeoDataFrames), for GIS programs.
+"""Routes, strategy and ground as tables of geometries (GeoDataFrames), for GIS programs.
 
 Positions are world positions, in the map's coordinate system if it has one; those of a robot's
 frame are converted to the UTM zone of its datum. Needs geopandas, shapely and rasterio.
@@ -44,8 +44,8 @@ def route_table(paths: Sequence[FloatArray], times: Sequence[datetime], crs: str
 def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     """Return the tables ``edges``, ``sites``, ``held_ground`` and ``forbidden``.
 
-    Edges have their ``probability``; sites the ``probability`` q that the best ambusher waits there
-    and the ``loss``. Forbidden ground are the map's obstacles.
+    Edges have a ``probability``; sites have the ``probability`` q that the best ambusher waits
+    there and the ``loss``. Forbidden ground is the map's obstacles.
     """
     import geopandas
     import shapely

@@ -1,4 +1,4 @@
-"""Solve the game of a plan, with a reach against an ambusher at any cell of the map."""
+"""Solve the game of a plan; with a reach, against an ambusher at any cell of the map."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
                      warm: WarmStart | None = None) -> Strategy:
     """Solve the game on a network built on the map.
 
-    With a reach, cells that cost the strategy more than its value are added to the network as
-    nodes without edges, and the game is solved again; the value then holds for all cells
-    (``holds_anywhere``). At the time limit, a strategy within ``max_gap`` is returned. Raises the
-    errors of ``solve``.
+    With a reach, cells that cost the strategy more than its value are added to the network as nodes
+    without edges, and the game is solved again; the value then holds for all cells
+    (``holds_anywhere``). At the time limit, the best strategy is returned if it is within
+    ``max_gap``. Raises the errors of ``solve``.
     """
     network = add_hiding_places(network, risk_map, options)
     game, until = solved_game(risk_map, options), time.monotonic() + options.strategy.time_limit
@@ -103,7 +103,7 @@ def holds_anywhere(game: Game | GameOptions, options: PlanningOptions) -> bool:
 
 def _solved(network: Network, game: GameOptions, options: StrategyOptions, until: float,
             start: Multipliers | None) -> tuple[Strategy, TimeLimit | None]:
-    """The strategy, and the error if time was up; raises it if there is no strategy."""
+    """The strategy, and the error if time ran out; raises the error if there is no strategy."""
     left = max(until - time.monotonic(), 1e-3)
     try:
         return solve(network, game, replace(options, time_limit=left), start), None

@@ -1,4 +1,4 @@
-"""Plans of trips: one strategy over all legs, with the stops in the given order or in the best.
+"""Plans of trips: one strategy over all legs, with the stops in the given or the best order.
 
 An ambush hits every leg that passes its site, so the legs cannot be solved one by one: the network
 has a layer for each leg, and one game covers all (``Network.legs``, ``Game.hits``). Arcs used twice
@@ -45,16 +45,16 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
               order: str = 'given', warm: WarmStart | None = None) -> Plan:
     """Plan a trip from start to goal through stops, all world positions [m].
 
-    One strategy covers all legs: a site's losses add up over the legs that it hits, and value,
-    certificate and ``max_detour`` are those of the whole trip. Nobody can wait at a stop, nor
-    within ``secured_radius`` of it, as at start and goal. A goal at the
+    One strategy covers all legs; value, certificate and ``max_detour`` are those of the whole trip.
+    Nobody can wait at start, goal or a stop, nor within ``secured_radius`` of them. A goal at the
     start's position makes a round trip.
 
-    The order 'best' has the least value within the budget of ``max_detour`` times the shortest way
-    in any order. For up to ``MOST_STOPS`` stops, no other order is better by more than the risk
-    slack (``Plan.order_found`` is 'best'); with more stops, or if the time limit passes, the order
-    is a short one or the best so far ('heuristic'). ``Plan.order`` has the indices of the stops as
-    they are visited. A ``warm`` start is used for the given order only.
+    The order 'best' seeks the least value within the budget of ``max_detour`` times the shortest
+    way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more than the risk
+    slack if each leg that a site hits is charged (``Plan.order_found`` is 'best'). With more stops,
+    or if the time limit passes, the order is a short one or the best so far ('heuristic').
+    ``Plan.order`` has the indices of the stops as they are visited. A ``warm`` start is used for
+    the given order only.
 
     Raises InvalidOption for any other order, StopBlocked for a stop off the map or within the
     clearance of an obstacle, and the errors of ``build_network`` and ``solve``.
@@ -89,7 +89,7 @@ def plan_from_request(request: PlanRequest) -> Plan:
 
 def trip_network(risk_map: RiskMap, start_xy: Position, goal_xy: Position, options: NetworkOptions,
                  visited: Sequence[Position], order: str) -> Network:
-    """The network of a plan whose stops are ``visited`` in this sequence."""
+    """The network of a plan that visits its stops in the sequence ``visited``."""
     places = _sorted_places(visited) if order == 'best' else list(range(len(visited)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options, [visited[k] for k in places])
     nodes = graph.visits
@@ -103,7 +103,7 @@ def _sorted_places(stops: Sequence[npt.ArrayLike]) -> list[int]:
 
 @dataclass(frozen=True, eq=False)
 class _OrderBound:
-    """A lower bound of any order's value: costs between ends (E, E), minus ``paid``."""
+    """A lower bound of any order's value by entries: costs between ends (E, E), minus ``paid``."""
 
     costs: FloatArray
     paid: float

@@ -68,8 +68,8 @@ def sample_departures(strategy: Strategy, n: int, rng: np.random.Generator, dist
     """Draw the routes of ``n`` convoys of one day: node indices (K,) each.
 
     ``distinct`` is the size of the middle section, as a share of the way, in which routes share no
-    node; with 0 they may share any, with 1 they meet only at their ends. After ``tries`` days, it
-    gives up.
+    node; with 0 they may share any, with 1 they meet only at their ends. Gives up after ``tries``
+    days.
 
     Raises NotDistinct, which states how many convoys can have distinct routes, if no such day was
     drawn; InvalidOption if an option is out of range or the strategy has stops.

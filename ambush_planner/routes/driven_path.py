@@ -1,4 +1,4 @@
-"""The driven path: the shortest one in the drawn route's corridor, with round corners.
+"""The driven path: the shortest in the drawn route's corridor, with round corners.
 
 The taut string leaves a margin at both ends of each portal, in which its corners are rounded. If a
 turn is too tight, the margin is widened.
@@ -141,7 +141,7 @@ def turn_radii(poses: FloatArray) -> FloatArray:
 
 
 def tight_turns(poses: FloatArray, turning_radius: float) -> int:
-    """How many turns of a path (L, 3) are tighter than ``turning_radius`` [m]."""
+    """Number of turns of a path (L, 3) that are tighter than ``turning_radius`` [m]."""
     tight = turn_radii(poses) < turning_radius * (1.0 - 1e-6)
     return int(np.count_nonzero(tight & ~np.append(False, tight[:-1])))
 
@@ -149,8 +149,8 @@ def tight_turns(poses: FloatArray, turning_radius: float) -> int:
 def different_paths(corridors: Corridors, routes: Iterable[IndexArray]) -> int:
     """Upper bound of the number of different paths of the routes (K,).
 
-    Routes with the same nodes after ``Corridors.shortened`` have the same path and count once. Few
-    others share a path: those whose path runs straight through portals at different nodes.
+    Routes with the same nodes after ``Corridors.shortened`` have the same path and count once. Only
+    routes whose paths run straight through portals at different nodes can share one as well.
     """
     once = {route.tobytes(): route for route in routes}.values()
     return len({tuple(corridors.shortened(places).tobytes() for places in _places(corridors, route))
