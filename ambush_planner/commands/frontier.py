@@ -19,7 +19,7 @@ from ..figures import PROBABILITY
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
+from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
@@ -55,7 +55,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options, output = options_from(arguments.set), arguments.output
     if output.suffix == '.png':
         raise InvalidOption(f'{output}: the picture has this name; choose TABLE.csv')
-    risk_map = read_risk_map(arguments.map, options.map)
+    risk_map = risk_map_from(arguments.map, options.map, console)
     network = build_network(risk_map, tuple(arguments.start), tuple(arguments.goal),
                             options.network)
     detours, slacks = arguments.detours, arguments.slacks

@@ -6,16 +6,20 @@ import argparse
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
-from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map_file import read_risk_map as read_risk_map
+from ..maps.occupancy import NO_RISK, OccupancyOptions
+from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
+from .console import Console
 
 MAP_HELP = """\
 MAP is a YAML file for map_server (ambush_terrain makes such maps), a GeoTIFF of the same values,
@@ -77,6 +81,15 @@ def options_from(assignments: Sequence[str]) -> SolveOptions:
         changes[group][option] = _value(name, text, type(getattr(options[group], option)))
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
+
+
+def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> RiskMap:
+    """Read a risk map, and warn if it carries no risk; raises as ``read_risk_map`` does."""
+    risk_map = read_risk_map(path, options)
+    losses = risk_map.alpha[~risk_map.obstacles]
+    if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
+        console.say(f'Warning: {NO_RISK}.')
+    return risk_map
 
 
 def _value(name: str, text: str, kind: type) -> Any:

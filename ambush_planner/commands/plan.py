@@ -21,7 +21,7 @@ from ..planning.plan import Plan
 from ..planning.trip import ORDERS, plan_trip
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
-from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, read_risk_map
+from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, risk_map_from
 from .report_words import distance, travel
 from .terrain import add_terrain, terrain_from
 
@@ -97,7 +97,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
-                else read_risk_map(arguments.map, occupancy))
+                else risk_map_from(arguments.map, occupancy, console))
     with console.waiting('solving the game'):
         plan = _plan(arguments, risk_map,
                      PlanningOptions(options.network, options.game, options.strategy))

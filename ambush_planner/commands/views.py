@@ -19,9 +19,10 @@ import yaml
 
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..recordings import read_departure, read_recording, recordings_in
 from . import cli
-from .inputs import MAP_HELP, read_risk_map
+from .inputs import MAP_HELP
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
 POSES = ('start_pose', 'goal_pose', 'initialpose')
