@@ -90,7 +90,7 @@ def test_random_sources_that_repeat_are_short_or_fixed_are_found(
 def test_too_few_departures_and_strategies_with_cycles_exit_4(tmp_path, a_plan, capsys):
     few = recorded(tmp_path / 'few', a_plan, drawn(a_plan, 4))
     code, text = run(capsys, few, '-o', tmp_path / 'out')
-    assert code == 4 and 'Not enough to tell: at least 5 departures' in text
+    assert code == 4 and 'Not enough data: at least 5 departures' in text
     assert not (tmp_path / 'out').exists()
     cyclic = sample_plan('interior_point')
     entries = {'parameters': parameters(**{'strategy.solver': 'interior_point'})}

@@ -132,7 +132,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             for _ in range(5):  # the last one waits in vain, and goes without a recording
                 departs(client)
             report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
-            assert 'wait for the disk, which does not answer' in report['message']
+            assert 'the disk does not respond' in report['message']
             # Nobody waits any more: this would not be answered in time.
             monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
             for _ in range(20):

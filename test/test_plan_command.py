@@ -170,7 +170,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
         done = run_here(plan, plain, *ENDS, '-n', 3, '-o', tmp_path / 'r.csv', *seed)
         assert done.code == 0
         return (pyogrio.read_dataframe(tmp_path / 'r.csv', read_geometry=False)['WKT'].tolist(),
-                'can foretell' in done.err)
+                'can predict' in done.err)
 
     assert run('--seed', 1) == run('--seed', 1) and run('--seed', 1)[1]
     one, other = run(), run()

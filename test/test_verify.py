@@ -47,7 +47,7 @@ def test_what_a_node_records_holds(files, capsys, options):
         assert re.fullmatch(
             rf'holds  {re.escape(path.name)}: departure \d, \d+ nodes, value [\d.]+', line
         )
-    assert out.count('(drawn with a fixed seed: anyone who knows it can foresee it)') == 2
+    assert out.count('(drawn with a fixed seed: anyone who knows it can predict it)') == 2
 
 
 def shift_path(message):
@@ -109,14 +109,14 @@ FORGERIES = {
     'a wider budget': (NEW_ROUTE, lambda f: scaled(f, 'length_budget', 1.1),
                        'its length budget is'),
     'another reach': (NEW_ROUTE, lambda f: f.set_arrays(tube=np.array(0.3)),
-                      'strategy: it is for another reach'),
+                      'strategy: its reach or held ground'),
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another spacing': (NEW_ROUTE, other_parameter('network.spacing', 0.9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),
     'another trip': (MOVED_GOAL, lambda f: f.entries['trip'].update(start=[1.5, 4.5]), 'network: '),
     'no place to start': (NEW_ROUTE, lambda f: f.entries['trip'].update(start=[99.0, 0.0]),
-                          'cannot be planned with'),
+                          'no plan follows from'),
 }
 
 

@@ -83,9 +83,9 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                       metavar='COUNT', help='number of routes to draw (default: 1)')
     add_outputs(made)
-    made.add_argument('--order', choices=ORDERS, default='given', help='of the stops')
+    made.add_argument('--order', choices=ORDERS, default='given', help='order of the stops (default: given)')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
-                      help='always the same routes, for tests only: anybody can foretell them')
+                      help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
     add_set(made)
     made.add_argument('--terrain', action='store_true', help='MAP is an elevation model')
@@ -102,8 +102,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         plan = _plan(arguments, risk_map,
                      PlanningOptions(options.network, options.game, options.strategy))
     if arguments.seed is not None:
-        console.say('Warning: drawn with --seed, so anybody who knows the seed can foretell these '
-                    'routes. Use it for tests only.')
+        console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these routes. '
+                    'Use it for tests only.')
     drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
     write_outputs(arguments.output, drawn)
     _tell(plan, console)
@@ -139,15 +139,15 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     longer = strategy.expected_length / strategy.shortest_length
     held = strategy.game.options.held_radius
     for name, text in (
-        ('value', f'{strategy.value:.4g}: mean loss by the best ambush, even if all but the draw '
-                  'is known'),
+        ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
+                  'knows all but the draw'),
         ('lower bound', f'{strategy.lower_bound:.4g}: no planner can guarantee less on this '
                         'network'),
         ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
-        ('assumption', f'nobody waits within {distance(held)} of start, stops and goal'
-                       if held else 'none: nobody holds the ground at start and goal'),
+        ('assumption', f'nobody can wait within {distance(held)} of start, stops and goal'
+                       if held else 'none: an ambush can wait anywhere, also at start and goal'),
     ):
         console.line(f'{name:<15} {text}')
     console.result = {

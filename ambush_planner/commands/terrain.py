@@ -60,9 +60,9 @@ def add_terrain(made: argparse.ArgumentParser) -> None:
     made.add_argument('--roads', type=Path, metavar='FILE', help='cells with roads')
     for name, default, text in (
         ('--resolution', 0.0, "cell size [m] (default: the DEM's)"),
-        ('--weapon-range', 300.0, '[m] (default: 300)'),
-        ('--vehicle-height', 2.5, '[m] (default: 2.5)'),
-        ('--person-height', 1.7, '[m] (default: 1.7)'),
+        ('--weapon-range', 300.0, 'range of an ambush [m] (default: 300)'),
+        ('--vehicle-height', 2.5, 'height of vehicles [m] (default: 2.5)'),
+        ('--person-height', 1.7, 'height of the eyes of an ambusher [m] (default: 1.7)'),
         ('--slope-limit', 0.42, 'maximum drivable slope (rise/run, default: 0.42)'),
         ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
     ):

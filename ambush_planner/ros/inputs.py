@@ -161,8 +161,8 @@ class Inputs:
 
     def _no_map(self) -> NoReturn:
         if self._arrived['alpha_map'] is not None:
-            raise NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
-                        'costmap, or set map.costmap to false')
+            raise NoMap('no costmap yet, or no transform to the frame of the risk map: publish one '
+                        'on costmap, or start with map.costmap false')
         why = f'; the last one was refused: {self._refused}' if self._refused else ''
         raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
 

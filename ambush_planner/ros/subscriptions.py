@@ -92,7 +92,7 @@ class Subscriptions:
         age = time.monotonic() - self._arrived.get('costmap', math.inf)
         if age <= _STOPPED:
             return ''
-        return (f'the costmap is {age:.0f} s old: obstacles since then are missing; check that '
+        return (f'the costmap is {age:.0f} s old, so newer obstacles are missing; check that '
                 f'{self._node.resolve_topic_name("costmap")} is still published')
 
     def close(self) -> None:
