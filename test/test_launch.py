@@ -131,7 +131,8 @@ def test_arguments_reach_the_node(tmp_path):
         answer = client.call('new_route').message
         assert 'not configured' in answer and 'publish start and goal again' in answer
         names = '/risk, /convoy/ambush/start_pose, /convoy/ambush/goal_pose; each call of '
-        assert f'publish {names}/convoy/ambush_planner/new_route' in (tmp_path / 'output').read_text()
+        said = (tmp_path / 'output').read_text()
+        assert f'publish {names}/convoy/ambush_planner/new_route' in said
         assert not node.count_subscribers('/risk')
 
 

@@ -109,7 +109,7 @@ def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
     left.write_bytes(b'half')
     os.utime(left, (0.0, 0.0))
     with stderr_in(tmp_path / 'log') as said, stage(tmp_path):
-        wait_until(lambda: f'removed {left}' in said(), 'the warning')
+        wait_until(lambda: f'removed the unfinished file {left}' in said(), 'the warning')
     assert not left.exists() and recordings(tmp_path) == [path]
 
 

@@ -235,7 +235,7 @@ def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
     rows = [departure(a_plan, route, k + 1) for k in range(5)]
     page = page_of(tmp_path, *rows, code=1, arguments=['--verify'])
     assert 'VERIFICATION FAILED for 5 of 5 recordings' in page.text
-    assert 'The audit has a finding: some stretches are driven far more' in page.text
+    assert 'The audit has a finding: the convoy used some stretches far more' in page.text
     assert 'An observer who learns from each departure' in page.text
 
 

@@ -83,7 +83,8 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                       metavar='COUNT', help='number of routes to draw (default: 1)')
     add_outputs(made)
-    made.add_argument('--order', choices=ORDERS, default='given', help='order of the stops (default: given)')
+    made.add_argument('--order', choices=ORDERS, default='given',
+                      help='order of the stops (default: given)')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
@@ -102,8 +103,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         plan = _plan(arguments, risk_map,
                      PlanningOptions(options.network, options.game, options.strategy))
     if arguments.seed is not None:
-        console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these routes. '
-                    'Use it for tests only.')
+        console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
+                    'routes. Use it for tests only.')
     drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
     write_outputs(arguments.output, drawn)
     _tell(plan, console)

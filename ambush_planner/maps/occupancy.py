@@ -12,10 +12,9 @@ import numpy.typing as npt
 from ..errors import InvalidOption, InvalidRiskMap
 from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
-
-NO_RISK = ('every free cell of the map has the same loss, so the map carries no risk: only obstacles and '
-           'lengths decide the routes. A map in mode trinary is either free or occupied; use mode '
-           'raw or scale, or make a risk map with ambush risk')
+NO_RISK = ('every free cell of the map has the same loss, so the map carries no risk: only '
+           'obstacles and lengths decide the routes. In mode trinary a map has no grades of risk; '
+           'use mode scale or raw, or make a risk map with ambush risk')
 
 
 @dataclass(frozen=True, eq=False)

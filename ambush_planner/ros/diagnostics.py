@@ -182,7 +182,7 @@ def _bottleneck_warning(plan: Plan | None) -> str:
         return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not bottleneck.value > 0.0:
-        return 'the value is 0: some routes meet no place where an ambush causes a loss; check the map'
+        return 'the value is 0: some routes meet no ambush that causes a loss; check the map'
     if 0.0 <= plan.options.game.secured_radius < game.reach:
         return (f'an ambush reaches {game.reach:.4g} m, tube included, but ground is held only '
                 f'within {plan.options.game.secured_radius:.4g} m of start and goal: an ambush '
