@@ -57,8 +57,8 @@ def add_crs(parser: argparse.ArgumentParser) -> None:
 def add_datum(parser: argparse._ActionsContainer) -> None:
     """Add the argument ``--datum``, for ``crs_text``."""
     parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
-                        help="the map is in a robot's frame: its origin, and the direction of x "
-                        "[rad from east], as navsat_transform's parameter datum")
+                        help="for a map in a robot's frame: position of its origin and direction "
+                        "of x [rad from east], as in navsat_transform's parameter datum")
 
 
 def crs_text(arguments: argparse.Namespace) -> str:

@@ -27,7 +27,7 @@ from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\
 {MAP_HELP}
-With --terrain it is an elevation model (GeoTIFF or npz), converted as ambush_terrain does.
+With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush_terrain does.
 
 A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west.
 {FORMATS_HELP}
@@ -79,7 +79,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map, or elevation model')
     for end in ('--start', '--goal', '--via'):
         made.add_argument(end, nargs='+', action=_Positions, required=end != '--via', metavar='X Y',
-                          help='stops in between' if end == '--via' else 'X Y [m] or LAT,LON')
+                          help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')
     made.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                       metavar='COUNT', help='number of routes to draw (default: 1)')
     add_outputs(made)

@@ -64,7 +64,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     for remark in joined.remarks:
         console.item(remark, indent=0)
     if (least, most) != (LEAST, MOST):
-        console.line(f'losses are not {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
+        console.line(f'losses go beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
     console.result = {'files': [cli.place(path) for path in files], 'alpha_min': least,
                       'alpha_max': most, 'remarks': joined.remarks}
     console.line(', '.join(console.result['files']))
