@@ -46,7 +46,7 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
     code, text = run(capsys, good, '-o', out)
     assert code == 0 and 'Nothing suspicious' in text and 'FINDING' not in text
     assert '12 departures, 2023-11-15 22:13:20 UTC to 2023-11-26 22:13:20 UTC' in text
-    assert re.search(r'mean loss of [\d.]+ against the published value 0\.3729', text)
+    assert re.search(r'mean loss of [\d.]+; the published value is 0\.3729', text)
     assert [path.name for path in out.iterdir()] == ['audit.png'] and set(good.iterdir()) == before
     assert stat.S_IMODE(out.stat().st_mode) == 0o700
     assert stat.S_IMODE((out / 'audit.png').stat().st_mode) == 0o600
@@ -63,7 +63,7 @@ def test_good_departures_pass_and_one_picture_is_written(good, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(('routes', 'said'), [
-    (lambda a_plan: drawn(a_plan, 1) * 6, 'FINDING: some stretches are driven far more or less'),
+    (lambda a_plan: drawn(a_plan, 1) * 6, 'FINDING: the convoy used some stretches far more'),
     (lambda a_plan: [*drawn(a_plan, 5), np.delete(drawn(a_plan, 1)[0], 4)],
      'FINDING: 1 steps or ends of routes cannot have been drawn'),
 ])
@@ -90,7 +90,7 @@ def test_random_sources_that_repeat_are_short_or_fixed_are_found(
 def test_too_few_departures_and_strategies_with_cycles_exit_4(tmp_path, a_plan, capsys):
     few = recorded(tmp_path / 'few', a_plan, drawn(a_plan, 4))
     code, text = run(capsys, few, '-o', tmp_path / 'out')
-    assert code == 4 and 'Not enough to tell: at least 5 departures' in text
+    assert code == 4 and 'Not enough data: at least 5 departures' in text
     assert not (tmp_path / 'out').exists()
     cyclic = sample_plan('interior_point')
     entries = {'parameters': parameters(**{'strategy.solver': 'interior_point'})}

@@ -101,13 +101,13 @@ def test_a_background_solve_that_is_cancelled_is_reported(running, monkeypatch):
     monkeypatch.setattr(
         WorkerProcess, 'solve', lambda *given: (go_on.wait(TIMEOUT), solve(*given))[1])
     update(client, 10, 0, WALL)
-    assert 'being solved again' in client.diagnostics(stale='yes', state='solving')['message']
+    assert 'a new plan is being' in client.diagnostics(stale='yes', state='solving')['message']
     try:
         assert client.call('cancel').success
     finally:
         go_on.set()
     report = client.diagnostics(stale='yes', state='ready', level=b'\1')
-    wait_until(lambda: 'again was cancelled' in client.diagnostics()['message'], 'the report')
+    wait_until(lambda: 'new solve was cancelled' in client.diagnostics()['message'], 'the report')
     assert 'new obstacles' in report['message']
     assert client.call('new_route').success
     client.diagnostics(stale='no')
@@ -118,7 +118,7 @@ def test_a_background_solve_that_fails_is_reported_as_long_as_it_lasts(running):
     running.planner.set_parameters([Parameter('diagnostics.error_hold', value=0.0)])
     update(client, 10, 0, np.full((20, 1), 100))
     client.diagnostics(stale='yes', state='ready', level=b'\1', code='NONE')
-    wait_until(lambda: 'solving it again failed' in client.diagnostics()['message'], 'the reason')
+    wait_until(lambda: 'the new solve failed' in client.diagnostics()['message'], 'the reason')
     assert not client.call('new_route').success
     update(client, 10, 0, np.full((20, 1), 10))
     client.diagnostics(stale='no')
@@ -135,8 +135,8 @@ def test_a_risk_slack_does_not_keep_departures_waiting():
 
 
 @pytest.mark.parametrize('x, y, values, frame, words', [
-    (18, 0, [[1, 2, 3]], 'map', r'3 x 1 cells from \(18, 0\) on do not lie within .* 20 x 20'),
-    (-1, 0, [[1]], 'map', 'do not lie within'),
+    (18, 0, [[1, 2, 3]], 'map', r'3 x 1 cells from \(18, 0\) do not fit into .* 20 x 20'),
+    (-1, 0, [[1]], 'map', 'do not fit into'),
     (0, 0, [[101]], 'map', r'map update: cell values must be in -1..100, got 101'),
     (0, 0, [[1]], 'odom', "map update: its frame is 'odom', but the frame of the map is 'map'"),
 ])

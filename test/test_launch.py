@@ -129,9 +129,10 @@ def test_arguments_reach_the_node(tmp_path):
         assert (spacing.double_value, preset.string_value) == (0.05, 'costmap')
         client = Client(node, '/convoy/ambush_planner')
         answer = client.call('new_route').message
-        assert 'not configured' in answer and 'start and goal have to be published again' in answer
-        names = '/risk, /convoy/ambush/start_pose, /convoy/ambush/goal_pose; /convoy/ambush_planner'
-        assert f'it needs {names}/new_route' in (tmp_path / 'output').read_text()
+        assert 'not configured' in answer and 'publish start and goal again' in answer
+        names = '/risk, /convoy/ambush/start_pose, /convoy/ambush/goal_pose; each call of '
+        said = (tmp_path / 'output').read_text()
+        assert f'publish {names}/convoy/ambush_planner/new_route' in said
         assert not node.count_subscribers('/risk')
 
 

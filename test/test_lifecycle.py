@@ -75,7 +75,7 @@ def test_without_autostart_it_waits_and_refuses_in_each_state():
         client.publish('alpha_map', risk_grid())
         client.publish('start_pose', START)
         client.publish('goal_pose', GOAL)
-        client.call_until('new_route', lambda answer: 'activated' in answer.message)
+        client.call_until('new_route', lambda answer: 'is inactive' in answer.message)
         assert not client.get_plan(START, GOAL).poses
         client.diagnostics(state='inactive', code='INACTIVE')
         assert not client.received['path']

@@ -109,7 +109,7 @@ def test_a_node_that_starts_removes_what_a_kill_has_left(tmp_path):
     left.write_bytes(b'half')
     os.utime(left, (0.0, 0.0))
     with stderr_in(tmp_path / 'log') as said, stage(tmp_path):
-        wait_until(lambda: f'removed {left}' in said(), 'the warning')
+        wait_until(lambda: f'removed the unfinished file {left}' in said(), 'the warning')
     assert not left.exists() and recordings(tmp_path) == [path]
 
 
@@ -132,7 +132,7 @@ def test_a_disk_that_does_not_answer_holds_nobody_up(tmp_path, monkeypatch):
             for _ in range(5):  # the last one waits in vain, and goes without a recording
                 departs(client)
             report = client.diagnostics(code='RECORDING_FAILED', recording='failed')
-            assert 'wait for the disk, which does not answer' in report['message']
+            assert 'the disk does not respond' in report['message']
             # Nobody waits any more: this would not be answered in time.
             monkeypatch.setattr(recordings_module, '_PATIENCE', 10 * TIMEOUT)
             for _ in range(20):

@@ -124,5 +124,5 @@ def test_ground_that_changes_too_fast_is_reported(monkeypatch):
     with stage() as running:
         answer = running.give().call('new_route')
         assert not answer.success
-        assert 'were out of date before they were done' in answer.message
+        assert 'in a row were out of date' in answer.message
         running.client.diagnostics(code='OUT_OF_DATE')

@@ -95,7 +95,7 @@ def test_departures_and_a_clean_exit(tmp_path):
     assert all(read_with_mcap_ros2(path) for path in files if path.suffix == '.mcap')
     logs = [path.read_text() for path in (tmp_path / 'log').rglob('*') if path.is_file()]
     said = '\n'.join([*logs, (tmp_path / 'output').read_text()])
-    assert 'the parameter seed is fixed' in said
+    assert 'the parameter seed is set' in said
     assert SEED not in said
     assert 'Traceback' not in said
 

@@ -53,9 +53,9 @@ def change(node, **values):
 
 def test_unknown_parameters_are_named_at_the_start(capfd):
     start(network__spaceing=2.0, game__secured_radus=50.0)
-    assert 'game.secured_radus, network.spaceing: no such parameter' in capfd.readouterr().err
+    assert 'unknown parameters: game.secured_radus, network.spaceing;' in capfd.readouterr().err
     start(network__spacing=2.0, use_sim_time=True)
-    assert 'no such parameter' not in capfd.readouterr().err
+    assert 'unknown parameters' not in capfd.readouterr().err
 
 
 def test_defaults_are_the_cores_own():

@@ -153,6 +153,19 @@ def test_a_map_without_a_system_keeps_its_own_metres(plain, tmp_path):
     assert drawn_on.covers(tables['routes'].geometry).all()
 
 
+@pytest.mark.parametrize('mode, warns', [('trinary', True), ('scale', False)])
+def test_a_map_that_carries_no_risk_is_named(tmp_path, mode, warns):
+    pixels = np.repeat(np.array([[254], [150]], np.uint8), 20, axis=0) * np.ones(40, np.uint8)
+    (tmp_path / 'm.pgm').write_bytes(b'P5 40 40 255 ' + pixels.tobytes())
+    (tmp_path / 'm.yaml').write_text(
+        f'image: m.pgm\nmode: {mode}\nresolution: 1.0\norigin: [0, 0, 0]\nnegate: 0\n'
+        'occupied_thresh: 0.65\nfree_thresh: 0.196\n')
+    options = ('--start', 5, 30, '--goal', 35, 30, '-o', tmp_path / 'r.csv')
+    for levels, said in (((), warns), (('--set', 'map.alpha_max=1'), False)):
+        done = run_here(plan, tmp_path / 'm.yaml', *options, *levels)
+        assert done.code == 0 and ('the map carries no risk' in done.err) == said, done.err
+
+
 def test_a_robots_map_is_placed_by_its_datum(plain, tmp_path):
     done = run_here(plan, plain, *ENDS, '-o', tmp_path / 'r.gpx', '--datum', -33.9, 18.4, 0.5)
     assert done.code == 0, done.err
@@ -170,7 +183,7 @@ def test_routes_are_fresh_unless_a_seed_is_given(plain, tmp_path):
         done = run_here(plan, plain, *ENDS, '-n', 3, '-o', tmp_path / 'r.csv', *seed)
         assert done.code == 0
         return (pyogrio.read_dataframe(tmp_path / 'r.csv', read_geometry=False)['WKT'].tolist(),
-                'can foretell' in done.err)
+                'can predict' in done.err)
 
     assert run('--seed', 1) == run('--seed', 1) and run('--seed', 1)[1]
     one, other = run(), run()

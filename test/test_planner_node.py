@@ -135,7 +135,7 @@ def test_warns_of_a_bottleneck_at_the_ends():
         report = running.client.diagnostics(departures='1', level=b'\1')
         assert re.fullmatch(
             r'ready; (\d+) nodes decide the value [\d.]+, \d+ of them within [\d.]+ m of start or '
-            r'goal; if that ground were secured \(game.secured_radius\), the value would be [\d.]+',
+            r'goal; if that ground were held \(game.secured_radius\), the value would be [\d.]+',
             report['message'])
         assert report['deciding_sites'] in report['message']
         assert float(report['secured_value']) < float(report['value'])
@@ -175,7 +175,7 @@ def test_neither_seed_nor_route_is_logged_or_reported(capfd):
         assert not client.get_plan(START, pose(5.0, 5.5)).poses
         client.diagnostics(code='GOAL_OCCUPIED')
         said = str(client.received['/diagnostics']) + unstamped(''.join(capfd.readouterr()))
-    assert 'the parameter seed is fixed' in said
+    assert 'the parameter seed is set' in said
     assert '987654321' not in said
     assert len(path) > 5
     assert not re.search(r'\d\.(1234|5678|6234|0678)', said)

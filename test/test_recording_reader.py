@@ -137,7 +137,7 @@ def test_a_file_of_an_earlier_format_gets_one_clear_error(tmp_path, monkeypatch)
     with pytest.raises(UnreadableRecording) as caught:
         read_recording(path)
     assert str(caught.value) == (
-        f"{path} is not readable as a recording: its format is '5', this version reads "
+        f"{path} cannot be read as a recording: its format is '5', this version reads "
         f"'{FORMAT}': use the version of ambush_planner that recorded it"
     )
 

@@ -121,7 +121,7 @@ def test_the_numbers_are_those_of_the_strategy(made, a_plan):
     assert f'mean loss of more than {strategy.value:.4f} per departure' in page.text
     assert f'guarantee less than {strategy.lower_bound:.4f} on this network' in page.text
     assert 'No ambusher that waits more than 40 m from start and goal' in page.text
-    assert 'Nobody waits within 40 m of start or goal: if that ground is not secured' in page.text
+    assert 'Nobody can wait within 40 m of start or goal: if that ground is not held' in page.text
     assert f'{strategy.route_entropy:.4g} nats' in page.text
     for row, cells in zip(evaluate(strategy).values(),
                           report_words.measures(section.strategy)[1:], strict=True):
@@ -226,7 +226,7 @@ def test_it_says_verified_only_if_it_verified(tmp_path, made):
     assert 'Not verified' in page_of(tmp_path).text
     text = page_of(tmp_path, arguments=['--verify']).text
     assert 'Verified: all 1 recordings' in text
-    assert 'Not enough to tell: at least 5 departures' in text
+    assert 'Not enough data: at least 5 departures' in text
 
 
 def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
@@ -235,8 +235,8 @@ def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
     rows = [departure(a_plan, route, k + 1) for k in range(5)]
     page = page_of(tmp_path, *rows, code=1, arguments=['--verify'])
     assert 'VERIFICATION FAILED for 5 of 5 recordings' in page.text
-    assert 'The audit has a finding: some stretches are driven far more' in page.text
-    assert 'An observer who learns as he goes' in page.text
+    assert 'The audit has a finding: the convoy used some stretches far more' in page.text
+    assert 'An observer who learns from each departure' in page.text
 
 
 def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
@@ -244,7 +244,7 @@ def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
                                      for k, r in enumerate(drawn(a_plan, 2))])
     paths[0].write_bytes(b'nothing')
     page = page_of(tmp_path, code=3)
-    assert 'could not be read and are missing: 1.' in page.text
+    assert 'Not shown, because unreadable: 1 recording.' in page.text
     assert paths[0].name in capsys.readouterr().err
     paths[1].write_bytes(b'nothing')
     assert report.main([str(tmp_path / 'in'), '-o', str(tmp_path / 'none'), '--json']) == 3

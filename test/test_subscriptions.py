@@ -25,6 +25,7 @@ def test_maps_plans_and_departures_are_logged_in_a_line_each(tmp_path):
     maps = [line for line in logged if 'map accepted' in line]
     assert maps == ["map accepted: 30 x 12 cells of 0.5 m in the frame 'map'",
                     "map accepted: 30 x 14 cells of 0.5 m in the frame 'map'"]
+    assert said().count('the map carries no risk') == 2, 'once for each ground'
     (solved,) = [line for line in logged if 'solved' in line]
     assert re.fullmatch(r'plan solved in \d+\.\d\d s: value [\d.e-]+, \d+ nodes', solved)
     departures = [line for line in logged if line.startswith('departure')]

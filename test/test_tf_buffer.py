@@ -111,7 +111,7 @@ def test_times_that_do_not_overlap_are_an_error():
 
 @pytest.mark.parametrize('target, source, words', [
     ('map', 'nowhere', "'nowhere' does not exist"), ('elsewhere', 'map', "'elsewhere' does not"),
-    ('map', 'moon', 'not in one tree'), ('map', 'a', 'loop'),
+    ('map', 'moon', 'no transforms connect'), ('map', 'a', 'loop'),
 ])
 def test_frames_that_are_not_connected(target, source, words):
     buffer = buffer_of(

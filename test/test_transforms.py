@@ -267,7 +267,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
         for number, asked, begins, words in (
             (1, (1.5, 5.5), places[0], 'published on /path'),
             (2, (1.5, 2.5), places[1], 'joins the route of an earlier start: value'),
-            (3, (1.5, 8.5), (1.5, 8.5), 'begins where the convoy was when asked'),
+            (3, (1.5, 8.5), (1.5, 8.5), 'begins where the convoy was at the request'),
         ):
             robot.is_at(*asked)
             wait_until(lambda asked=asked: located(running) == pytest.approx(asked), 'the place')

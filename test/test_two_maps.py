@@ -64,7 +64,7 @@ def test_the_node_waits_for_the_costmap_and_joins_it(monkeypatch):
         client.call_until('new_route', lambda answer: answer.success)
         path = client.last('path').poses
         assert max(each.pose.position.y for each in path) > 9.0, 'around the wall'
-        wait_until(lambda: 's old: obstacles since' in client.diagnostics()['message'], 'the age')
+        wait_until(lambda: 's old, so newer' in client.diagnostics()['message'], 'the age')
         elsewhere = risk_grid(wall, 0.25, (4.5, 0.0, 0.0), frame='odom')
         costs.publish(elsewhere)
         report = client.diagnostics(code='TF_ERROR')

@@ -47,7 +47,7 @@ def test_what_a_node_records_holds(files, capsys, options):
         assert re.fullmatch(
             rf'holds  {re.escape(path.name)}: departure \d, \d+ nodes, value [\d.]+', line
         )
-    assert out.count('(drawn with a fixed seed: anyone who knows it can foresee it)') == 2
+    assert out.count('(drawn with a fixed seed: anyone who knows it can predict it)') == 2
 
 
 def shift_path(message):
@@ -92,13 +92,13 @@ def other_parameter(name, value):
 
 
 FORGERIES = {
-    'another route': (NEW_ROUTE, other_route, 'route: it is not the one'),
-    'another source': (AGAIN, other_source, 'route: it is not the one'),
+    'another route': (NEW_ROUTE, other_route, 'route: the recorded entropy draws another'),
+    'another source': (AGAIN, other_source, 'route: the recorded entropy draws another'),
     'a short source': (NEW_ROUTE, lambda f: f.entries.update(route_entropy_source=[3]),
                        'fewer than 192 bits'),
     'another seed': (SEEDED, other_parameter('seed', 6), 'does not follow from the parameter seed'),
-    'a path moved': (GET_PLAN, lambda f: f.edit('path', shift_path), 'path: its poses'),
-    'a path turned': (GET_PLAN, lambda f: f.edit('path', turn_path), 'path: its poses'),
+    'a path moved': (GET_PLAN, lambda f: f.edit('path', shift_path), 'path: it does not follow'),
+    'a path turned': (GET_PLAN, lambda f: f.edit('path', turn_path), 'path: it does not follow'),
     'other probabilities': (NEW_ROUTE, other_probabilities, 'strategy'),
     'no flow': (NEW_ROUTE, lambda f: scaled(f, 'edge_probability', 0.5), 'strategy.npz: '),
     'value understated': (NEW_ROUTE, lambda f: scaled(f, 'value', 0.9), 'its value is stated as'),
@@ -109,14 +109,14 @@ FORGERIES = {
     'a wider budget': (NEW_ROUTE, lambda f: scaled(f, 'length_budget', 1.1),
                        'its length budget is'),
     'another reach': (NEW_ROUTE, lambda f: f.set_arrays(tube=np.array(0.3)),
-                      'strategy: it is for another reach'),
+                      'strategy: its reach or held ground'),
     'points moved': (GET_PLAN, lambda f: scaled(f, 'points', 1.0 + 1e-9), 'network: '),
     'another spacing': (NEW_ROUTE, other_parameter('network.spacing', 0.9), 'network: '),
     'another map': (NEW_ROUTE, lambda f: f.edit(
         'map', lambda m: m.data.__setitem__(slice(180, 230), m.data[170:220])), 'network: '),
     'another trip': (MOVED_GOAL, lambda f: f.entries['trip'].update(start=[1.5, 4.5]), 'network: '),
     'no place to start': (NEW_ROUTE, lambda f: f.entries['trip'].update(start=[99.0, 0.0]),
-                          'cannot be planned with'),
+                          'no plan follows from'),
 }
 
 
@@ -245,7 +245,7 @@ def test_departures_near_their_plan_on_ground_that_has_changed(tmp_path, capsys,
     forger = Forger(files[-1])
     other_route(forger)
     code, out = verified(forger.save(tmp_path / 'forged.mcap'), capsys)
-    assert code == 1 and 'route: it is not the one' in out
+    assert code == 1 and 'route: the recorded entropy draws another' in out
 
 
 def test_changes_lead_from_one_map_to_the_other():

@@ -1,4 +1,4 @@
-"""``ambush_audit``: do recorded departures follow the published law, could one foresee them?"""
+"""``ambush_audit``: do recorded departures follow the published law, can they be predicted?"""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from . import cli
 PICTURE = 'audit.png'
 NUMBERS = ('left_out', 'p_value', 'impossible', 'value', 'observer_loss', 'observer_range')
 EPILOG = """\
-All departures are tested together, each under the strategy that it was drawn from: is every
-stretch driven as often as published? The p-value comes from 999 resamples; up to 0.001 it is a
-finding, so 1 of 1000 audits of honest departures has one. Impossible steps, fixed seeds, and
-random sources that repeat or are too short are findings too. The audit also follows an observer
-who learns as he goes: before each departure he waits where waiting would have cost the earlier
-ones most.
+Tests all departures together, each under the strategy that it was drawn from: does the convoy
+use every stretch as often as published? The p-value comes from 999 resamples. A p-value of at most
+0.001 is a finding, so 1 of 1000 audits of honest departures has one. Impossible steps, fixed seeds,
+and random sources that repeat or are too short are findings, too. The audit also simulates an
+observer who learns from each departure: before the next one he waits where an ambush would have
+cost the earlier ones most.
 
-At least five departures from strategies without cycles are needed. With -o, DIR gets audit.png:
-where the convoy should have driven, where it did, and what the observer would have caused. It
-shows secret routes: its mode is 0600, that of a new folder 0700.
+You need at least five departures from strategies without cycles. -o DIR writes audit.png: where
+the convoy should have driven, where it did, and the loss that the observer would have caused. The
+picture shows secret routes, so it has mode 0600 and a new folder 0700.
 --json: {"verdict", "departures", "left_out", "findings", "p_value", "impossible", "value",
 "observer_loss", "observer_range", "unreadable"}
 """ + cli.EXIT_CODES
@@ -53,26 +53,27 @@ def read_all(place: Path,
 def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str], list[str]]:
     """Audit departures; return the audit (None: too few departures), findings, and notes."""
     findings = source_findings(departures) + [
-        f'{each.path.name} was drawn with a fixed seed, so it can be foretold'
+        f'{each.path.name} was drawn with a fixed seed, so it can be predicted'
         for each in departures if each.parameters.seed >= 0
     ]
     try:
         result = audit(departures)
     except NotAuditable as error:
-        return None, findings, [f'Not enough to tell: {error}.']
+        return None, findings, [f'Not enough data: {error}.']
     if result.impossible:
         findings.append(f'{result.impossible} steps or ends of routes cannot have been drawn: '
-                        'something else was driven than was planned')
+                        'the recorded routes are not those that were planned')
     elif result.finding:
-        findings.append('some stretches are driven far more or less often than published '
+        findings.append('the convoy used some stretches far more or less often than published '
                         f'(p = {result.p_value:.3g})')
     low, high = result.observer_range
-    notes = ['An observer who learns as he goes would have caused a mean loss of '
-             f'{result.observer_loss:.4g} against the published value {result.value:.4g}. For '
-             f'departures drawn as published it is {low:.4g} to {high:.4g} in 9 of 10 cases.']
+    notes = ['An observer who learns from each departure would have caused a mean loss of '
+             f'{result.observer_loss:.4g}; the published value is {result.value:.4g}. If the '
+             f'departures are drawn as published, that loss is {low:.4g} to {high:.4g} in 9 of 10 '
+             'cases.']
     if not findings:
-        notes.insert(0, 'Nothing suspicious: the stretches are driven as often as published '
-                     f'(p = {result.p_value:.3g}). Few departures show only gross deviations.')
+        notes.insert(0, 'Nothing suspicious: the convoy used the stretches as often as published '
+                     f'(p = {result.p_value:.3g}). A few departures reveal only gross deviations.')
     if result.left_out:
         notes.append('Not audited, because their strategies have cycles: '
                      f'{cli.count(result.left_out, "departure")}.')

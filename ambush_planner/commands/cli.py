@@ -81,7 +81,7 @@ def new_parser(command: str, description: str, epilog: str) -> argparse.Argument
     """Return a parser with the options that all commands have."""
     parser = _parser(f'ambush_{command}', description, epilog)
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
-    parser.add_argument('-q', '--quiet', action='store_true', help='print nothing but errors')
+    parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')
     return parser
 
 
@@ -181,7 +181,7 @@ def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentPar
 
 
 def _entry_parser() -> argparse.ArgumentParser:
-    parser = _parser('ambush', 'Random routes that an ambusher cannot foresee.',
+    parser = _parser('ambush', 'Random routes that an ambusher cannot predict.',
                      'ambush COMMAND --help shows its options.\n' + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():

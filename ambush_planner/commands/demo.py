@@ -38,8 +38,8 @@ SLACKS, SWEEP_SECONDS = (0.01, 0.1), 15.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,
-routes.png (the routes next to those of planners that never change theirs), frontier.csv and
-frontier.png (what other budgets would buy) and node.log.
+routes.png (the routes next to fixed ones), frontier.csv and frontier.png (what other budgets would
+buy) and node.log.
 --json: {"verdict", "folder", "departures", "value", "lower_bound", "seconds"}
 """ + cli.EXIT_CODES
 

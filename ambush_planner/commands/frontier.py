@@ -19,12 +19,12 @@ from ..figures import PROBABILITY
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
+from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
 {MAP_HELP}
-A strategy is solved for each detour with the given slack, and for each slack with the given detour.
+Solves a strategy for each detour with the given slack, and for each slack with the given detour.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
 finding. TABLE.png shows the same as curves.
@@ -44,9 +44,9 @@ def parser() -> argparse.ArgumentParser:
                           help='world position [m]')
     cli.add_table(made)
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
-                      help='expected lengths over the shortest (default: 1.02 to 1.5)')
+                      help='length budgets over the shortest route (default: 1.02 to 1.5)')
     made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
-                      'of the value given up for unpredictability (default: 0 to 0.3)')
+                      'of the value to give up for unpredictability (default: 0 to 0.3)')
     add_set(made)
     return made
 
@@ -55,7 +55,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options, output = options_from(arguments.set), arguments.output
     if output.suffix == '.png':
         raise InvalidOption(f'{output}: the picture has this name; choose TABLE.csv')
-    risk_map = read_risk_map(arguments.map, options.map)
+    risk_map = risk_map_from(arguments.map, options.map, console)
     network = build_network(risk_map, tuple(arguments.start), tuple(arguments.goal),
                             options.network)
     detours, slacks = arguments.detours, arguments.slacks

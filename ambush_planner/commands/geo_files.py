@@ -27,7 +27,7 @@ from ..planning.route_layers import route_table, strategy_tables
 from .cli import Console, count, place, write_private
 
 FORMATS_HELP = """\
-FILE's suffix is its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
+FILE's suffix sets its format. .gpkg (GeoPackage; QGIS draws it with config/ambush_planner.qml) and
 .geojson have the routes (departure, length [m], time of drawing), the edges (probability), the
 ambush sites (probability, loss), held and forbidden ground. .geojson (property layer) is in
 latitude and longitude if the map has a coordinate system, .gpkg in the map's. .gpx has each

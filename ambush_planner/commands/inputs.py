@@ -6,16 +6,20 @@ import argparse
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
-from ..maps.occupancy import OccupancyOptions
-from ..maps.risk_map_file import read_risk_map as read_risk_map
+from ..maps.occupancy import NO_RISK, OccupancyOptions
+from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
+from .console import Console
 
 MAP_HELP = """\
 MAP is a YAML file for map_server (ambush_terrain makes such maps), a GeoTIFF of the same values,
@@ -53,8 +57,8 @@ def add_crs(parser: argparse.ArgumentParser) -> None:
 def add_datum(parser: argparse._ActionsContainer) -> None:
     """Add the argument ``--datum``, for ``crs_text``."""
     parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),
-                        help="the map is in a robot's frame: its origin, and the direction of x "
-                        "[rad from east], as navsat_transform's parameter datum")
+                        help="for a map in a robot's frame: position of its origin and direction "
+                        "of x [rad from east], as in navsat_transform's parameter datum")
 
 
 def crs_text(arguments: argparse.Namespace) -> str:
@@ -77,6 +81,15 @@ def options_from(assignments: Sequence[str]) -> SolveOptions:
         changes[group][option] = _value(name, text, type(getattr(options[group], option)))
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
+
+
+def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> RiskMap:
+    """Read a risk map, and warn if it carries no risk; raises as ``read_risk_map`` does."""
+    risk_map = read_risk_map(path, options)
+    losses = risk_map.alpha[~risk_map.obstacles]
+    if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
+        console.say(f'Warning: {NO_RISK}.')
+    return risk_map
 
 
 def _value(name: str, text: str, kind: type) -> Any:

@@ -21,13 +21,13 @@ from ..planning.plan import Plan
 from ..planning.trip import ORDERS, plan_trip
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
-from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, read_risk_map
+from .inputs import MAP_HELP, OPTIONS_HELP, add_crs, add_set, crs_text, options_from, risk_map_from
 from .report_words import distance, travel
 from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\
 {MAP_HELP}
-With --terrain it is an elevation model (GeoTIFF or npz), converted as ambush_terrain does.
+With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush_terrain does.
 
 A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west.
 {FORMATS_HELP}
@@ -79,13 +79,14 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('map', type=Path, metavar='MAP', help='the risk map, or elevation model')
     for end in ('--start', '--goal', '--via'):
         made.add_argument(end, nargs='+', action=_Positions, required=end != '--via', metavar='X Y',
-                          help='stops in between' if end == '--via' else 'X Y [m] or LAT,LON')
+                          help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')
     made.add_argument('-n', '--departures', type=cli.number(1, 1e4, int), default=1,
                       metavar='COUNT', help='number of routes to draw (default: 1)')
     add_outputs(made)
-    made.add_argument('--order', choices=ORDERS, default='given', help='of the stops')
+    made.add_argument('--order', choices=ORDERS, default='given',
+                      help='order of the stops (default: given)')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
-                      help='always the same routes, for tests only: anybody can foretell them')
+                      help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
     add_set(made)
     made.add_argument('--terrain', action='store_true', help='MAP is an elevation model')
@@ -97,12 +98,12 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
-                else read_risk_map(arguments.map, occupancy))
+                else risk_map_from(arguments.map, occupancy, console))
     with console.waiting('solving the game'):
         plan = _plan(arguments, risk_map,
                      PlanningOptions(options.network, options.game, options.strategy))
     if arguments.seed is not None:
-        console.say('Warning: drawn with --seed, so anybody who knows the seed can foretell these '
+        console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')
     drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
     write_outputs(arguments.output, drawn)
@@ -139,15 +140,15 @@ def _tell(plan: Plan, console: cli.Console) -> None:
     longer = strategy.expected_length / strategy.shortest_length
     held = strategy.game.options.held_radius
     for name, text in (
-        ('value', f'{strategy.value:.4g}: mean loss by the best ambush, even if all but the draw '
-                  'is known'),
+        ('value', f'{strategy.value:.4g}: mean loss per departure if the ambusher plays best and '
+                  'knows all but the draw'),
         ('lower bound', f'{strategy.lower_bound:.4g}: no planner can guarantee less on this '
                         'network'),
         ('mean length', f'{travel(strategy, strategy.expected_length)}, {longer:.2f} times the '
                         'shortest'),
         ('shortest route', f'would cost {shortest:.4g} once it is known'),
-        ('assumption', f'nobody waits within {distance(held)} of start, stops and goal'
-                       if held else 'none: nobody holds the ground at start and goal'),
+        ('assumption', f'nobody can wait within {distance(held)} of start, stops and goal'
+                       if held else 'none: an ambush can wait anywhere, also at start and goal'),
     ):
         console.line(f'{name:<15} {text}')
     console.result = {

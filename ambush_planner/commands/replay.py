@@ -18,12 +18,12 @@ from . import cli
 
 NODE_NAME = 'ambush_replay'
 EPILOG = """\
-The recorded bytes go out on the recorded topics, with the recorded quality of service and at the
-recorded distances in time; departures are --every seconds apart. Publishers are made first and
-wait for listeners on each topic for up to 3.5 s, with --inputs-only for up to 10 s. Recorded
-service calls go out on <service>/_service_event; no service is called. Latched messages are kept
-for late joiners until all listeners have them (for 30 s at most), or until Ctrl-C with --keep.
-Remapping and node options follow --ros-args at the end, as for any ROS executable:
+Publishes the recorded bytes on the recorded topics, with the recorded quality of service and
+timing; departures are --every seconds apart. First waits for listeners on each topic, for up to
+3.5 s, or 10 s with --inputs-only. Recorded service calls are published on
+<service>/_service_event; no service is called. Keeps latched messages for late joiners until all
+listeners have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node options
+follow --ros-args at the end, as for any ROS executable:
   ambush_replay FOLDER --keep --topics /alpha_map /path
   ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
@@ -52,12 +52,12 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument('-e', '--every', type=cli.number(0.0, 1e6), default=5.0, metavar='SECONDS',
                       help='time from one departure to the next (default: %(default)s)')
-    made.add_argument('-d', '--departure', type=int, metavar='N', help='only the departure at '
-                      'this place, from 1; negative numbers count from the end')
+    made.add_argument('-d', '--departure', type=int, metavar='N', help='only this '
+                      'departure: 1 is the first; negative numbers count from the end')
     made.add_argument('-r', '--rate', type=cli.number(1e-6, 1e9), default=1.0,
                       help='how many times as fast as recorded (default: %(default)s)')
     made.add_argument('-l', '--loop', action='store_true',
-                      help='start again after the end, until Ctrl-C')
+                      help='start again at the end, until Ctrl-C')
     made.add_argument('-k', '--keep', action='store_true',
                       help='keep latched messages until Ctrl-C')
     made.add_argument('--inputs-only', action='store_true',

@@ -22,13 +22,13 @@ from .audit import when
 from .cli import count, resource
 
 SEVERAL = (
-    'The start, the goal or the settings moved a little, so {} strategies were computed for this '
-    'trip. Probabilities and numbers are those of the latest one; the table has the mean loss of '
-    'each.'
+    'The start, the goal or the settings changed a little, so {} strategies were computed for this '
+    'trip. The page shows probabilities and numbers of the latest one; the table has the mean loss '
+    'of each.'
 )
 FIXED_SEED = (
-    'At least one of these departures was drawn with a fixed seed: anybody who knows the seed can '
-    'foretell the route. Use fixed seeds for tests only.'
+    'At least one of these departures was drawn with a fixed seed: anyone who knows the seed can '
+    'predict the route. Use fixed seeds for tests only.'
 )
 NOT_VERIFIED = (
     'Not verified: this page shows what the recordings say. Run ambush_verify on them, or make '
@@ -51,7 +51,7 @@ def page(sections: Sequence[Section], unreadable: int, checks: Checks | None) ->
     departures = sum(len(section.departures) for section in sections)
     said = _checks(checks)
     if unreadable:
-        said.append(_warning(f'Recordings that could not be read and are missing: {unreadable}.'))
+        said.append(_warning(f'Not shown, because unreadable: {count(unreadable, "recording")}.'))
     script = resource('report_map.js')
     return Template(resource('report_page.html')).substitute(
         digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(),

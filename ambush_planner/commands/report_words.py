@@ -42,20 +42,21 @@ def certificate(section: Section) -> list[str]:
     reach = strategy.game.reach
     passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
     ends = (
-        f' Nobody waits within {distance(held)} of start or goal: if that ground is not secured, '
+        f' Nobody can wait within {distance(held)} of start or goal: if that ground is not held, '
         'the guarantee does not hold.' if held > 0.0 else ''
     )
     return [
         f'No ambusher{outside} causes a mean loss of more than {strategy.value:.4f} per departure, '
         'even if he knows the map, the strategy and all earlier routes. He must not know the next '
-        'draw.',
+        'route.',
         f'No planner can guarantee less than {strategy.lower_bound:.4f} on this network{length}: '
-        'the ambusher in the picture causes at least that mean loss against every planner.',
+        'the ambusher in the picture causes at least this mean loss against every planner.',
         f'The two numbers differ by {strategy.gap:.1e}, so this strategy is {verdict}. Both were '
         'computed again for this page from the recorded probabilities.',
         'The assumptions: at each departure one ambush waits at one place, which is chosen before '
-        f'the route is drawn, and hits every route {passing}. Its loss is that of the risk map at '
-        f'its place.{ends} If the map is wrong, or there are more ambushes, so are the numbers.',
+        f'the route is drawn, and hits every route {passing}. It causes the loss of the risk map '
+        f'at its place.{ends} If the map is wrong, or there are more ambushes, the numbers are '
+        'wrong, too.',
     ]
 
 
@@ -63,8 +64,8 @@ def tiles(strategy: Strategy) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
     shortest = evaluate(strategy)['energy_efficient'].v_repeated
     return [
-        (f'{strategy.value:.2f}', 'mean loss per departure by the best possible ambush'),
-        (f'{shortest:.2f}', 'the same if the shortest route were always driven'),
+        (f'{strategy.value:.2f}', 'mean loss per departure from the best possible ambush'),
+        (f'{shortest:.2f}', 'the same if the convoy always took the shortest route'),
         (_routes(strategy), 'equally likely routes would be as hard to guess'),
         (f'{strategy.expected_length / strategy.shortest_length:.2f} x',
          f'mean length, relative to the shortest route '

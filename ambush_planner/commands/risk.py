@@ -39,7 +39,7 @@ _COLUMNS = 3  # of panels
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('risk', 'Make a risk map from layers.', EPILOG)
-    made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='the layers')
+    made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='description of the layers')
     made.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
                       help='the map to write')
     return made
@@ -64,7 +64,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     for remark in joined.remarks:
         console.item(remark, indent=0)
     if (least, most) != (LEAST, MOST):
-        console.line(f'losses beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
+        console.line(f'losses go beyond {LEAST:g} to {MOST:g}: with {output.name}, set {scale}')
     console.result = {'files': [cli.place(path) for path in files], 'alpha_min': least,
                       'alpha_max': most, 'remarks': joined.remarks}
     console.line(', '.join(console.result['files']))

@@ -17,7 +17,7 @@ from ..errors import AmbushPlannerError
 from ..game.strategy import Strategy
 from ..planning.many import Problem, solve_many
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, read_risk_map
+from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
 
 NUMBERS = ('value', 'lower_bound', 'expected_length', 'shortest_length', 'route_entropy')
 COLUMNS = ('depot', 'customer', *NUMBERS, 'error')
@@ -53,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
     pairs = list(product(read_places(arguments.depots), read_places(arguments.customers)))
-    risk_map = read_risk_map(arguments.map, options.map)
+    risk_map = risk_map_from(arguments.map, options.map, console)
     problems = [Problem(risk_map, start, goal, options.network, options.game, options.strategy)
                 for (_, start), (_, goal) in pairs]
     show, solved = console.bar('pairs solved'), count(1)

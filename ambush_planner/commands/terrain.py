@@ -29,7 +29,7 @@ from .inputs import add_datum, crs_text
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
 the northernmost row first, NaN where unknown, and resolution [m] (or dx and dy [m]). --roads takes
-the same kinds of files (npz: roads); cells with a road are not 0.
+the same kinds of files (npz: roads); nonzero cells are roads.
 
 Map values: 0..99 risk, 100 too steep, -1 unknown. Risk is the weighted mean of four shares: depth
 of the cell below the ground within weapon range, share of that ground that sees a vehicle, how
@@ -60,9 +60,9 @@ def add_terrain(made: argparse.ArgumentParser) -> None:
     made.add_argument('--roads', type=Path, metavar='FILE', help='cells with roads')
     for name, default, text in (
         ('--resolution', 0.0, "cell size [m] (default: the DEM's)"),
-        ('--weapon-range', 300.0, '[m] (default: 300)'),
-        ('--vehicle-height', 2.5, '[m] (default: 2.5)'),
-        ('--person-height', 1.7, '[m] (default: 1.7)'),
+        ('--weapon-range', 300.0, 'range of weapons [m] (default: 300)'),
+        ('--vehicle-height', 2.5, 'height of vehicles [m] (default: 2.5)'),
+        ('--person-height', 1.7, 'eye height of a person [m] (default: 1.7)'),
         ('--slope-limit', 0.42, 'maximum drivable slope (rise/run, default: 0.42)'),
         ('--road-factor', 0.5, 'risk on roads relative to open ground (default: 0.5)'),
     ):

@@ -13,15 +13,15 @@ from ..recordings.verify import Verdict, Verifier, together
 from . import cli
 
 EPILOG = """\
-For each departure the file's checksums are checked, the network is built again from the recorded
-map and parameters, the certificate is computed from the recorded probabilities alone (it proves
-the value, and that no strategy within the budgets has less than the lower bound), and route and
-path are drawn again from the recorded entropy. Across a folder, random sources that repeat or are
-too short are found. --replan also solves every game again, from cold, and compares the values.
+For each departure, checks the file's checksums, rebuilds the network from the recorded map and
+parameters, recomputes the certificate from the recorded probabilities alone (it proves the value,
+and that no strategy within the budgets has less than the lower bound), and redraws route and path
+from the recorded entropy. Finds random sources that are too short, or repeat across the folder.
+--replan also solves each game again, without a warm start, and compares the values.
 
-Not checked: markers, diagnostics, request and answer, times, and the poses of start and goal.
-An editor of files can make a consistent departure; docs/recordings.md shows
-how to sign a folder.
+Not checked: markers, diagnostics, request and response, times, and the poses of start and goal.
+Anyone who can edit the files can forge a consistent departure: docs/recordings.md shows how to
+sign a folder.
 
 Output: one line per departure with its problems below it; progress on standard error.
 --json: {"verdict", "departures": [{"file", "number", "holds", "value", "problems", "notes"}],

@@ -19,9 +19,10 @@ import yaml
 
 from ..maps.occupancy import OccupancyOptions
 from ..maps.risk_map import RiskMap
+from ..maps.risk_map_file import read_risk_map
 from ..recordings import read_departure, read_recording, recordings_in
 from . import cli
-from .inputs import MAP_HELP, read_risk_map
+from .inputs import MAP_HELP
 
 RVIZ, FOXGLOVE = 'ambush_planner.rviz', 'ambush_planner_foxglove.json'
 POSES = ('start_pose', 'goal_pose', 'initialpose')
@@ -104,8 +105,8 @@ def parser() -> argparse.ArgumentParser:
     made = cli.new_parser('views', 'RViz and Foxglove layouts for a map or a recording.', EPILOG)
     made.add_argument('source', type=Path, metavar='RECORDING_OR_MAP', help='what to show')
     cli.add_output(made, f'{RVIZ}, {FOXGLOVE}')
-    made.add_argument('--inputs', default='', metavar='NAMESPACE', help='of start_pose, goal_pose '
-                      'and initialpose, such as `ambush` alongside Nav2')
+    made.add_argument('--inputs', default='', metavar='NAMESPACE', help='namespace of '
+                      'start_pose, goal_pose and initialpose, such as `ambush` with Nav2')
     return made
 
 

@@ -12,6 +12,10 @@ import numpy.typing as npt
 from ..errors import InvalidOption, InvalidRiskMap
 from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
+NO_RISK = ('every free cell of the map has the same loss, so the map carries no risk: only '
+           'obstacles and lengths decide the routes. In mode trinary a map has no grades of risk; '
+           'use mode scale or raw, or make a risk map with ambush risk')
+
 
 @dataclass(frozen=True, eq=False)
 class OccupancyMap:
@@ -83,6 +87,15 @@ def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
     else:
         obstacles = obstacles | unknown
     return RiskMap(alpha, obstacles, resolution, origin, options.crs or None)
+
+
+def carries_risk(values: npt.NDArray[np.number[Any]], options: OccupancyOptions) -> bool:
+    """Return whether the free cells of an occupancy grid differ in their loss, as they should.
+
+    True also if the options give all of them the same loss.
+    """
+    free = values[(values >= 0) & (values < options.obstacle_threshold)]
+    return options.alpha_min == options.alpha_max or free.size == 0 or bool(np.ptp(free) > 0)
 
 
 def check_occupancy(values: npt.NDArray[np.number[Any]], resolution: float,

@@ -65,8 +65,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
     'network.spacing': Declaration(
         _NETWORK.spacing,
-        'Distance between nodes [m], on roads the largest; 0: chosen for about '
-        "network.target_nodes nodes, at least the map's resolution."),
+        'Distance between nodes [m] (on roads: at most); 0: chosen for about '
+        "network.target_nodes nodes, but at least the map's resolution."),
     'network.target_nodes': Declaration(
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),
@@ -101,26 +101,27 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         _STRATEGY.solver, 'Algorithm that solves the game.', choices=SOLVERS),
     'strategy.max_detour': Declaration(
         _STRATEGY.max_detour,
-        'Maximum expected length, as a multiple of the shortest path; .inf: any.', 1.0),
+        'Maximum expected length, as a multiple of the shortest path; .inf: any. It is a target as '
+        'well as a limit: longer routes are harder to guess.', 1.0),
     'strategy.max_exposure': Declaration(
         _STRATEGY.max_exposure,
         'Maximum expected exposure (integral of the loss along the route), as a multiple of the '
         'minimum; .inf: any. Only for the solver max_entropy.', 1.0),
     'strategy.risk_slack': Declaration(
-        _STRATEGY.risk_slack, 'Share of the value given up for less predictable routes.'),
+        _STRATEGY.risk_slack, 'Share of the value to give up for less predictable routes.'),
     'strategy.length_weight': Declaration(
         _STRATEGY.length_weight,
         'Weight w of the length for the solvers interior_point and simplex, which minimise '
         '(1 - w) * value + w * length.', 0.0, 1.0),
     'strategy.max_gap': Declaration(
         0.1,
-        'Maximum gap to the best strategy, as a share of the value, for departures on a strategy '
-        'that is not the best: after a change of the map, until the next solve, and if '
+        'Maximum gap to the best strategy, as a share of the value, at which departures may use a '
+        'strategy that is not the best: after a change of the map, until the next solve, and if '
         'max_planning_time ended the search.'),
     'replan.tolerance': Declaration(
         0.05,
-        'Share by which a change of the map may raise the value of the strategy before it is '
-        'solved again.'),
+        'Share by which a change of the map may raise the value of the strategy before the planner '
+        'solves again.'),
     'queue.size': Declaration(
         8, 'Maximum number of waiting solves; further requests are refused.', 1, 1000),
     'autostart': Declaration(
@@ -131,8 +132,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         False, 'Whether parameters keep their values while the node is active.', fixed=True),
     'robot_base_frame': Declaration(
         '',
-        'Frame of the robot, such as base_link: without a start, routes begin at its pose by TF '
-        'at departure. Empty: a start is required.'),
+        'Frame of the robot, such as base_link. Requests without a start begin at the robot, as TF '
+        'gives its pose. Empty: a start is required.'),
     'transform.max_age': Declaration(
         2.0, 'Maximum age of a moving transform [s]; .inf: any.'),
     'max_planning_time': Declaration(60.0, 'Time limit of a solve [s]; .inf: none.', 0.001),

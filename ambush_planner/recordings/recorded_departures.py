@@ -34,7 +34,7 @@ def recordings_in(path: Path | str) -> list[Path]:
                  for folder in (path, *folders)
                  for file in sorted(folder.glob('*.mcap'), key=_natural_order)]
     if not found:
-        raise UnreadableRecording(path, 'there is no .mcap file in this folder; name another one')
+        raise UnreadableRecording(path, 'no .mcap file in this folder; name another one')
     return found
 
 

@@ -29,7 +29,7 @@ class RecordingFailed(_AtPath):
 class UnreadableRecording(_AtPath):
     """A file or folder is not a whole recording of a departure."""
 
-    _sentence = '{} is not readable as a recording: {}'
+    _sentence = '{} cannot be read as a recording: {}'
 
 
 @contextmanager

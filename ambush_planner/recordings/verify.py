@@ -93,12 +93,12 @@ class Verifier:
             verdict.value = departure.strategy.value
             verdict.route_entropy_source = departure.route_entropy_source
             if departure.parameters.seed >= 0:
-                verdict.notes.append('drawn with a fixed seed: anyone who knows it can foresee it')
+                verdict.notes.append('drawn with a fixed seed: anyone who knows it can predict it')
             verdict.problems += self._problems(departure)
         except UnreadableRecording as error:
             verdict.problems.append(error.reason)
         except AmbushPlannerError as error:
-            verdict.problems.append(f'map, trip and parameters cannot be planned with: {error}')
+            verdict.problems.append(f'no plan follows from map, trip and parameters: {error}')
         return verdict
 
     def _problems(self, departure: RecordedDeparture) -> list[str]:
@@ -129,7 +129,7 @@ class Verifier:
             fitted = ground.fitted(newest, departure.ends)
             drawn = ground.draw(rng, newest)
         if drawn is None or not np.array_equal(drawn.nodes, departure.route):
-            return ['route: it is not the one that the recorded entropy draws']
+            return ['route: the recorded entropy draws another one']
         rows = departure_path(fitted, drawn, parameters.path_spacing or plan.spacing,
                               departure.ends)
         poses = departure.path_poses
@@ -139,7 +139,7 @@ class Verifier:
             and np.allclose(np.exp(1j * poses[1:-1, 2]), np.exp(1j * rows[1:-1, 2]),
                             rtol=0.0, atol=_POSE_TOLERANCE)
         ):
-            return ['path: its poses are not those of the recorded route']
+            return ['path: it does not follow from the recorded route']
         return []
 
 
@@ -161,7 +161,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     ):
         return ['network: it does not follow from the recorded map, trip and parameters']
     if strategy.game.options != solved_game(risk_map, planning):
-        return ['strategy: it is for another reach or held ground than the parameters give']
+        return ['strategy: its reach or held ground is not that of the parameters']
     problems = []
     if holds_anywhere(strategy.game, planning) and len(worst := cells.worst(
         strategy.game, strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE),

@@ -137,8 +137,8 @@ class ComputePath:
             raise NoGoal('goals is empty: give at least one pose')
         frames = sorted({stop.header.frame_id for stop in stops})
         if len(frames) > 1:
-            raise FrameMismatch(f'the stops are given in the frames {", ".join(frames)[:200]}; '
-                                'give all of them in one')
+            raise FrameMismatch(f'the stops are in different frames, {", ".join(frames)[:200]}; '
+                                'give all of them in one frame')
         poses = [stop.pose for stop in stops]
         via = PoseArray(header=stops[0].header, poses=poses) if stops else None
         return GetPlan.Request(start=start, goal=last), via

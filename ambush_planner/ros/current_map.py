@@ -110,6 +110,6 @@ def _update_fault(present: CurrentMap, update: Any) -> str:
     if frame != present.frame:
         return f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
     if x < 0 or y < 0 or x + columns > width or y + rows > height:
-        return (f'{columns} x {rows} cells from ({x}, {y}) on do not lie within the map of '
-                f'{width} x {height}')
+        return (f'{columns} x {rows} cells from ({x}, {y}) do not fit into the map of '
+                f'{width} x {height} cells')
     return ''

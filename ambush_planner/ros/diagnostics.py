@@ -136,9 +136,9 @@ def _gap_warning(plan: Plan | None) -> str:
     if plan is None or gap == 0.0:
         return ''
     return (
-        f'time was up before the best strategy was found: besides strategy.risk_slack, the value '
-        f'{plan.strategy.value:.4g} may be up to {gap:.3g} above the minimum; increase '
-        'max_planning_time or network.spacing'
+        f'max_planning_time ended the search for the best strategy: the value '
+        f'{plan.strategy.value:.4g} may be up to {gap:.3g} above the minimum, besides '
+        'strategy.risk_slack; increase max_planning_time or network.spacing'
     )
 
 
@@ -147,9 +147,9 @@ def _counting_gap_warning(plan: Plan | None) -> str:
     if plan is None or not plan.strategy.counting_gap:
         return ''
     return (
-        'no strategy was found closer to the bound: routes come back into the reach of an ambush, '
-        'or cells between the nodes cost more: '
-        f'the value is {plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
+        f'no strategy closer to the bound was found, because some routes enter the reach of an '
+        f'ambush more than once or cells between the nodes cost more: the value is '
+        f'{plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
     )
 
 
@@ -179,20 +179,20 @@ def _bottleneck_warning(plan: Plan | None) -> str:
     bottleneck, game = plan.bottleneck, plan.strategy.game
     held = game.options.held_radius
     if not len(game.sites):
-        return (f'the value is 0: within {held:.4g} m of start, stops and goal nobody can wait, '
-                'and no other place has a loss; check the map and game.secured_radius')
+        return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
+                'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not bottleneck.value > 0.0:
-        return 'the value is 0: there are routes that no ambush with a loss can hit; check the map'
+        return 'the value is 0: some routes meet no ambush that causes a loss; check the map'
     if 0.0 <= plan.options.game.secured_radius < game.reach:
         return (f'an ambush reaches {game.reach:.4g} m, tube included, but ground is held only '
-                f'{plan.options.game.secured_radius:.4g} m around start and goal: one that waits '
+                f'within {plan.options.game.secured_radius:.4g} m of start and goal: an ambush '
                 'just outside may hit every route (game.secured_radius)')
     if not bottleneck.near_ends:
         return ''
     return (
         f'{len(bottleneck.sites)} nodes decide the value {bottleneck.value:.4g}, '
         f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; if '
-        f'that ground were secured (game.secured_radius), the value would be '
+        f'that ground were held (game.secured_radius), the value would be '
         f'{bottleneck.secured_value:.4g}'
     )
 

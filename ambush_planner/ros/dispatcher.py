@@ -43,7 +43,7 @@ _SHUTDOWN_TIME = 1.0
 # Maximum number of solves for one departure while the map or the robot moves.
 _MOST_SOLVES = 4
 
-INACTIVE = 'the node is inactive: nobody departs before it is activated (ros2 lifecycle set)'
+INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
 
 @dataclass(eq=False)
@@ -200,9 +200,9 @@ class Dispatcher:
         pending.solves, pending.asked = pending.solves + 1, trip
         if pending.solves > _MOST_SOLVES:
             raise GroundChanges(
-                f'{_MOST_SOLVES} solves were out of date before they were done: the map or the '
-                'robot changes too fast; choose a larger network.spacing, route.start_tolerance '
-                'or strategy.max_gap'
+                f'{_MOST_SOLVES} plans in a row were out of date when they were solved: the map '
+                'changes or the robot moves too fast; increase network.spacing, '
+                'route.start_tolerance or strategy.max_gap'
             )
         self._when_solved(solve, lambda cached: self._try(pending, cached), pending.departure)
 

@@ -78,7 +78,7 @@ class DisplayedPlan:
         if after_resolve is None:
             self._reporter.set(assessment=assessment, stale=why)
         else:
-            self._reporter.set(assessment=assessment, stale=f'{why}; it is being solved again')
+            self._reporter.set(assessment=assessment, stale=f'{why}; a new plan is being solved')
             self._resolve(cached, why, after_resolve)
 
     def _resolve(self, cached: CachedPlan, why: str, after_resolve: Callable[[], None]) -> None:
@@ -90,10 +90,10 @@ class DisplayedPlan:
                 self.show(solve.result())
             except SolveCancelled:
                 if solve is self._latest_resolve:  # not superseded by a later one
-                    self._reporter.set(stale=f'{why}, and solving it again was cancelled')
+                    self._reporter.set(stale=f'{why}, and the new solve was cancelled')
                 return
             except AmbushPlannerError as error:
-                self._reporter.set(stale=f'{why}, and solving it again failed: {error}')
+                self._reporter.set(stale=f'{why}, and the new solve failed: {error}')
                 return
             after_resolve()
 

@@ -77,6 +77,8 @@ class Inputs:
     ----------
     start, goal, via
         Where later departures begin and lead, and their stops in order; None: not given.
+    settings
+        The node's parameters.
     with_costmap
         Whether a costmap is waited for, too.
     """
@@ -84,7 +86,7 @@ class Inputs:
     def __init__(self, transforms: FrameTransforms, start_topic: str,
                  settings: NodeSettings) -> None:
         self._transforms, self._start_topic = transforms, start_topic
-        self._settings = settings
+        self.settings = settings
         self.with_costmap = bool(settings.current.values['map.costmap'])
         self._arrived: dict[str, CurrentMap | None] = {'alpha_map': None}
         if self.with_costmap:
@@ -122,7 +124,7 @@ class Inputs:
         if new is None or None in self._arrived.values():
             return None
         if costmap is not None:
-            values, header = self._settings.current, Header(frame_id=costmap.frame)
+            values, header = self.settings.current, Header(frame_id=costmap.frame)
             origin = PoseStamped(header=header, pose=pose_to_ros(*costmap.origin))
             there = self._transforms.to_frame(origin, 'the costmap', new.frame,
                                               values.robot.max_age)
@@ -159,8 +161,8 @@ class Inputs:
 
     def _no_map(self) -> NoReturn:
         if self._arrived['alpha_map'] is not None:
-            raise NoMap('no costmap yet, or none that TF brings to the risk map: publish one on '
-                        'costmap, or set map.costmap to false')
+            raise NoMap('no costmap yet, or no transform to the frame of the risk map: publish one '
+                        'on costmap, or start with map.costmap false')
         why = f'; the last one was refused: {self._refused}' if self._refused else ''
         raise NoMap(f'no risk map yet: publish one on alpha_map{why}')
 

@@ -80,7 +80,7 @@ def _warn_of_unknown(node: Node) -> None:
                      if not node.has_parameter(name) and not name.startswith('qos_overrides.'))
     if unknown:
         node.get_logger().warning(
-            f'{", ".join(unknown)}: no such parameter, ignored; ros2 param list shows all'
+            f'ignored unknown parameters: {", ".join(unknown)}; ros2 param list shows all'
         )
 
 

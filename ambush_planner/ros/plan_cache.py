@@ -136,8 +136,9 @@ class Fit:
         """What whoever departs should know about the start; '' if there is nothing."""
         worth = f'value {self.assessment.value:.4g}, bound {self.assessment.lower_bound:.4g}'
         if self.late_by:
-            return ('the path begins where the convoy was when asked, for lack of a clear way '
-                    f'from where it is, {self.late_by:.3g} m away: {worth}')
+            return ('the path begins where the convoy was at the request, '
+                    f'{self.late_by:.3g} m away, because no clear way to the routes leads from '
+                    f'where it is now: {worth}')
         return f'the path joins the route of an earlier start: {worth}' if self.joined else ''
 
 

@@ -85,8 +85,8 @@ class PlannerNode(LifecycleNode):
         self._settings = NodeSettings(self, self._parameters_changed)
         if self._settings.current.seed >= 0:
             self.get_logger().warning(
-                'the parameter seed is fixed: the sequence of routes is always the same and can '
-                'be foreseen; only for tests and replay'
+                'the parameter seed is set: every run draws the same sequence of routes, which '
+                'can be predicted; use it for tests and replay only'
             )
         self._reporter = Reporter(self.get_fully_qualified_name().lstrip('/'),
                                   Publishers(self, STATUS_TOPICS), self.get_clock(),
@@ -231,9 +231,8 @@ def _configured(part: _Part | None) -> _Part:
     """Return a part of a configured node; raises NotActive without one."""
     if part is None:
         raise NotActive(
-            'the node is not configured: nobody departs before it is configured and activated '
-            '(ros2 lifecycle set); after a cleanup a latched map comes again, but start and goal '
-            'have to be published again'
+            'the node is not configured: configure and activate it first (ros2 lifecycle set); '
+            'after a cleanup, publish start and goal again (a latched map arrives by itself)'
         )
     return part
 
@@ -280,8 +279,8 @@ def main(args: list[str] | None = None) -> int:
         node = PlannerNode()
         names = [node.resolve_topic_name(name) for name in ('alpha_map', 'start_pose', 'goal_pose')]
         node.get_logger().info(
-            f'version {software_versions()["ambush_planner"]}; it needs {", ".join(names)}; '
-            f'{node.resolve_service_name("~/new_route")} is a departure, once the node is active'
+            f'version {software_versions()["ambush_planner"]}: publish {", ".join(names)}; each '
+            f'call of {node.resolve_service_name("~/new_route")} is then a departure'
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)

@@ -64,7 +64,7 @@ class Recordings:
                 return written
         self._finish(written, RecordingFailed(
             Path(self._options.directory),
-            f'{_MOST_WAITING} departures wait for the disk, which does not answer; departure '
+            f'the disk does not respond, and {_MOST_WAITING} departures wait for it; departure '
             f'{departure.number} is not recorded',
         ))
         return written
@@ -91,7 +91,7 @@ class Recordings:
         if self._options.enabled:
             with suppress(RecordingFailed):  # the first departure will report it
                 for path in remove_abandoned(Path(self._options.directory).expanduser()):
-                    self._warn(f'recording: removed {path}, which was not finished')
+                    self._warn(f'recording: removed the unfinished file {path}')
         while True:
             with self._condition:
                 self._condition.wait_for(lambda: self._unwritten or self._closing)

@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
+from ..maps.occupancy import NO_RISK, carries_risk
 from ..recordings import type_name
 from .conversions import installed_type
 from .current_map import CurrentMap, ReceivedMessage
@@ -39,7 +40,7 @@ class Subscriptions:
 
     def __init__(self, node: Node, inputs: Inputs, error_boundary: ErrorBoundary,
                  pose_accepted: Callable[[], None], map_accepted: Callable[[], None]) -> None:
-        self._node, self._error_boundary = node, error_boundary
+        self._node, self._inputs, self._error_boundary = node, inputs, error_boundary
         self._subscriptions: list[Subscription] = []
         self._maps = Listener(node, 'map')
         self._arrived: dict[str, float] = {}
@@ -91,7 +92,7 @@ class Subscriptions:
         age = time.monotonic() - self._arrived.get('costmap', math.inf)
         if age <= _STOPPED:
             return ''
-        return (f'the costmap is {age:.0f} s old: obstacles since then are missing; check that '
+        return (f'the costmap is {age:.0f} s old, so newer obstacles are missing; check that '
                 f'{self._node.resolve_topic_name("costmap")} is still published')
 
     def close(self) -> None:
@@ -112,6 +113,8 @@ class Subscriptions:
             logger.info(text, throttle_duration_sec=_MAP_LOG_PERIOD)
         else:
             logger.info(text)
+            if not carries_risk(new.values, self._inputs.settings.current.occupancy):
+                logger.warning(NO_RISK)
 
     def _subscribe(self, kind: type, topic: str, qos: QoSProfile,
                    use: Callable[[ReceivedMessage], None]) -> None:

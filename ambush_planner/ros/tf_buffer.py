@@ -161,7 +161,7 @@ class TransformBuffer:
                 down.pop()
             ends = (up[-1].parent if up else source), (down[-1].parent if down else target)
             if ends[0] != ends[1]:
-                raise TransformUnknown(f'{source!r} and {target!r} are not in one tree')
+                raise TransformUnknown(f'no transforms connect {source!r} and {target!r}')
             moving = [link for link in (*up, *down) if not link.static]
             if stamp_ns is None:
                 stamp_ns = min((link.latest_ns for link in moving), default=0)
