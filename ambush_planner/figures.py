@@ -64,8 +64,8 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
     image = axes.imshow(np.ma.masked_array(risk_map.alpha, risk_map.obstacles), origin='lower',
-                        extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=colours.OBSTACLE),
-                        interpolation='nearest', zorder=0)
+                        extent=(0.0, width, 0.0, height), interpolation='nearest', zorder=0,
+                        cmap=RISK.with_extremes(bad=colours.OBSTACLE))
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     return image
 
@@ -139,8 +139,9 @@ def draw_held_ground(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     """Draw routes (K, 2) as lines in different colours with white edges."""
     for k, route in enumerate(routes):
-        axes.plot(*np.asarray(route).T, color=colours.ROUTES[k % len(colours.ROUTES)], linewidth=1.9,
-                  path_effects=HALO, solid_joinstyle='round', zorder=4)
+        colour = colours.ROUTES[k % len(colours.ROUTES)]
+        axes.plot(*np.asarray(route).T, color=colour, linewidth=1.9, path_effects=HALO,
+                  solid_joinstyle='round', zorder=4)
 
 
 def draw_sites(axes: Axes, strategy: Strategy) -> None:
@@ -163,7 +164,8 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     mean = f'{length / 1000:.1f} km' if unit == 'm' and length >= 2000.0 else f'{length:.0f} {unit}'
     title = (f'The best ambush causes a mean loss of {strategy.value:.3g}\n'
              f'Mean length {mean}, {length / strategy.shortest_length:.2f} times the shortest')
-    bars, key = {'location': 'right', 'shrink': 0.75, 'aspect': 30}, []
+    bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
+    key: list[Any] = []
     if risk_map is not None:
         frame(axes, risk_map, title)
         risk_bar(figure, draw_risk_map(axes, risk_map), axes, **bars)

@@ -1,4 +1,4 @@
-"""Draw the pictures of the documents into docs/images; run ``make demo`` first.
+"""Draw the pictures of the documents into docs/images; ``make demo`` and ``make paper`` first.
 
 Those of the demo's terrain show the strategy that its node has recorded in out/demo.
 """
@@ -41,6 +41,9 @@ TRIPS_SHOWN = 6
 PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000
 TUTORIAL = ('--start', '4', '20', '--goal', '56', '20', '--set', 'game.ambush_radius=2',
             'game.secured_radius=5', 'network.spacing=2')
+# The paper's pictures that docs/paper.md shows, by their names in out/paper.
+PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
+         'figure_7_threshold': 'figure_7'}
 LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 
@@ -189,9 +192,10 @@ def tutorial(folder: Path) -> None:
 
 
 def main() -> None:
+    """Draw the named pictures, or all."""
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial'])
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'paper'])
     parser.add_argument('--demo', type=Path, default=Path('out/demo'), help='what the demo left')
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
     parser.add_argument('--days', type=int, default=20, help='of the moving picture')
@@ -203,8 +207,11 @@ def main() -> None:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
             route_a_day(demo, folder / 'route_a_day.webp', options.days)
-        else:
+        elif name == 'tutorial':
             tutorial(folder)
+        else:
+            for drawn, shown in PAPER.items():
+                shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')
 
 
 if __name__ == '__main__':

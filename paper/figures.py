@@ -17,8 +17,8 @@ from matplotlib.patches import FancyArrowPatch
 from scipy.sparse import csr_matrix
 
 from ambush_planner.figures import (
-    PROBABILITY,
     OBSTACLE,
+    PROBABILITY,
     WIDTH,
     FloatArray,
     draw_ends,

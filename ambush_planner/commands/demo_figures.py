@@ -24,7 +24,7 @@ FIXED = ((ROUTES[0], '-'), (ROUTES[1], (0, (3, 1.2))))
 
 @dataclass(frozen=True, eq=False)
 class FixedRoute:
-    """A route (K, 2) [m] that is driven every time, with the place (2,) and loss of its worst ambush."""
+    """A route (K, 2) [m] driven every time; place (2,) and loss of its worst ambush."""
 
     name: str
     points: FloatArray

@@ -87,8 +87,8 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     count = len(joined.layers) + 1
     rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
     width, height = joined.risk_map.size
-    figure = Figure(figsize=(0.5 * WIDTH * columns, (0.8 + 3.8 * min(height / width, 3.0)) * rows), dpi=DOTS_PER_INCH,
-                    layout='compressed')
+    size = (0.5 * WIDTH * columns, (0.8 + 3.8 * min(height / width, 3.0)) * rows)
+    figure = Figure(size, dpi=DOTS_PER_INCH, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, layer in zip(panels, joined.layers, strict=False):
         _draw(figure, axes, joined.risk_map, layer)
