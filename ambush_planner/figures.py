@@ -162,7 +162,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     network, figure = strategy.network, axes.figure
     length, unit = strategy.expected_length, network.travel_unit
     mean = f'{length / 1000:.1f} km' if unit == 'm' and length >= 2000.0 else f'{length:.0f} {unit}'
-    title = (f'The best ambush causes a mean loss of {strategy.value:.3g}\n'
+    title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
              f'Mean length {mean}, {length / strategy.shortest_length:.2f} times the shortest')
     bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
     key: list[Any] = []

@@ -57,7 +57,7 @@ def strategy(demo: Section) -> Figure:
 
 def routes(demo: Section) -> Figure:
     """The demo's own picture."""
-    paths = [each.path_poses[:, :2] for each in demo.departures]
+    paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
     fixed = demo_figures.fixed_routes(demo.strategy)
     return demo_figures.routes_figure(demo.risk_map, demo.strategy, paths, fixed)
 

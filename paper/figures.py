@@ -187,15 +187,15 @@ def _example(results: Results, solver: str, name: str) -> Figure:
     axes = figure.subplots()
     for (tail, head), p in zip(network.edges, strategy.edge_probability, strict=True):
         _draw_arrow(axes, network.points[tail], network.points[head], float(p))
-    axes.scatter(*network.points.T, s=420, color='white', edgecolors='black', zorder=3)
+    axes.scatter(*network.points.T, s=620, color='white', edgecolors='black', zorder=3)
     for node, x in enumerate(strategy.visit_probability):
         label = {network.source: 'A', network.target: 'B'}.get(node, f'{x:.2f}')
         axes.annotate(label, network.points[node], ha='center', va='center', fontsize=9, zorder=4)
     axes.set(xlim=(-0.25, 3.25), ylim=(-0.3, 2.3), aspect='equal')
     axes.set_axis_off()
     axes.set_title(
-        f'8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}; '
-        'in the nodes how often they are visited',
+        f'8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}\n'
+        'numbers: expected uses of each edge and node',
         fontsize='medium',
     )
     return figure
@@ -211,8 +211,8 @@ def _draw_arrow(axes: Axes, tail: np.ndarray, head: np.ndarray, p: float) -> Non
         linewidth=0.8 + 16.0 * p if used else 0.8,
         linestyle='-' if used else ':',
         color=PROBABILITY(0.25 + 2.0 * p) if used else '0.6',
-        shrinkA=11.0,
-        shrinkB=11.0,
+        shrinkA=13.0,
+        shrinkB=13.0,
         zorder=2 if used else 1,
     ))
     if used:

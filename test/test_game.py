@@ -1,4 +1,4 @@
-"""The options of the game: forbidden nodes, secured ground, sites off the road, ranges."""
+"""The options of the game: forbidden nodes, held ground, sites off the road, ranges."""
 
 from __future__ import annotations
 

@@ -292,7 +292,7 @@ def test_the_mouse_moves_zooms_and_tells(browser, page):
     browser.mouse('mouseReleased', x + 60, y + 30)
     moved = browser.evaluate('map.place(map.width / 2 + 60, map.height / 2 + 30)')
     assert moved == pytest.approx(place, abs=1.0), 'the map follows the hand'
-    assert re.search(r'^x [\d.]+ m, y [\d.]+ m: (loss [\d.]+|impassable)\. [\d.]+ % of departures',
+    assert re.search(r'^x [\d.]+ m, y [\d.]+ m: (loss [\d.]+|obstacle)\. [\d.]+ % of departures',
                      readout(browser))
     for name, zoom in (('in', np.e * 1.5), ('out', np.e), ('all', 1.0)):
         browser.click(f'{MAP} [data-zoom={name}]')

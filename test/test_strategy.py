@@ -49,7 +49,7 @@ SLACK = StrategyOptions().risk_slack
 
 
 def check_laws(strategy, max_detour: float, solver: str = 'max_entropy') -> None:
-    """Check the laws of strategies with ambush radius 0 and no secured ground."""
+    """Check the laws of strategies with ambush radius 0 and no held ground."""
     network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_probability
     check_flow(network, p, solver)
     visits = np.bincount(network.heads, weights=p, minlength=len(q))

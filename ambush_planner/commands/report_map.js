@@ -337,10 +337,10 @@ class View {
     else {
       const [u, v] = [x + origin[0], y + origin[1]];
       const where = `x ${u.toFixed(1)} m, y ${v.toFixed(1)} m${this.#degrees(u, v)}: `;
-      const loss = Number.isNaN(found.here) ? 'impassable. ' : `loss ${digits(found.here)}. `;
+      const loss = Number.isNaN(found.here) ? 'obstacle. ' : `loss ${digits(found.here)}. `;
       const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
       let cost = ` An ambush causes a mean loss of ${digits(found.cost)} (the best one ${digits(value)}).`;
-      if (found.held) cost = held > 0 ? ' Secured ground: nobody can wait here.' : '';
+      if (found.held) cost = held > 0 ? ' Held ground: nobody can wait here.' : '';
       else if (!(found.cost >= 0)) cost = '';
       this.readout.textContent = `${where}${loss}${percent} ${pass}.${cost}`;
     }

@@ -42,7 +42,7 @@ def certificate(section: Section) -> list[str]:
     reach = strategy.game.reach
     passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
     ends = (
-        f' Nobody waits within {distance(held)} of start or goal: if that ground is not secured, '
+        f' Nobody waits within {distance(held)} of start or goal: if that ground is not held, '
         'the guarantee does not hold.' if held > 0.0 else ''
     )
     return [

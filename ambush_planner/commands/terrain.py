@@ -128,9 +128,9 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     for axes, (layer, title, colours) in zip(panels, (
         (elevation.heights, 'Height [m]', 'cividis'),
         (ground.slope, 'Slope, rise over run', 'magma_r'),
-        (ground.depth, 'Depth below the ground within range [m]', 'magma_r'),
-        (ground.exposure, 'Share of ground within range that sees a vehicle', 'magma_r'),
-        (ground.approach, 'Mean distance to the nearest hidden ground [m]', 'magma'),
+        (ground.depth, 'Depth below the ground in range [m]', 'magma_r'),
+        (ground.exposure, 'Share of ground in range with sight', 'magma_r'),
+        (ground.approach, 'Mean distance to hidden ground [m]', 'magma'),
     ), strict=True):
         frame(axes, risk_map, title)
         axes.set_facecolor(OBSTACLE)
