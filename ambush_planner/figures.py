@@ -149,7 +149,7 @@ def draw_sites(axes: Axes, strategy: Strategy) -> None:
     q = strategy.ambush_probability
     shown = np.flatnonzero(q > LEAST_PROBABILITY * q.max())
     axes.scatter(*strategy.network.points[shown].T, s=110.0 * q[shown] / q.max(),
-                 color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=6.5)
+                 color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=9)
 
 
 def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,

@@ -109,7 +109,7 @@ class Panel:
         self.text = axes.set_xlabel(' \n ', fontsize=11, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)
-        self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=6.5)
+        self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
         self.hit = axes.scatter([], [], s=420, marker='X', color=AMBUSHER, edgecolors='black',
                                 zorder=9)
         self.name = axes.annotate('', (0.0, 0.0), xytext=(-10, 8), textcoords='offset points',
