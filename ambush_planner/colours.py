@@ -1,6 +1,11 @@
-"""Colours of pictures and reports; colour-blind readers can distinguish them."""
+"""Colours of pictures and reports; test_figures.py checks that colour-blind readers see them."""
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'
-# Paul Tol's vibrant and muted colour schemes without orange, the ambusher's colour, and greys.
-ROUTES = ('#0077bb', '#cc3311', '#009988', '#ee3377', '#332288', '#33bbee', '#117733', '#882255')
+# Start, goal and stops.
+ENDS = '#ffd92f'
+# From the least loss to the largest, and from rare to likely.
+RISK = ('#ffffff', '#848484')
+PROBABILITY = ('#7fb8e6', '#2f7fd0', '#1146b0', '#14075c')
+# Departures. None resembles the ambusher's orange.
+ROUTES = ('#2560a2', '#590051', '#15a9ff', '#350290', '#e0aed9', '#35c48c', '#9216f9', '#5b4a39')

@@ -1,15 +1,15 @@
 """Layers of pictures of risk maps, strategies and routes.
 
 Each ``draw_...`` function draws one layer on given axes, in world metres; ``frame`` sets the axes
-to the map's extent, with ticks in km or m. Risk is grey, impassable ground black, the convoy blue
-and the ambusher orange.
+to the map's extent. Risk is grey, obstacles are black, the convoy blue and the ambusher orange.
+Pictures are at most ``WIDTH`` inches wide, so that text of 9 points has 11 pixels on a page of 900.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,27 +18,33 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.patches import Circle
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch
 from matplotlib.patheffects import Normal, Stroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from matplotlib.transforms import Affine2D
 
+from . import colours
 from .arrays import FloatArray
-from .colours import AMBUSHER, OBSTACLE, ROUTES
 from .maps.risk_map import RiskMap
 
 if TYPE_CHECKING:
     from .game.strategy import Strategy
 
-RISK = LinearSegmentedColormap.from_list('risk', ['#ffffff', '#848484'])
-PROBABILITY = LinearSegmentedColormap.from_list(
-    'probability', ['#7fb8e6', '#2f7fd0', '#1146b0', '#14075c']
-)
+RISK = LinearSegmentedColormap.from_list('risk', colours.RISK)
+PROBABILITY = LinearSegmentedColormap.from_list('probability', colours.PROBABILITY)
 # Minimum probability of edges in pictures.
 LEAST_PROBABILITY = 1e-3
-SECURED_DASHES = (0, (4, 3))
-DOTS_PER_INCH = 140
+WIDTH = 9.0  # inches
+DOTS_PER_INCH = 160
+HELD_DASHES = (0, (4, 3))
 HALO = [Stroke(linewidth=3.0, foreground='white'), Normal()]
+# Legend entries of the layers below.
+SITES = Line2D([], [], linestyle='none', marker='o', markersize=9, color=colours.AMBUSHER,
+               markeredgecolor='white', label='ambush site: the larger, the likelier')
+HELD_GROUND = Line2D([], [], color='black', linewidth=1.2, linestyle=HELD_DASHES,
+                     label='held ground: nobody can wait here')
+OBSTACLE = Patch(color=colours.OBSTACLE, label='obstacle')
 
 
 def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
@@ -58,10 +64,36 @@ def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     width, height = risk_map.size
     x, y, yaw = risk_map.origin
     image = axes.imshow(np.ma.masked_array(risk_map.alpha, risk_map.obstacles), origin='lower',
-                        extent=(0.0, width, 0.0, height), cmap=RISK.with_extremes(bad=OBSTACLE),
-                        interpolation='nearest', zorder=0)
+                        extent=(0.0, width, 0.0, height), interpolation='nearest', zorder=0,
+                        cmap=RISK.with_extremes(bad=colours.OBSTACLE))
     image.set_transform(Affine2D().rotate(yaw).translate(x, y) + axes.transData)
     return image
+
+
+def scale_bar(axes: Axes) -> None:
+    """Draw a bar of a round length in the lower left corner instead of ticks."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    ticks = MaxNLocator(nbins=1, steps=[1, 2, 5, 10]).tick_values(0.0, 0.3 * (right - left))
+    length = float(ticks[ticks <= 0.3 * (right - left)][-1])
+    x, y = left + 0.04 * (right - left), bottom + 0.04 * (top - bottom)
+    axes.plot((x, x + length), (y, y), color='black', linewidth=3.0, solid_capstyle='butt',
+              path_effects=HALO, zorder=8)
+    text = f'{length / 1000:g} km' if length >= 1000.0 else f'{length:g} m'
+    axes.annotate(text, (x, y), xytext=(0, 4), textcoords='offset points', path_effects=HALO,
+                  zorder=8)
+    axes.set(xticks=[], yticks=[], xlabel='', ylabel='')
+
+
+def risk_bar(figure: Figure, image: AxesImage, axes: Any, **layout: Any) -> None:
+    """Explain the grey scale next to the axes."""
+    figure.colorbar(image, ax=axes, label='loss if ambushed here', **layout)
+
+
+def probability_bar(figure: Figure, lines: LineCollection, axes: Any,
+                    label: str = 'probability that the convoy passes', **layout: Any) -> None:
+    """Explain the blue scale next to the axes."""
+    percent = FuncFormatter(lambda value, _: f'{100.0 * value:g} %')
+    figure.colorbar(lines, ax=axes, label=label, format=percent, **layout)
 
 
 def probability_scale(probability: npt.ArrayLike) -> LogNorm:
@@ -92,23 +124,32 @@ def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike,
     marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]
     for place, marker, size, name in marks:
         x, y = np.asarray(place, dtype=np.float64)
-        axes.scatter(x, y, s=size, marker=marker, color='#ffd92f', edgecolors='black', zorder=7)
+        axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
         axes.annotate(name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
 
 
-def draw_secured(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
+def draw_held_ground(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
     """Draw circles of ``radius`` [m] around places (K, 2) where nobody can wait."""
     for centre in np.asarray(centres, dtype=np.float64):
         axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
-                              linestyle=SECURED_DASHES, zorder=6))
+                              linestyle=HELD_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
     """Draw routes (K, 2) as lines in different colours with white edges."""
     for k, route in enumerate(routes):
-        axes.plot(*np.asarray(route).T, color=ROUTES[k % len(ROUTES)], linewidth=1.9,
-                  path_effects=HALO, solid_joinstyle='round', zorder=4)
+        colour = colours.ROUTES[k % len(colours.ROUTES)]
+        axes.plot(*np.asarray(route).T, color=colour, linewidth=1.9, path_effects=HALO,
+                  solid_joinstyle='round', zorder=4)
+
+
+def draw_sites(axes: Axes, strategy: Strategy) -> None:
+    """Draw where the ambusher waits, each dot's area in proportion to its probability."""
+    q = strategy.ambush_probability
+    shown = np.flatnonzero(q > LEAST_PROBABILITY * q.max())
+    axes.scatter(*strategy.network.points[shown].T, s=110.0 * q[shown] / q.max(),
+                 color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=9)
 
 
 def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | None = None,
@@ -117,36 +158,41 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
     if axes is None:
         from matplotlib import pyplot
 
-        _, axes = pyplot.subplots(figsize=(9.0, 8.0), layout='constrained')
-    network, q = strategy.network, strategy.ambush_probability
-    unit = strategy.network.travel_unit
-    title = (f'Value {strategy.value:.3g}, mean length {strategy.expected_length:.0f} {unit}, '
-             f'{strategy.expected_length / strategy.shortest_length:.2f} times the shortest')
+        _, axes = pyplot.subplots(figsize=(WIDTH, 7.6), layout='compressed')
+    network, figure = strategy.network, axes.figure
+    length, unit = strategy.expected_length, network.travel_unit
+    mean = f'{length / 1000:.1f} km' if unit == 'm' and length >= 2000.0 else f'{length:.0f} {unit}'
+    title = (f'The best ambush causes a mean loss of {strategy.value:#.3g}\n'
+             f'Mean length {mean}, {length / strategy.shortest_length:.2f} times the shortest')
+    bars: dict[str, Any] = {'location': 'right', 'shrink': 0.75, 'aspect': 30}
+    key: list[Any] = []
     if risk_map is not None:
         frame(axes, risk_map, title)
-        draw_risk_map(axes, risk_map)
+        risk_bar(figure, draw_risk_map(axes, risk_map), axes, **bars)
+        key = [OBSTACLE] * bool(risk_map.obstacles.any())
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
     edges = draw_segments(axes, network.points[network.edges], strategy.edge_probability)
-    axes.figure.colorbar(edges, ax=axes, shrink=0.6, label='probability that the convoy passes')
+    probability_bar(figure, edges, axes, **bars)
     if strategy.value > 0.0:
-        share = q / q.max()
-        waits = share > LEAST_PROBABILITY
-        axes.scatter(*network.points[waits].T, s=90.0 * share[waits], color=AMBUSHER,
-                     edgecolors='white', linewidths=0.6, zorder=5)
+        draw_sites(axes, strategy)
+        key = [SITES, *key]
     draw_routes(axes, routes)
     ends = network.points[[network.source, network.target]]
     stops = network.points[network.stops]
     held = strategy.game.options.held_radius
     if held > 0.0:
-        draw_secured(axes, [*ends, *stops], held)
+        draw_held_ground(axes, [*ends, *stops], held)
+        key = [*key, HELD_GROUND]
     draw_ends(axes, ends[0], ends[1], stops)
+    axes.legend(handles=key, loc='upper left', bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4,
+                frameon=False)
     return axes
 
 
 def as_png(figure: Figure) -> bytes:
     """Return the picture as a PNG file, without the name of the drawing program."""
     stream = BytesIO()
-    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.08,
+    figure.savefig(stream, format='png', dpi=DOTS_PER_INCH, bbox_inches='tight', pad_inches=0.12,
                    metadata={'Software': None})
     return stream.getvalue()

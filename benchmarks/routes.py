@@ -1,32 +1,24 @@
-"""Would you drive it? Paths of many departures on four maps, compared with a grid planner's.
-
-A picture of routes of the paper's strategy as drawn, above today's driven paths, goes into
-``--picture``.
-"""
+"""Would you drive it? Paths of many departures on four maps, compared with a grid planner's."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 from time import process_time
 
 import numpy as np
 from drives import Drive, measure, turning_of
 from grid_planner import shortest_line
-from matplotlib.figure import Figure
 from report import conditions, new_parser, publish, table
 from scenarios import SCENARIOS, Scenario
 
-from ambush_planner import Network, NetworkOptions, SolverFailed, Strategy, StrategyOptions, solve
+from ambush_planner import NetworkOptions, Strategy, StrategyOptions, solve
 from ambush_planner.arrays import FloatArray
-from ambush_planner.figures import draw_ends, draw_risk_map, draw_routes, frame
 from ambush_planner.network.construction import chosen_spacing
 from ambush_planner.planning.evaluation import energy_efficient_route
 from ambush_planner.routes.corridors import make_corridors
 from ambush_planner.routes.driven_path import different_paths, driven_path
 
-SHOWN = 8
 # Upper limits of the targets.
 TARGETS = {
     'mean length : any-angle A*': 1.25,
@@ -43,7 +35,6 @@ class Trial:
 
     scenario: Scenario
     strategy: Strategy
-    papers_routes: list[FloatArray]
     paths: list[FloatArray]
     drives: list[Drive]
     shortest: float
@@ -81,21 +72,12 @@ def run(scenario: Scenario, departures: int, nodes: int) -> Trial:
     straight = energy_efficient_route(strategy.game)
     shortest = measure(driven_path(corridors, straight, step), risk_map, spacing, step).length
     return Trial(
-        scenario, strategy, _papers_routes(network, rng), paths,
+        scenario, strategy, paths,
         [measure(path, risk_map, spacing, step) for path in paths], shortest,
         turning_of(network.points[straight]),
         float(np.hypot(*np.diff(shortest_line(scenario), axis=0).T).sum()),
         different_paths(corridors, routes), 1e3 * seconds / len(paths),
     )
-
-
-def _papers_routes(network: Network, rng: np.random.Generator) -> list[FloatArray]:
-    """Routes (K, 2) of the paper's strategy; none if its solver fails."""
-    try:
-        strategy = solve(network, options=StrategyOptions('interior_point', max_detour=1.5))
-    except SolverFailed:
-        return []
-    return [network.points[route] for route in strategy.sample_routes(SHOWN, rng)]
 
 
 def routes_table(trials: dict[str, Trial]) -> str:
@@ -131,24 +113,6 @@ def _bold_if_missed(cells: list[str], met: list[bool]) -> list[str]:
     return [cell if ok else f'**{cell}**' for cell, ok in zip(cells, met, strict=True)]
 
 
-def picture(trials: dict[str, Trial]) -> Figure:
-    """Routes of the paper's strategy as drawn, above driven paths of ours."""
-    trials = {name: trial for name, trial in trials.items() if trial.papers_routes}
-    widths = [np.divide(*trial.scenario.risk_map.size) for trial in trials.values()]
-    figure = Figure(figsize=(4.0 * sum(widths) + 1.0, 9.0), dpi=80, layout='compressed')
-    grid = figure.subplots(2, len(trials), width_ratios=widths, squeeze=False)
-    for (name, trial), pair in zip(trials.items(), grid.T, strict=True):
-        ours = [poses[:, :2] for poses in trial.paths[:SHOWN]]
-        for axes, who, lines in zip(
-            pair, ("the paper's, as drawn", 'driven now'), (trial.papers_routes, ours), strict=True
-        ):
-            frame(axes, trial.scenario.risk_map, f'{name}: {who}')
-            draw_routes(axes, lines)
-            draw_risk_map(axes, trial.scenario.risk_map)
-            draw_ends(axes, trial.scenario.start, trial.scenario.goal)
-    return figure
-
-
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--maps', nargs='+', default=list(SCENARIOS), choices=list(SCENARIOS))
@@ -156,7 +120,6 @@ def main() -> None:
     parser.add_argument(
         '--nodes', type=int, default=NetworkOptions.target_nodes, metavar='N', help='of a network'
     )
-    parser.add_argument('--picture', type=Path, help='file for the picture of docs/results.md')
     options = parser.parse_args()
     trials = {}
     for name in options.maps:
@@ -167,8 +130,6 @@ def main() -> None:
             continue
         trials[name] = run(scenario, options.departures, options.nodes)
         print(name, trials[name].figures(), file=sys.stderr)
-    if options.picture:
-        picture(trials).savefig(options.picture)
     publish(options.results, 'routes', (
         f'{options.departures} departures on each map. {conditions()}.\n\n{routes_table(trials)}'
     ))

@@ -6,29 +6,16 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
-import numpy as np
-from matplotlib.figure import Figure
 from report import conditions, new_parser, publish, table
 from scenarios import Scenario, terrain
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
-from ambush_planner.figures import (
-    AMBUSHER,
-    draw_ends,
-    draw_risk_map,
-    draw_secured,
-    draw_segments,
-    frame,
-)
-from ambush_planner.planning.plan import Plan, departure_paths
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, plan_trip
+from ambush_planner.planning.plan import Plan
 
 STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
 REACH = 1.5  # spacings
 TERRAIN_SECURED = 2000.0  # m
-SHOWN = 6
-COLOURS = ('#332288', '#cc3377', '#117733', '#e69f00', '#0072b2', '#56b4e9')
 
 
 def timed(work: Callable[[], Plan]) -> tuple[Plan, float]:
@@ -63,32 +50,8 @@ def measure(
     return rows, trip
 
 
-def picture(risk_map: RiskMap, trip: Plan) -> Figure:
-    """The strategy over all legs on the left, departures on the right."""
-    figure = Figure(figsize=(15.0, 9.0), dpi=110, layout='compressed')
-    left, right = figure.subplots(1, 2)
-    strategy, network = trip.strategy, trip.network
-    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
-    frame(left, risk_map, f'One strategy over {network.legs} legs: mean loss {strategy.value:.2f}')
-    frame(right, risk_map, f'{SHOWN} departures')
-    draw_segments(left, network.points[network.edges], strategy.edge_probability)
-    q = strategy.ambush_probability
-    sites = np.flatnonzero((q > 0.0) & (q >= 1e-3 * q.max()))
-    left.scatter(*network.points[sites].T, s=20.0 + 110.0 * q[sites] / q.max(),
-                 color=AMBUSHER, edgecolors='white', linewidths=0.9, zorder=5)
-    paths = departure_paths(trip, SHOWN, 100.0, np.random.default_rng(1))
-    for path, colour in zip(paths, COLOURS, strict=True):
-        right.plot(*path[:, :2].T, color=colour, linewidth=1.4, zorder=4)
-    for axes in (left, right):
-        draw_risk_map(axes, risk_map)
-        draw_secured(axes, [start, *stops, goal], TERRAIN_SECURED)
-        draw_ends(axes, start, goal, stops)
-    return figure
-
-
 def main() -> None:
     parser = new_parser(__doc__)
-    parser.add_argument('--picture', type=Path, help='file for the picture of docs/python.md')
     parser.add_argument('--spacing', type=float, default=600.0, help='of the nodes [m]')
     arguments = parser.parse_args()
     options = PlanningOptions(
@@ -106,8 +69,6 @@ def main() -> None:
         f'{table(head, [*plain, *wide])}\n\n{len(trip.network.points)} nodes in '
         f'{trip.network.legs} layers. {conditions()}.'
     ))
-    if arguments.picture:
-        picture(scenario.risk_map, trip).savefig(arguments.picture)
 
 
 if __name__ == '__main__':

@@ -9,19 +9,25 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyArrowPatch
 from scipy.sparse import csr_matrix
 
 from ambush_planner.figures import (
+    OBSTACLE,
     PROBABILITY,
+    WIDTH,
     FloatArray,
     draw_ends,
     draw_risk_map,
     draw_segments,
     frame,
+    probability_scale,
+    risk_bar,
+    scale_bar,
 )
 from ambush_planner.game.strategy import Strategy
 from ambush_planner.maps.risk_map import RiskMap
@@ -33,7 +39,10 @@ from .results import METHOD_3, SOLVERS, Results, Say
 # Share of the busiest square's visits below which a square gets no arrow.
 LEAST_SHARE = 2e-3
 
-DOTS_PER_INCH = 100
+DOTS_PER_INCH = 150
+SITES = Line2D([], [], linestyle='none', marker='s', markersize=8, color='white',
+               markeredgecolor='black', label='ambush site')
+LEGEND = {'loc': 'outside lower center', 'ncols': 2, 'frameon': False}
 CONNECTIVITY = {
     'Method 1': 'random samples, Delaunay triangulation',
     'Method 2': 'lattice, 8-connected',
@@ -62,7 +71,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
 
 def _methods(results: Results, solver: str, name: str) -> Figure:
     rows = [
-        (f'{method}: {CONNECTIVITY[method]}; {name}', results.strategies[method, solver])
+        (f'{method}, {name}\n{CONNECTIVITY[method]}', results.strategies[method, solver])
         for method in METHODS
     ]
     return _rows(results.risk_map, rows)
@@ -75,66 +84,75 @@ def _solvers(results: Results) -> Figure:
 
 
 def _energy(results: Results) -> Figure:
-    title = f'{METHOD_3}, 0.99 z + 0.01 E minimised; interior point'
+    title = f'{METHOD_3}, interior point\n0.99 z + 0.01 E minimised'
     return _rows(results.risk_map, [(title, results.weighted)])
 
 
 def _secured(results: Results) -> Figure:
-    title = f'{METHOD_3}, no ambush within {SECURED_RADIUS:g} m of the ends; max_entropy'
+    title = f'{METHOD_3}, max_entropy\nheld ground: {SECURED_RADIUS:g} m around the ends'
     figure = _rows(results.risk_map, [(title, results.secured)])
     _draw_sites(figure.axes[0], results.secured)
-    _sites_legend(figure)
+    figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
 
 
 def _thresholds(results: Results) -> Figure:
     """A row for each threshold: the whole map, and the goal with the ambush sites."""
-    figure, axes = _panels(len(SHOWN_THRESHOLDS))
-    for panels, threshold in zip(axes, SHOWN_THRESHOLDS, strict=True):
-        strategy = results.thresholds[threshold]
+    strategies = [results.thresholds[threshold] for threshold in SHOWN_THRESHOLDS]
+    figure, axes, scale = _panels(strategies)
+    for panels, threshold, strategy in zip(axes, SHOWN_THRESHOLDS, strategies, strict=True):
         titles = (
-            f'Nodes with alpha over {threshold:g} discarded: value {strategy.value:.2f}',
+            f'Nodes with alpha over {threshold:g} discarded\nvalue {strategy.value:.2f}',
             'around the goal',
         )
         for panel, title in zip(panels, titles, strict=True):
             frame(panel, results.risk_map, title)
-            draw_risk_map(panel, results.risk_map)
-            lines = _draw_uses(panel, strategy)
+            risk = draw_risk_map(panel, results.risk_map)
+            lines = _draw_uses(panel, strategy, scale)
             _draw_sites(panel, strategy)
             _draw_ends(panel, strategy)
-        panels[1].set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
-        figure.colorbar(lines, ax=panels, label='expected uses of each edge', shrink=0.9)
-    _sites_legend(figure)
+            if panel is panels[1]:
+                panel.set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
+            scale_bar(panel)
+    _scales(figure, axes, lines, risk)
+    figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
 
 
 def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
     """A row for each strategy: expected uses of each edge, and the mean direction."""
-    figure, axes = _panels(len(rows))
+    figure, axes, scale = _panels([strategy for _, strategy in rows])
     for (left, right), (title, strategy) in zip(axes, rows, strict=True):
         frame(left, risk_map, title)
         frame(right, risk_map, 'mean direction')
-        lines = _draw_uses(left, strategy)
+        lines = _draw_uses(left, strategy, scale)
         draw_mean_direction(right, _without_two_way_traffic(strategy), SPACING)
         for panel in (left, right):
             risk = draw_risk_map(panel, risk_map)
             _draw_ends(panel, strategy)
-        figure.colorbar(lines, ax=left, label='expected uses of each edge', shrink=0.9)
-        figure.colorbar(risk, ax=right, label='alpha', shrink=0.9)
+            scale_bar(panel)
+    _scales(figure, axes, lines, risk)
     return figure
 
 
-def _panels(rows: int) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=(13.5, 6.0 * rows), dpi=DOTS_PER_INCH, layout='compressed')
-    return figure, figure.subplots(rows, 2, squeeze=False)
+def _panels(strategies: Sequence[Strategy]) -> tuple[Figure, np.ndarray, LogNorm]:
+    """A figure, a row of two panels for each strategy, and one colour scale for all."""
+    rows = len(strategies)
+    figure = Figure((WIDTH, 4.6 * rows + 1.2), dpi=DOTS_PER_INCH, layout='compressed')
+    scale = probability_scale(np.concatenate([each.edge_probability for each in strategies]))
+    return figure, figure.subplots(rows, 2, squeeze=False), scale
 
 
-def _draw_uses(axes: Axes, strategy: Strategy) -> LineCollection:
-    """Draw the edges on a linear scale, clipped for a few busy edges."""
-    p = strategy.edge_probability
-    most = float(np.quantile(p[p > 1e-3], 0.98))
+def _scales(figure: Figure, axes: np.ndarray, lines: LineCollection, risk: AxesImage) -> None:
+    """The two colour scales below the panels."""
+    layout = {'location': 'bottom', 'pad': 0.02, 'aspect': 30, 'shrink': 0.9}
+    figure.colorbar(lines, ax=axes[:, 0], label='expected uses of each edge', format='%g', **layout)
+    risk_bar(figure, risk, axes[:, 1], **layout)
+
+
+def _draw_uses(axes: Axes, strategy: Strategy, scale: LogNorm) -> LineCollection:
     segments = strategy.network.points[strategy.network.edges]
-    return draw_segments(axes, segments, p, Normalize(0.0, most, clip=True), (0.3, 3.2))
+    return draw_segments(axes, segments, strategy.edge_probability, scale, (0.3, 3.2))
 
 
 def _without_two_way_traffic(strategy: Strategy) -> Strategy:
@@ -161,12 +179,6 @@ def _draw_sites(axes: Axes, strategy: Strategy) -> None:
     axes.scatter(*sites.T, s=60, marker='s', color='white', edgecolors='black', zorder=9)
 
 
-def _sites_legend(figure: Figure) -> None:
-    sites = Line2D([], [], linestyle='none', marker='s', markersize=8, color='white',
-                   markeredgecolor='black', label='where the ambusher waits')
-    figure.legend(handles=[sites], loc='outside lower right')
-
-
 def _example(results: Results, solver: str, name: str) -> Figure:
     """The 8-node network; wider arrows are likelier edges, dotted ones are unused."""
     strategy = results.strategies[EXAMPLE, solver]
@@ -175,15 +187,15 @@ def _example(results: Results, solver: str, name: str) -> Figure:
     axes = figure.subplots()
     for (tail, head), p in zip(network.edges, strategy.edge_probability, strict=True):
         _draw_arrow(axes, network.points[tail], network.points[head], float(p))
-    axes.scatter(*network.points.T, s=420, color='white', edgecolors='black', zorder=3)
+    axes.scatter(*network.points.T, s=620, color='white', edgecolors='black', zorder=3)
     for node, x in enumerate(strategy.visit_probability):
         label = {network.source: 'A', network.target: 'B'}.get(node, f'{x:.2f}')
-        axes.annotate(label, network.points[node], ha='center', va='center', fontsize=8, zorder=4)
+        axes.annotate(label, network.points[node], ha='center', va='center', fontsize=9, zorder=4)
     axes.set(xlim=(-0.25, 3.25), ylim=(-0.3, 2.3), aspect='equal')
     axes.set_axis_off()
     axes.set_title(
-        f'8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}; '
-        'in the nodes how often they are visited',
+        f'8 nodes, {name}: edge entropy {strategy.edge_entropy:.2f}\n'
+        'numbers: expected uses of each edge and node',
         fontsize='medium',
     )
     return figure
@@ -199,13 +211,13 @@ def _draw_arrow(axes: Axes, tail: np.ndarray, head: np.ndarray, p: float) -> Non
         linewidth=0.8 + 16.0 * p if used else 0.8,
         linestyle='-' if used else ':',
         color=PROBABILITY(0.25 + 2.0 * p) if used else '0.6',
-        shrinkA=11.0,
-        shrinkB=11.0,
+        shrinkA=13.0,
+        shrinkB=13.0,
         zorder=2 if used else 1,
     ))
     if used:
         x, y = tail + 0.36 * (head - tail)
-        axes.annotate(f'{p:.2f}', (x, y), ha='center', va='center', fontsize=8, zorder=5,
+        axes.annotate(f'{p:.2f}', (x, y), ha='center', va='center', fontsize=9, zorder=5,
                       bbox={'boxstyle': 'round,pad=0.15', 'color': 'white', 'alpha': 0.85})
 
 

@@ -18,9 +18,9 @@ SCRIPTS = {
     'many': '--cells 60 --pairs 3 --nodes 60 --repeats 1',
     'markers': '--across 10',
     'random_games': '--first 57 --count 2',
-    'routes': '--maps maze --departures 4 --nodes 1000 --picture routes.png',
+    'routes': '--maps maze --departures 4 --nodes 1000',
     'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60',
-    'trips': '--spacing 1500 --picture trip.png',
+    'trips': '--spacing 1500',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',

@@ -61,7 +61,7 @@ def test_the_notebook_runs_without_ros(tmp_path):
 
 def test_the_notebook_was_saved_with_its_pictures():
     outputs = [output for cell in CELLS for output in cell.get('outputs', ())]
-    assert sum('image/jpeg' in output.get('data', ()) for output in outputs) == 2
+    assert sum('image/png' in output.get('data', ()) for output in outputs) == 2
     assert not any(output['output_type'] == 'error' for output in outputs)
 
 

@@ -6,25 +6,34 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
-from ..figures import draw_risk_map, draw_segments, frame, probability_scale
+from ..figures import (
+    WIDTH,
+    draw_risk_map,
+    draw_segments,
+    frame,
+    probability_bar,
+    probability_scale,
+    risk_bar,
+)
 from ..maps.risk_map import RiskMap
 from ..recordings.audit import Audit
 
 
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
-    figure = Figure((21.0, 8.0), layout='constrained')
-    published, recorded, observer = figure.subplots(1, 3)
+    figure = Figure((WIDTH, 9.0), layout='compressed')
+    panels = figure.subplot_mosaic('ab;cc', height_ratios=(5, 3))
+    published, recorded, observer = panels['a'], panels['b'], panels['c']
     scale = probability_scale(result.expected / result.departures)
     for axes, passages, title in (
-        (published, result.expected, 'Published: probability that the convoy drives here'),
-        (recorded, result.passages, f'Recorded: share of {result.departures} departures'),
+        (published, result.expected, 'Published probability'),
+        (recorded, result.passages, f'Share of {result.departures} departures'),
     ):
         frame(axes, risk_map, title)
-        draw_risk_map(axes, risk_map)
+        risk = draw_risk_map(axes, risk_map)
         edges = draw_segments(axes, result.segments, passages / result.departures, scale)
-    figure.colorbar(edges, ax=[published, recorded], location='bottom', shrink=0.5, aspect=50,
-                    label='share of departures')
+    probability_bar(figure, edges, published, 'share of departures that pass', location='bottom')
+    risk_bar(figure, risk, recorded, location='bottom')
     count = np.arange(1, len(result.observer_losses) + 1)
     observer.axhline(result.value, color='grey', label='published value')
     observer.plot(count, np.cumsum(result.observer_losses) / count, color=AMBUSHER,

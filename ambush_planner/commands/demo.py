@@ -74,7 +74,7 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
         raise DemoFailed('the recordings could not be verified; see the report')
     section, strategy = sections[-1], sections[-1].strategy
     figure = routes_figure(section.risk_map, strategy, [path[:, :2] for path in paths],
-                           fixed_routes(strategy), SECURED_RADIUS)
+                           fixed_routes(strategy))
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')
     budgets = StrategyOptions(time_limit=SWEEP_SECONDS)

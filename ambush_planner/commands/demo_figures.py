@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from .. import figures
 from ..arrays import FloatArray
-from ..colours import AMBUSHER, OBSTACLE
-from ..figures import SECURED_DASHES
+from ..colours import AMBUSHER, ROUTES
+from ..figures import HALO, HELD_GROUND, OBSTACLE, WIDTH
 from ..game.hits import largest_losses
 from ..game.route_sampler import route_strategy
 from ..game.strategy import Strategy
@@ -20,53 +19,54 @@ from ..maps.risk_map import RiskMap
 from ..planning.evaluation import energy_efficient_route, evaluate, risk_avoiding_route
 
 # Colours and dashes of the fixed routes.
-FIXED = (('#332288', '-'), ('#cc3377', (0, (3, 1.2))))
+FIXED = ((ROUTES[0], '-'), (ROUTES[1], (0, (3, 1.2))))
 
 
 @dataclass(frozen=True, eq=False)
 class FixedRoute:
-    """A route (K, 2) [m] that is driven every time, and the place (2,) of its worst ambush."""
+    """A route (K, 2) [m] driven every time; place (2,) and loss of its worst ambush."""
 
-    label: str
+    name: str
     points: FloatArray
     worst_place: FloatArray
+    loss: float
 
 
 def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray],
-                  fixed: Sequence[FixedRoute], secured_radius: float) -> Figure:
+                  fixed: Sequence[FixedRoute]) -> Figure:
     """Draw the routes (K, 2) of departures on the left and the fixed routes on the right."""
-    figure = Figure(figsize=(15.0, 9.6), layout='compressed')
-    # The legend is below the panels.
-    figure.get_layout_engine().set(rect=(0.0, 0.045, 1.0, 0.955), w_pad=0.08)
+    figure = Figure(figsize=(WIDTH, 6.7), layout='compressed')
     left, right = figure.subplots(1, 2)
-    network = strategy.network
-    start, goal = network.points[[network.source, network.target]]
+    ends = strategy.network.points[[strategy.network.source, strategy.network.target]]
+    worst = max(route.loss for route in fixed)
     for axes, title in (
-        (left, f'{len(routes)} departures of the random convoy\nAn ambusher who knows the strategy '
-               f'causes a mean loss of {strategy.value:.2f} at most'),
-        (right, 'The same route every day\nAn ambusher who has seen it waits at the worst place'),
+        (left, f'{len(routes)} departures of the random convoy\n'
+               f'Mean loss of {strategy.value:.2f} if the strategy is known'),
+        (right, f'The same route every day\nLoss of up to {worst:.2f} once the route is known'),
     ):
         figures.frame(axes, risk_map, title)
         risk = figures.draw_risk_map(axes, risk_map)
-        figures.draw_secured(axes, [start, goal], secured_radius)
-        figures.draw_ends(axes, start, goal)
+        figures.draw_held_ground(axes, ends, strategy.game.options.held_radius)
+        figures.draw_ends(axes, *ends)
+        figures.scale_bar(axes)
     figures.draw_routes(left, routes)
-    handles: list[Line2D | Patch] = []
-    for route, (colour, dashes) in zip(fixed, FIXED, strict=True):
-        handles += right.plot(*route.points.T, color=colour, linestyle=dashes, linewidth=2.6,
-                              label=route.label, zorder=4)
-        right.scatter(*route.worst_place, s=170, color=AMBUSHER, edgecolors='white',
-                      linewidths=0.9, zorder=5)
-    handles += [
-        Line2D([], [], linestyle='none', marker='o', markersize=10, color=AMBUSHER,
-               markeredgecolor='white', label='ambush on a known route'),
-        Line2D([], [], color='black', linewidth=1.2, linestyle=SECURED_DASHES,
-               label='secured ground: nobody can wait here'),
-        Patch(color=OBSTACLE, label='obstacle'),
-    ]
-    figure.colorbar(risk, ax=[left, right], location='bottom', shrink=0.4, aspect=40,
-                    label='loss if the convoy is ambushed here')
-    figure.legend(handles=handles, loc='lower center', ncol=len(handles), handlelength=2.6)
+    for route, (colour, dashes), side in zip(fixed, FIXED, ('left', 'right'), strict=True):
+        right.plot(*route.points.T, color=colour, linestyle=dashes, linewidth=2.4, zorder=4)
+        length = np.hypot(*np.diff(route.points, axis=0).T).sum() / 1000.0
+        right.annotate(f'{route.name}\n{length:.1f} km', route.points[3 * len(route.points) // 4],
+                       xytext=(12 if side == 'left' else -12, 0), textcoords='offset points',
+                       ha=side, va='center', color=colour, path_effects=HALO, zorder=9)
+    # The place further right has the upper label, so that the lines do not cross.
+    for k, route in enumerate(sorted(fixed, key=lambda route: -route.worst_place[0])):
+        right.scatter(*route.worst_place, s=130, color=AMBUSHER, edgecolors='white', zorder=5)
+        right.annotate(
+            f'worst place of the\n{route.name}: loss {route.loss:.2f}', route.worst_place,
+            xytext=(0.97, 0.38 - 0.13 * k), textcoords='axes fraction', ha='right',
+            path_effects=HALO, zorder=9,
+            arrowprops={'arrowstyle': '-', 'relpos': (0.0, 0.5), 'linewidth': 1.2},
+        )
+    figures.risk_bar(figure, risk, [left, right], location='bottom', shrink=0.5, aspect=40)
+    left.legend(handles=[HELD_GROUND, OBSTACLE], loc='lower right', fontsize=9)
     return figure
 
 
@@ -78,7 +78,7 @@ def fixed_routes(strategy: Strategy) -> list[FixedRoute]:
         ('shortest route', measures['energy_efficient'], energy_efficient_route(game)),
         ('safest route', measures['risk_avoidance'], risk_avoiding_route(game)),
     ):
-        label = f'{name} ({row.expected_length / 1000:.1f} km, loss {row.v_repeated:.2f})'
         _, worst = largest_losses(game, route_strategy(strategy.network, route))
-        routes.append(FixedRoute(label, points[route], points[game.sites[worst[0]]]))
+        place = points[game.sites[worst[0]]]
+        routes.append(FixedRoute(name, points[route], place, row.v_repeated))
     return routes

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from ..colours import AMBUSHER
 from ..errors import InvalidOption
-from ..figures import PROBABILITY
+from ..figures import HALO, PROBABILITY, WIDTH, as_png
 from ..network.construction import build_network
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
 from . import cli
@@ -73,15 +73,17 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
 def write_frontier(path: Path, rows: Sequence[FrontierRow], max_detour: float,
                    risk_slack: float) -> None:
     """Write the table (CSV) and the picture (.png) next to it, both with mode 0600."""
-    text, png = io.StringIO(), io.BytesIO()
+    text = io.StringIO()
     writer = csv.DictWriter(text, COLUMNS, lineterminator='\n')
     writer.writeheader()
     for row in rows:
         writer.writerow({name: f'{value:.9g}' if isinstance(value, float) else value
                          for name, value in asdict(row).items()})
-    frontier_figure(rows, max_detour, risk_slack).savefig(png, format='png')
     picture = path.with_suffix('.png').name
-    cli.write_private(path.parent, {path.name: text.getvalue().encode(), picture: png.getvalue()})
+    cli.write_private(path.parent, {
+        path.name: text.getvalue().encode(),
+        picture: as_png(frontier_figure(rows, max_detour, risk_slack)),
+    })
 
 
 def _as_text(rows: Sequence[FrontierRow]) -> str:
@@ -103,7 +105,7 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
 
     Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
     """
-    figure = Figure(figsize=(11.0, 9.0), dpi=110, layout='constrained')
+    figure = Figure(figsize=(WIDTH, 7.2), layout='constrained')
     panels = figure.subplots(3, 2, sharex='col', sharey='row')
     convoy, style = PROBABILITY(0.6), {'marker': 'o', 'markersize': 5, 'zorder': 3}
     for (value, exposure, entropy), name, fixed, title in (
@@ -113,24 +115,27 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
         solved = [row for row in rows if row.swept == name and not row.error]
         solved.sort(key=lambda row: getattr(row, name))
         x = [getattr(row, name) for row in solved]
-        value.plot(x, [row.lower_bound for row in solved], color='0.45', linestyle=':',
-                   label='lower bound', **style)
-        value.plot(x, [row.value for row in solved], color=AMBUSHER, label='the strategy', **style)
+        bound = value.plot(x, [row.lower_bound for row in solved], color='0.45', linestyle=':',
+                           **style)
+        lines = value.plot(x, [row.value for row in solved], color=AMBUSHER, **style)
         exposure.plot(x, [_relative_exposure(row) for row in solved], color=convoy, **style)
         entropy.plot(x, [row.route_entropy for row in solved], color=convoy, **style)
         for axes in (value, exposure, entropy):
             axes.axvline(fixed, color='0.6', linestyle='--', linewidth=1.2, zorder=1)
             axes.grid(color='0.92')
+            axes.margins(y=0.15)
+        value.annotate(f'{name} {fixed:g}', (fixed, 1.0), xycoords=('data', 'axes fraction'),
+                       xytext=(4, -14), textcoords='offset points', path_effects=HALO)
         value.set_title(title, loc='left')
-    for axes, label, least in (
-        (panels[0, 0], 'mean loss by the best ambush', 0.0),
-        (panels[1, 0], 'mean exposure over the least', 1.0),
-        (panels[2, 0], 'route entropy [nats]', 0.0),
-    ):
-        axes.set(ylabel=label, ylim=(least, None))
+    for axes, label in zip(panels[:, 0], (
+        'mean loss\nby the best ambush', 'mean exposure\nover the least', 'route entropy [nats]',
+    ), strict=True):
+        axes.set_ylabel(label)
+        bottom, top = axes.get_ylim()
+        axes.set_ylim(max(0.0, min(bottom, 0.8 * top)), top)  # small changes look small
     panels[2, 0].set_xlabel('max_detour: expected length over the shortest')
     panels[2, 1].set_xlabel('risk_slack: share of the value given up')
-    panels[0, 0].legend(loc='best', frameon=False)
+    panels[0, 0].legend([*lines, *bound], ['value', 'lower bound'], frameon=False)
     return figure
 
 

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 from ..arrays import FloatArray
 from ..errors import InvalidOption
-from ..figures import as_png, draw_strategy
+from ..figures import WIDTH, as_png, draw_strategy
 from ..game.strategy import Strategy
 from ..maps.coordinates import WGS84, InvalidCoordinates
 from ..maps.risk_map import RiskMap
@@ -130,7 +130,7 @@ def _content(path: Path, drawn: Drawn) -> bytes:
 
 
 def _picture(drawn: Drawn) -> bytes:
-    figure = Figure(figsize=(11.0, 9.6), layout='constrained')
+    figure = Figure(figsize=(WIDTH, 7.6), layout='compressed')
     draw_strategy(figure.subplots(), drawn.strategy, drawn.risk_map,
                   [path[:, :2] for path in drawn.paths])
     return as_png(figure)

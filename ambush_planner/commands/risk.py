@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..colours import OBSTACLE, ROUTES
-from ..figures import draw_risk_map, frame
+from ..figures import DOTS_PER_INCH, WIDTH, draw_risk_map, frame, risk_bar
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -33,7 +33,7 @@ coordinate system is known, and a picture of each layer and of the sum, MAP.png.
 """ + cli.EXIT_CODES
 # Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
 LEAST, MOST = 1.0, 10.0
-_COLUMNS = 3  # of panels
+_COLUMNS = 2
 
 
 def parser() -> argparse.ArgumentParser:
@@ -87,14 +87,14 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     count = len(joined.layers) + 1
     rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
     width, height = joined.risk_map.size
-    figure = Figure(figsize=(5.0 * columns, (0.8 + 3.8 * min(height / width, 3.0)) * rows), dpi=110,
-                    layout='compressed')
+    size = (0.5 * WIDTH * columns, (0.8 + 3.8 * min(height / width, 3.0)) * rows)
+    figure = Figure(size, dpi=DOTS_PER_INCH, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, layer in zip(panels, joined.layers, strict=False):
         _draw(figure, axes, joined.risk_map, layer)
     last = panels[count - 1]
-    frame(last, joined.risk_map, 'Risk map: grey loss, black obstacle')
-    figure.colorbar(draw_risk_map(last, joined.risk_map), ax=last, shrink=0.7, label='loss')
+    frame(last, joined.risk_map, 'Risk map: obstacles are black')
+    risk_bar(figure, draw_risk_map(last, joined.risk_map), last, shrink=0.7)
     for axes in panels[count:]:
         axes.set_visible(False)
     return figure

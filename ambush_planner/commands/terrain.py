@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..colours import OBSTACLE
-from ..figures import draw_risk_map, frame
+from ..figures import DOTS_PER_INCH, WIDTH, draw_risk_map, frame, risk_bar
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -119,8 +119,8 @@ def _summary(ground: TerrainMap) -> str:
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
-    figure = Figure(figsize=(15.0, 9.6), dpi=110, layout='compressed')
-    *panels, last = figure.subplots(2, 3).ravel()
+    figure = Figure(figsize=(WIDTH, 12.0), dpi=DOTS_PER_INCH, layout='compressed')
+    *panels, last = figure.subplots(3, 2).ravel()
     risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
     width, height = risk_map.size
     place = {'origin': 'lower', 'extent': (0.0, width, 0.0, height), 'interpolation': 'nearest'}
@@ -128,16 +128,16 @@ def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     for axes, (layer, title, colours) in zip(panels, (
         (elevation.heights, 'Height [m]', 'cividis'),
         (ground.slope, 'Slope, rise over run', 'magma_r'),
-        (ground.depth, 'Depth below the ground within range [m]', 'magma_r'),
-        (ground.exposure, 'Share of the ground within range that sees a vehicle', 'magma_r'),
-        (ground.approach, 'Mean distance to the nearest hidden ground [m]', 'magma'),
+        (ground.depth, 'Depth below the ground in range [m]', 'magma_r'),
+        (ground.exposure, 'Share of ground in range with sight', 'magma_r'),
+        (ground.approach, 'Mean distance to hidden ground [m]', 'magma'),
     ), strict=True):
         frame(axes, risk_map, title)
         axes.set_facecolor(OBSTACLE)
         shown = np.ma.masked_invalid(layer[::thin, ::thin])
         figure.colorbar(axes.imshow(shown, cmap=colours, **place), ax=axes, shrink=0.7)
-    frame(last, risk_map, 'Risk map: grey risk, black obstacle or unknown')
-    figure.colorbar(draw_risk_map(last, risk_map), ax=last, shrink=0.7, label='loss')
+    frame(last, risk_map, 'Risk map: obstacle or unknown is black')
+    risk_bar(figure, draw_risk_map(last, risk_map), last, shrink=0.7)
     if ground.roads.any():
         roads = np.ma.masked_equal(ground.roads, False)
         last.imshow(roads, cmap='winter', alpha=0.8, zorder=1, **place)

@@ -1,0 +1,218 @@
+"""Draw the pictures of the documents into docs/images; ``make demo`` and ``make paper`` first.
+
+Those of the demo's terrain show the strategy that its node has recorded in out/demo.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import subprocess
+import sys
+from contextlib import chdir
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, figures, plan_trip
+from ambush_planner.arrays import IndexArray
+from ambush_planner.colours import AMBUSHER, PROBABILITY
+from ambush_planner.commands import demo_figures, demo_ground
+from ambush_planner.commands.cli import main as ambush
+from ambush_planner.game.hits import largest_losses
+from ambush_planner.game.route_sampler import route_strategy
+from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
+from ambush_planner.planning.plan import departure_paths
+from ambush_planner.recordings import recordings_in
+from ambush_planner.recordings.recorded_departures import read_departures
+from ambush_planner.recordings.report_data import Section, sections_of
+
+DOCS = Path(__file__).resolve().parent
+# The trip of docs/python.md [m].
+STOPS = ((21015.0, 8955.0), (25020.0, 16020.0), (8685.0, 23625.0))
+TRIP = PlanningOptions(NetworkOptions(spacing=600.0), GameOptions(secured_radius=2000.0))
+TRIPS_SHOWN = 6
+# The moving picture: pixels across, steps of a day, and times that they are shown [ms].
+PIXELS, STEPS, STEP_TIME, NIGHT, LAST = 1200, 4, 130, 500, 4000
+TUTORIAL = ('--start', '4', '20', '--goal', '56', '20', '--set', 'game.ambush_radius=2',
+            'game.secured_radius=5', 'network.spacing=2')
+# The paper's pictures that docs/paper.md shows, by their names in out/paper.
+PAPER = {'figure_solvers': 'solvers', 'figure_2_interior_point': 'figure_2',
+         'figure_7_threshold': 'figure_7'}
+LEGEND = {'loc': 'outside lower center', 'frameon': False}
+
+
+def strategy(demo: Section) -> Figure:
+    """Where the convoy drives and where the ambusher waits."""
+    figure = Figure((7.8, 7.6), layout='compressed')
+    axes = figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
+    figures.scale_bar(axes)
+    return figure
+
+
+def routes(demo: Section) -> Figure:
+    """The demo's own picture."""
+    paths = [each.path_poses[:, :2] for each in demo.departures[-8:]]
+    fixed = demo_figures.fixed_routes(demo.strategy)
+    return demo_figures.routes_figure(demo.risk_map, demo.strategy, paths, fixed)
+
+
+def trip(demo: Section) -> Figure:
+    """One strategy over all legs on the left, departures on the right."""
+    risk_map = demo.risk_map
+    plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
+    network = plan.network
+    known = evaluate(plan.strategy)['energy_efficient'].v_repeated
+    figure = Figure((figures.WIDTH, 6.9), layout='compressed')
+    left, right = figure.subplots(1, 2)
+    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
+    for axes, title in (
+        (left, f'One strategy over {network.legs} legs: mean loss {plan.strategy.value:.2f}\n'
+               f'(the shortest trip, once known: {known:.2f})'),
+        (right, f'{TRIPS_SHOWN} departures'),
+    ):
+        figures.frame(axes, risk_map, title)
+        risk = figures.draw_risk_map(axes, risk_map)
+        figures.draw_held_ground(axes, [start, *stops, goal],
+                                 plan.strategy.game.options.held_radius)
+        figures.draw_ends(axes, start, goal, stops)
+        figures.scale_bar(axes)
+    edges = figures.draw_segments(left, network.points[network.edges],
+                                  plan.strategy.edge_probability)
+    figures.draw_sites(left, plan.strategy)
+    paths = departure_paths(plan, TRIPS_SHOWN, 100.0, np.random.default_rng(1))
+    figures.draw_routes(right, [path[:, :2] for path in paths])
+    figures.probability_bar(figure, edges, left, location='bottom')
+    figures.risk_bar(figure, risk, right, location='bottom')
+    figure.legend(handles=[figures.SITES, figures.HELD_GROUND, figures.OBSTACLE], ncols=3, **LEGEND)
+    return figure
+
+
+class Panel:
+    """One half of the moving picture: a convoy that drives every day, and its ambusher."""
+
+    def __init__(self, axes: Axes, demo: Section, title: str) -> None:
+        self.axes, self.demo = axes, demo
+        self.game = demo.strategy.game
+        self.points = self.game.network.points
+        figures.frame(axes, demo.risk_map, title)
+        figures.draw_risk_map(axes, demo.risk_map)
+        ends = self.points[[self.game.network.source, self.game.network.target]]
+        figures.draw_held_ground(axes, ends, self.game.options.held_radius)
+        figures.draw_ends(axes, *ends)
+        figures.scale_bar(axes)
+        self.text = axes.set_xlabel(' \n ', fontsize=11, linespacing=1.4)
+        self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
+                              path_effects=figures.HALO)
+        self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
+        self.hit = axes.scatter([], [], s=420, marker='X', color=AMBUSHER, edgecolors='black',
+                                zorder=9)
+        self.name = axes.annotate('', (0.0, 0.0), xytext=(-10, 8), textcoords='offset points',
+                                  ha='right', weight='bold', path_effects=figures.HALO, zorder=9)
+        self.losses: list[float] = []
+
+    def step(self, route: IndexArray, row: int, share: float) -> None:
+        """Show the first part of a day's route, and the ambusher at a site."""
+        shown = self.points[route[: 1 + round(share * (len(route) - 1))]]
+        self.way.set_data(*shown.T)
+        place = self.points[self.game.sites[row]]
+        self.site.set_offsets(place)
+        self.name.xy = place
+        self.name.set_text('ambusher')
+        self.hit.set_offsets(np.empty((0, 2)))
+
+    def night(self, route: IndexArray, row: int, limit: str) -> None:
+        """Count the day's loss, and keep the route as a thin line."""
+        met = (self.game.hits[[row]] @ route_strategy(self.game.network, route))[0] > 0.0
+        site = self.game.sites[row]
+        self.losses.append(float(self.game.loss[site]) if met else 0.0)
+        if met:
+            self.hit.set_offsets(self.points[site])
+            self.name.set_text('ambushed')
+        self.axes.plot(*self.points[route].T, color=PROBABILITY[1], linewidth=0.9, alpha=0.6,
+                       zorder=3)
+        days, hits = len(self.losses), np.count_nonzero(self.losses)
+        self.text.set_text(f'ambushed on {hits} of {days} days\n'
+                           f'mean loss {np.mean(self.losses):.2f} a day{limit}')
+
+
+def route_a_day(demo: Section, path: Path, days: int) -> None:
+    """The same route met every day, beside drawn routes and the ambusher who plays best."""
+    chosen, rng = demo.strategy, np.random.default_rng(1)
+    figure = Figure((figures.WIDTH, 5.9), dpi=PIXELS / figures.WIDTH, layout='constrained')
+    left, right = (
+        Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
+            'The shortest route, every day\nThe ambusher waits at its worst place',
+            'A route drawn for every departure\nThe ambusher knows all but the draw',
+        ), strict=True)
+    )
+    figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
+    figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle. '
+                     'Dashed: held ground, where nobody can wait.', fontsize=10)
+    same = energy_efficient_route(chosen.game)
+    worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
+    q = chosen.ambush_probability[chosen.game.sites]
+    frames, times = [], []
+
+    def shoot(milliseconds: int) -> None:
+        stream = io.BytesIO()
+        figure.savefig(stream, format='png')
+        frames.append(Image.open(stream).convert('RGB'))
+        times.append(milliseconds)
+
+    for route in chosen.sample_routes(days, rng):
+        row = int(rng.choice(len(q), p=q / q.sum()))
+        for share in np.linspace(1 / STEPS, 1.0, STEPS):
+            left.step(same, worst, share)
+            right.step(route, row, share)
+            shoot(STEP_TIME)
+        left.night(same, worst, '')
+        right.night(route, row, f', at most {chosen.value:.2f} in the long run')
+        shoot(NIGHT)
+    times[-1] = LAST
+    frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0,
+                   quality=60, method=6, kmin=501,
+                   kmax=1000)
+
+
+def tutorial(folder: Path) -> None:
+    """What the tutorial's commands draw on its map."""
+    script = (DOCS / 'tutorial.md').read_text().split("<<'EOF'\n")[1].split('\nEOF')[0]
+    with TemporaryDirectory() as place, chdir(place):
+        subprocess.run([sys.executable, '-c', script], check=True)
+        ambush(['frontier', 'map.yaml', '-o', 'frontier.csv', *TUTORIAL])
+        ambush(['plan', 'map.yaml', '-n', '6', '--seed', '1', '-o', 'routes.png', *TUTORIAL])
+        for name in ('frontier', 'routes'):
+            shutil.copyfile(f'{name}.png', folder / f'tutorial_{name}.png')
+
+
+def main() -> None:
+    """Draw the named pictures, or all."""
+    still = {'strategy': strategy, 'routes': routes, 'trip': trip}
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'paper'])
+    parser.add_argument('--demo', type=Path, default=Path('out/demo'), help='what the demo left')
+    parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
+    parser.add_argument('--days', type=int, default=20, help='of the moving picture')
+    options = parser.parse_args()
+    folder = options.output.resolve()
+    demo = sections_of(read_departures(recordings_in(options.demo), print))[-1]
+    for name in options.names:
+        if name in still:
+            (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
+        elif name == 'route_a_day':
+            route_a_day(demo, folder / 'route_a_day.webp', options.days)
+        elif name == 'tutorial':
+            tutorial(folder)
+        else:
+            for drawn, shown in PAPER.items():
+                shutil.copyfile(f'out/paper/{drawn}.png', folder / f'paper_{shown}.png')
+
+
+if __name__ == '__main__':
+    main()
