@@ -34,7 +34,7 @@ SPACING = 360.0
 # Friendly forces hold the ground around start and goal [m].
 SECURED_RADIUS = 2000.0
 # Slacks of the frontier, and the time limit of each solve [s].
-SLACKS, SWEEP_SECONDS = (0.01, 0.1), 15.0
+SLACKS, SWEEP_SECONDS = (0.01, 0.1), 25.0
 EPILOG = """\
 The demo starts the node, publishes a risk map made from an elevation model of matplotlib's sample
 data, and requests departures. FOLDER then holds the recordings (MCAP), their verified report.html,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import BudgetInfeasible, TimeLimit
@@ -71,7 +71,22 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
         rows[k] = replace(solved[budgets], swept=swept)
         if on_row is not None:
             on_row(rows[k])
-    return tuple(rows[k] for k in range(len(tasks)))
+    return tuple(_best_within(rows[k], rows.values()) for k in range(len(tasks)))
+
+
+def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
+    """The row, or what is known to be better: tighter budgets' strategies, looser ones' bounds.
+
+    A solve that ran out of time may be worse than one within tighter budgets.
+    """
+    same = [each for each in rows if each.risk_slack == row.risk_slack and not each.error]
+    tighter = [each for each in same if each.max_detour <= row.max_detour]
+    best = min(tighter, key=lambda each: each.value, default=row)
+    if best.value < row.value * (1.0 - row.risk_slack):
+        row = replace(best, swept=row.swept, max_detour=row.max_detour, lower_bound=row.lower_bound)
+    bound = max((each.lower_bound for each in same if each.max_detour >= row.max_detour),
+                default=row.lower_bound)
+    return row if row.error else replace(row, lower_bound=max(row.lower_bound, bound))
 
 
 def _row(network: Network, game: GameOptions, swept: str, options: StrategyOptions,
