@@ -10,7 +10,6 @@ import io
 import shutil
 import subprocess
 import sys
-from contextlib import chdir
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,7 +22,6 @@ from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, figures
 from ambush_planner.arrays import IndexArray
 from ambush_planner.colours import AMBUSHER, PROBABILITY
 from ambush_planner.commands import demo_figures, demo_ground
-from ambush_planner.commands.cli import main as ambush
 from ambush_planner.game.hits import largest_losses
 from ambush_planner.game.route_sampler import route_strategy
 from ambush_planner.planning.evaluation import energy_efficient_route, evaluate
@@ -97,8 +95,7 @@ class Panel:
     """One half of the moving picture: a convoy that drives every day, and its ambusher."""
 
     def __init__(self, axes: Axes, demo: Section, title: str) -> None:
-        self.axes, self.demo = axes, demo
-        self.game = demo.strategy.game
+        self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
         figures.frame(axes, demo.risk_map, title)
         figures.draw_risk_map(axes, demo.risk_map)
@@ -141,8 +138,11 @@ class Panel:
                            f'mean loss {np.mean(self.losses):.2f} a day{limit}')
 
 
-def route_a_day(demo: Section, path: Path, days: int) -> None:
-    """The same route met every day, beside drawn routes and the ambusher who plays best."""
+def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
+    """The same route met every day, next to drawn routes and the ambusher who plays best.
+
+    Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
+    """
     chosen, rng = demo.strategy, np.random.default_rng(1)
     figure = Figure((figures.WIDTH, 5.9), dpi=PIXELS / figures.WIDTH, layout='constrained')
     left, right = (
@@ -176,19 +176,22 @@ def route_a_day(demo: Section, path: Path, days: int) -> None:
         shoot(NIGHT)
     times[-1] = LAST
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0,
-                   quality=60, method=6, kmin=501,
-                   kmax=1000)
+                   quality=60, method=6, kmin=501, kmax=1000)
 
 
 def tutorial(folder: Path) -> None:
     """What the tutorial's commands draw on its map."""
     script = (DOCS / 'tutorial.md').read_text().split("<<'EOF'\n")[1].split('\nEOF')[0]
-    with TemporaryDirectory() as place, chdir(place):
-        subprocess.run([sys.executable, '-c', script], check=True)
-        ambush(['frontier', 'map.yaml', '-o', 'frontier.csv', *TUTORIAL])
-        ambush(['plan', 'map.yaml', '-n', '6', '--seed', '1', '-o', 'routes.png', *TUTORIAL])
+    ambush = Path(sys.executable).with_name('ambush')
+    with TemporaryDirectory() as place:
+        for command in (
+            [sys.executable, '-c', script],
+            [ambush, 'frontier', 'map.yaml', '-o', 'frontier.csv', *TUTORIAL],
+            [ambush, 'plan', 'map.yaml', '-n', '6', '--seed', '1', '-o', 'routes.png', *TUTORIAL],
+        ):
+            subprocess.run(command, cwd=place, check=True)
         for name in ('frontier', 'routes'):
-            shutil.copyfile(f'{name}.png', folder / f'tutorial_{name}.png')
+            shutil.copyfile(f'{place}/{name}.png', folder / f'tutorial_{name}.png')
 
 
 def main() -> None:
@@ -196,17 +199,15 @@ def main() -> None:
     still = {'strategy': strategy, 'routes': routes, 'trip': trip}
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('names', nargs='*', default=[*still, 'route_a_day', 'tutorial', 'paper'])
-    parser.add_argument('--demo', type=Path, default=Path('out/demo'), help='what the demo left')
     parser.add_argument('-o', '--output', type=Path, default=DOCS / 'images')
-    parser.add_argument('--days', type=int, default=20, help='of the moving picture')
     options = parser.parse_args()
     folder = options.output.resolve()
-    demo = sections_of(read_departures(recordings_in(options.demo), print))[-1]
+    demo = sections_of(read_departures(recordings_in('out/demo'), print))[-1]
     for name in options.names:
         if name in still:
             (folder / f'{name}.png').write_bytes(figures.as_png(still[name](demo)))
         elif name == 'route_a_day':
-            route_a_day(demo, folder / 'route_a_day.webp', options.days)
+            route_a_day(demo, folder / 'route_a_day.webp')
         elif name == 'tutorial':
             tutorial(folder)
         else:
