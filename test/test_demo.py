@@ -19,7 +19,6 @@ pytest.importorskip('matplotlib', reason='the demo draws pictures')
 from commands import documented_keys
 from matplotlib.image import imread
 from PIL import Image
-from rosbags.highlevel import AnyReader
 
 from ambush_planner import StrategyOptions
 from ambush_planner.commands import cli, demo
