@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip('matplotlib', reason='the picture of routes needs matplotlib')
 
+from audit_samples import departure, drawn, record, sample_plan
 from test_tutorial import SECONDS, run_in_shell
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -47,3 +48,17 @@ def test_the_quick_start_publishes_a_path(tmp_path):
     (tmp_path / 'ws/src/ambush_planner').symlink_to(ROOT)
     said = run_in_shell(f'set -m\n{ROS}kill %1\nwait', tmp_path)
     assert 'success=True' in said and 'nav_msgs.msg.Path(' in said
+
+
+@pytest.mark.slow
+def test_the_python_of_its_page_runs(tmp_path):
+    a_plan = sample_plan()
+    routes = enumerate(drawn(a_plan, 6))
+    record(tmp_path / 'runs', [departure(a_plan, each, number=k) for k, each in routes])
+    text = (ROOT / 'docs/python.md').read_text()
+    blocks = re.findall(r'(?ms)^```python\n(.*?)^```$', text)
+    given = 'pairs = [((15.0, 150.0), (385.0, 150.0)), ((385.0, 150.0), (15.0, 150.0))]\n'
+    (tmp_path / 'page.py').write_text(given + '\n'.join(blocks))
+    done = subprocess.run([sys.executable, 'page.py'], cwd=tmp_path, capture_output=True, text=True,
+                          timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
