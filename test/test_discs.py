@@ -122,3 +122,13 @@ def test_an_edge_that_only_passes_through_a_disc_hits():
 def test_without_sites_there_are_no_rows():
     network = corridor(np.column_stack((np.arange(3.0), np.zeros(3))))
     assert entering_edges(network, np.empty((0, 2)), 1.0, 0.0).shape == (0, 2)
+
+
+def test_a_node_on_the_rim_of_held_ground_hides_no_hit():
+    """Rounding puts the third node a hair outside held ground; the way passes 1.62 m away."""
+    step, cells = 0.2, 9
+    row = [((column + 0.5) * step, 3.5 * step) for column in (15, 23, 24, 25, 75)]
+    site = row[2][0] + 0.1 * step, row[2][1] + 0.9 * cells * step
+    edges = np.stack((np.arange(4), np.arange(1, 5)), axis=1)
+    network = Network(np.array([*row, site]), np.array([0, 0, 0, 0, 0, 1.0]), edges, 0, 4)
+    assert solve(network, GameOptions(cells * step, cells * step)).value == pytest.approx(1.0)

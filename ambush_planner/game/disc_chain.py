@@ -21,7 +21,7 @@ from .faces import Faces
 # Distances that are held at once: bounds the memory of searches that run together.
 _DISTANCES = 2**22
 # How far they go, as a share of the cheapest chain: a chain has a middle within this of its first
-# disc on both ways, unless one disc is more than half of it.
+# disc on both ways, as faces and discs on it are at most half of its cost apart.
 _MIDDLE = 0.75
 
 

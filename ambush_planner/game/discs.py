@@ -53,7 +53,10 @@ def entering_edges(network: Network, centres: FloatArray, reach: float, held: fl
     """
     edges = np.arange(len(network.edges)) if edges is None else edges
     parts = _exposed_parts(network, edges, held)
-    exposed = np.ones(len(network.points), bool) if held <= 0.0 else ~near_ends(network, held)
+    # By a margin, so that the edge before an exposed node certainly has an exposed part there.
+    exposed = np.ones(len(network.points), bool)
+    if held > 0.0:
+        exposed = ~near_ends(network, held * (1.0 + _ROUNDING))
     exposed[network.source] = False  # no edge before it
     tails = network.tails[parts.edge]
     from_exposed = exposed[tails]

@@ -311,6 +311,7 @@ class EntropyStage:
         for law in self.laws:
             short = mixture(law.p, shortest, self.within_budgets)
             if short is not None and entry_value(self.game, short) < value:
+                short = without_cycles(self.game.network, short)
                 value, best = entry_value(self.game, short), replace(best, p=short)
         network = self.acyclic_part(self.game, best.p)
         reference = max(least, REFERENCE_SHARE * value)
