@@ -1,6 +1,8 @@
 """The default strategy: least risk within the budgets, then the most unpredictable routes.
 
-1. Find the least value z, by a cut if that is exact, else by a linear program (``least_risk``).
+1. Find the least value z: by a cut without a reach; with one, by the cheapest chain of discs, or by
+   a program in potentials of the faces if a budget binds; by a linear program if none of these
+   applies (``least_risk``).
 2. Accept values up to (1 + slack) z.
 3. Find the strategy of greatest route entropy (a Gibbs law) on an acyclic part of the network that
    contains an optimal strategy. If it still exceeds a limit when the search ends, mix in the
@@ -15,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_matrix, diags, vstack
 
 from ..arrays import FloatArray
 from ..errors import SolverFailed, TimeLimit
@@ -35,7 +36,6 @@ from .entries import entry_bound, entry_value
 from .entropy_search import GibbsStrategy, maximize_entropy
 from .face_program import solve_on_faces
 from .faces import Faces, make_faces
-from .flow_program import capped_at_one
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .hits import worst_loss
@@ -49,41 +49,27 @@ from .least_risk import (
     without_excessive_sites,
     without_forbidden_edges,
 )
+from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
 from .route_sampler import shortest_route_strategy
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
 # Share of the slack that the search aims at, and its tolerance as a share of the slack.
 LEVEL_AIM, LIMIT_TOLERANCE = 0.95, 0.04
-# Most that the search keeps below a budget: a share of its margin, and a share of the slack by the
-# budget's price.
-KEPT_MARGIN, KEPT_SLACK = 1e-3, 0.02
-# Smallest tolerance of the search, relative to a limit.
-LEAST_TOLERANCE = 1e-6
+# What the search keeps below a budget costs at most this share of the slack, by the budget's price.
+KEPT_SLACK = 0.02
 # Bisection steps for the share of a mixture.
 BISECTIONS = 30
 # Relative gap of the linear program, as a share of the slack.
 PROGRAM_GAP = 0.02
 # The same for the program in potentials of the faces.
 FACES_GAP = 0.1
-# Smallest limit of a site's hits; with several ambushers its level may be 0.
-LEAST_HITS = 1e-9
 # Share of the remaining time for the linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
 # The search with soft limits: rounds, evaluations per round, factor of the softness per round.
 SOFT_ROUNDS, SOFT_EVALUATIONS, SOFTNESS_FACTOR = 8, 80, 0.25
 # Its limits, at least this share of the shortest route's value, and a typical entropy [nats].
 REFERENCE_SHARE, FIRST_ENTROPY = 0.05, 30.0
-# Largest initial multiplier of a site or budget, scaled to its limit.
-MAX_FIRST_MULTIPLIER = 300.0
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the Gibbs law: per hit of each site (N,), per unit of each budget's cost."""
-
-    sites: FloatArray
-    budgets: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,12 +293,9 @@ class EntropyStage:
         if not self.within_budgets(shortest):
             raise TimeLimit('the time limit passed before a strategy within the budgets was found')
         best = Solution(shortest, uniform_ambusher(self.game), (0.0,) * len(self.budgets), 0)
-        value, bound = entry_value(self.game, shortest), 0.0
         for law in self.laws:
-            short = mixture(law.p, shortest, self.within_budgets)
-            if short is not None and entry_value(self.game, short) < value:
-                short = without_cycles(self.game.network, short)
-                value, best = entry_value(self.game, short), replace(best, p=short)
+            best = self._better(best, law, shortest)
+        value, bound = entry_value(self.game, best.p), 0.0
         network = self.acyclic_part(self.game, best.p)
         reference = max(least, REFERENCE_SHARE * value)
         level = np.full(len(self.game.sites), reference)
@@ -321,11 +304,8 @@ class EntropyStage:
         for _ in range(SOFT_ROUNDS):
             p, found = self.gibbs_strategy(network, limits, start, softness, SOFT_EVALUATIONS)
             start, softness = found.multipliers, softness * SOFTNESS_FACTOR
-            short = mixture(p, shortest, self.within_budgets)
-            if short is not None and entry_value(self.game, short) < value:
-                value = entry_value(self.game, short)
-                best = replace(best, p=short, multipliers=limits.unscaled(start),
-                               iterations=self.evaluations)
+            best = self._better(best, replace(best, p=p, multipliers=limits.unscaled(start),
+                                              iterations=self.evaluations), shortest)
             q, prices = limits.ambusher(start)
             reached = entry_bound(self.game, q, self.budgets, prices)
             if reached > bound:
@@ -337,6 +317,14 @@ class EntropyStage:
         if known is not None and known[0] > bound:
             best = replace(best, q=known[1], prices=(0.0,) * len(self.budgets))
         return best
+
+    def _better(self, best: Solution, law: Solution, shortest: FloatArray) -> Solution:
+        """The law, mixed with the shortest route to fit the budgets, if that has a lower value."""
+        p = mixture(law.p, shortest, self.within_budgets)
+        if p is None or entry_value(self.game, p) >= entry_value(self.game, best.p):
+            return best
+        return replace(best, p=without_cycles(self.game.network, p), multipliers=law.multipliers,
+                       iterations=law.iterations)
 
     def _ambusher_at_nodes(self) -> tuple[float, FloatArray] | None:
         """Bound and q (N,) of the plain game on the same sites, which a reach can only raise."""
@@ -366,67 +354,3 @@ def mixture(p: FloatArray, partner: FloatArray,
             low = share
     mixture: FloatArray = (1.0 - high) * p + high * partner
     return mixture
-
-
-class LimitRows:
-    """The limits of stage 3 as rows C p <= 1: sites that can exceed theirs, then the budgets."""
-
-    def __init__(self, game: Game, network: AcyclicNetwork, level: FloatArray,
-                 budgets: tuple[Budget, ...], kept: tuple[float, ...] | None = None) -> None:
-        self._game, self._budgets = game, budgets
-        hits = game.hits[:, network.edge]
-        most = np.maximum(level / game.loss[game.sites], LEAST_HITS)
-        self._row = np.flatnonzero((hits.getnnz(axis=1) > 0) & (most < _most_hits(game)))
-        self._most = most[self._row]
-        self._binding = [b for b in budgets if b.binds]
-        whole = np.array([b.margin for b in self._binding])
-        if kept is None:
-            kept = tuple(KEPT_MARGIN * b.margin for b in budgets)
-        self._margin = whole - [k for k, b in zip(kept, budgets, strict=True) if b.binds]
-        self._whole = whole / self._margin
-        # What the search may exceed a limit by, relative: no more than what is kept of a budget.
-        self.tolerance = max(float((self._whole - 1.0).min(initial=1.0)), LEAST_TOLERANCE)
-        over = [csr_matrix(b.excess[network.edge]) for b in self._binding]
-        scale = np.concatenate((self._most, self._margin))
-        self.rows = csr_matrix(diags(1.0 / scale) @ vstack([hits[self._row], *over]))
-        edge = network.edge
-        mean = np.array([float(b.cost[edge].mean()) for b in self._binding])
-        self._first = np.minimum(self._margin / np.maximum(mean, 1e-300), MAX_FIRST_MULTIPLIER)
-
-    def start(self, warm: Multipliers | None) -> FloatArray:
-        """Scaled multipliers (R,) to start from: those of ``warm``, or 0 for sites."""
-        if warm is None or len(warm.sites) != self._game.node_count:
-            return np.concatenate((np.zeros(len(self._row)), self._first))
-        sites = warm.sites[self._game.sites[self._row]] * self._most
-        pairs = zip(warm.budgets, self._budgets, strict=True)
-        budgets = np.array([price for price, b in pairs if b.binds]) * self._margin
-        return np.asarray(np.minimum(np.concatenate((sites, budgets)), MAX_FIRST_MULTIPLIER))
-
-    def unscaled(self, multipliers: FloatArray) -> Multipliers:
-        """The scaled multipliers (R,) as multipliers per hit and per unit of cost."""
-        sites = np.zeros(self._game.node_count)
-        count = len(self._row)
-        sites[self._game.sites[self._row]] = multipliers[:count] / self._most
-        price = iter(multipliers[count:] / self._margin)
-        budgets = (float(next(price)) if b.binds else 0.0 for b in self._budgets)
-        return Multipliers(sites, tuple(budgets))
-
-    def entropy_bound(self, found: GibbsStrategy, slack: float) -> float:
-        """Most entropy within ``slack`` times the limits of the sites and the whole budgets."""
-        limits = np.concatenate((np.full(len(self._row), slack), self._whole))
-        return found.log_partition + float(found.multipliers @ limits)
-
-    def ambusher(self, multipliers: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
-        """The ambusher's strategy q (N,) and the prices in proportion to the multipliers (R,)."""
-        found, game = self.unscaled(multipliers), self._game
-        q = np.zeros(game.node_count)
-        q[game.sites] = found.sites[game.sites] / game.loss[game.sites]
-        total = float(q.sum()) / game.ambushers
-        if not total > 0.0:
-            return uniform_ambusher(game), (0.0,) * len(found.budgets)
-        return capped_at_one(q / total, game.ambushers), tuple(b / total for b in found.budgets)
-
-
-def _most_hits(game: Game) -> float:
-    """Largest number of hits of one site by one route; a leg may come back to a disc."""
-    return (1.0 if game.reach == 0.0 else 3.0) * game.network.legs

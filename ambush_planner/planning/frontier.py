@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
+from ..game.limit_rows import Multipliers
 from ..game.strategy import StrategyOptions, solve
-from ..game.strategy_solver import Multipliers
 from ..network.network import Network
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)

@@ -12,9 +12,9 @@ from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
 from ..game.game import Game, GameOptions, make_game
 from ..game.hits import worst_loss
+from ..game.limit_rows import Multipliers
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, solve
-from ..game.strategy_solver import Multipliers
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import on_places, with_hiding_places, with_places
 from ..network.network import Network
