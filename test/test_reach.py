@@ -28,7 +28,7 @@ from ambush_planner.game import best_response
 from ambush_planner.game.certificate import hit_bound
 from ambush_planner.game.disc_chain import chain_ambusher
 from ambush_planner.game.entries import entry_value
-from ambush_planner.game.face_program import solve_on_faces
+from ambush_planner.game.face_program import FaceProgram
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.route_sampler import route_edges
@@ -189,7 +189,10 @@ def test_level_lines_attain_the_value_over_all_routes_within_a_budget(seed, reac
     q = chain_ambusher(faces) if faces.touched.nnz else None
     if q is None:
         return
-    found = solve_on_faces(faces, budgets[0], hit_bound(game, q), 1e-6, np.inf)
+    program = FaceProgram(faces, budgets[0], hit_bound(game, q), 1e-6, np.inf)
+    strips = [program.solve(width) for width in (1.0, 3.0, np.inf)]
+    values, found = [strip.value for strip in strips], strips[-1]
+    assert values[0] >= values[1] * (1 - 1e-4) and values[1] >= values[2] * (1 - 1e-4)
     prices = (found.price, 0.0)
     bound = hit_bound(game, q if found.q is None else found.q, budgets, prices)
     assert bound <= once * (1 + 1e-6)

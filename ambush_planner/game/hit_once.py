@@ -32,6 +32,8 @@ MAX_ROUNDS, AIM = 10, 0.9
 LEAST_GAIN = 0.2
 # Flows below this are rounding of the program over routes.
 NEGLIGIBLE = 1e-9
+# Sites whose entries cost less than this share of the aim keep a limit of one entry per hit.
+NEAR_LIMIT = 0.7
 # Hit probabilities below this have no reliable ratio to entries.
 LEAST_HIT = 1e-6
 
@@ -95,8 +97,11 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
     best = worst_loss(game, base.p)
     found: list[_Valued] = []
     for _ in range(MAX_ROUNDS):
-        hit = hit_probabilities(game, latest.p)
-        ratio = np.where(hit > LEAST_HIT, (game.hits @ latest.p) / np.maximum(hit, LEAST_HIT), 1.0)
+        entries = game.hits @ latest.p
+        hit, near = entries.copy(), np.flatnonzero(loss * entries > NEAR_LIMIT * aim)
+        hit[near] = hit_probabilities(game, latest.p, near)
+        ratio = entries / np.maximum(hit, LEAST_HIT)
+        ratio[hit <= LEAST_HIT] = 1.0
         if found:
             eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
         limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)

@@ -34,7 +34,7 @@ from .cut import uniform_ambusher
 from .disc_chain import chain_ambusher
 from .entries import entry_bound, entry_value
 from .entropy_search import GibbsStrategy, maximize_entropy
-from .face_program import solve_on_faces
+from .face_program import FaceProgram, LevelLines
 from .faces import Faces, make_faces
 from .game import Game
 from .gibbs import AcyclicNetwork
@@ -62,8 +62,10 @@ KEPT_SLACK = 0.02
 BISECTIONS = 30
 # Relative gap of the linear program, as a share of the slack.
 PROGRAM_GAP = 0.02
-# The same for the program in potentials of the faces.
-FACES_GAP = 0.1
+# The same for the program in potentials of the faces, and for the bound that its ambusher proves.
+FACES_GAP, PROVED_GAP = 0.1, 0.2
+# Widths of the strips that this program is solved on, in margins of the budget.
+STRIPS = (1.0, 2.0, 4.0, np.inf)
 # Share of the remaining time for the linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
 # The search with soft limits: rounds, evaluations per round, factor of the softness per round.
@@ -188,11 +190,9 @@ class EntropyStage:
         game, binding = self.game, [b for b in self.budgets if b.binds and b.limit > 0.0]
         if not self.chain or game.ambushers > 1 or len(binding) != 1:
             return None
-        assert self.faces is not None  # it has a chain
         bound, q = self.chain
         try:
-            found = solve_on_faces(self.faces, binding[0], bound, FACES_GAP * self.slack,
-                                   self.program_deadline())
+            found = self._least_on_faces(binding[0], bound)
         except SolverFailed:
             return None
         p = conserved_strategy(game, found.p, NEGLIGIBLE)
@@ -201,9 +201,28 @@ class EntropyStage:
         if short is None:
             return None
         self.level_lines = without_cycles(game.network, short)
-        prices = tuple(found.price if b is binding[0] else 0.0 for b in self.budgets)
-        return Solution(self.level_lines, q if found.q is None else found.q, prices,
-                        self.evaluations)
+        prices = self._priced(binding[0], found.price)
+        if found.q is None or self.hit_bound(found.q, prices) < bound:
+            prices = self._priced(binding[0], 0.0)
+        else:
+            q = found.q
+        return Solution(self.level_lines, q, prices, self.evaluations)
+
+    def _least_on_faces(self, budget: Budget, bound: float) -> LevelLines:
+        """Solve on strips around the best route until the ambusher found proves the value."""
+        assert self.faces is not None  # it has a chain
+        program = FaceProgram(self.faces, budget, bound, FACES_GAP * self.slack,
+                              self.program_deadline())
+        for width in STRIPS:
+            found = program.solve(width)
+            proved = found.q is None or self.hit_bound(found.q, self._priced(budget, found.price))
+            if proved is True or proved >= found.value * (1.0 - PROVED_GAP * self.slack):
+                break
+        return found
+
+    def _priced(self, budget: Budget, price: float) -> tuple[float, ...]:
+        """The price of one budget, and 0 for the others."""
+        return tuple(price if b is budget else 0.0 for b in self.budgets)
 
     def along_chain(self) -> Solution | None:
         """The strategy of greatest entropy at the value of the cheapest chain of discs.
