@@ -59,6 +59,15 @@ def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
     axes.set_title(title, fontsize='large', loc='left', linespacing=1.4)
 
 
+def draw_ground(axes: Axes, strategy: Strategy, risk_map: RiskMap, title: str) -> AxesImage:
+    """Draw the map with start, stops, goal, held ground and a scale bar instead of ticks."""
+    frame(axes, risk_map, title)
+    image = draw_risk_map(axes, risk_map)
+    draw_ends(axes, strategy)
+    scale_bar(axes)
+    return image
+
+
 def draw_risk_map(axes: Axes, risk_map: RiskMap) -> AxesImage:
     """Draw losses in grey, the least one white, and obstacles in black."""
     width, height = risk_map.size
@@ -117,23 +126,19 @@ def draw_segments(axes: Axes, segments: FloatArray, probability: npt.ArrayLike,
     return lines
 
 
-def draw_ends(axes: Axes, start: npt.ArrayLike, goal: npt.ArrayLike,
-              stops: npt.ArrayLike = ()) -> None:
-    """Mark the start with a square, the goal with a star, stops with diamonds, with names."""
-    marks = [(start, 's', 90, 'start'), (goal, '*', 260, 'goal')]
-    marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(np.asarray(stops), start=1)]
-    for place, marker, size, name in marks:
-        x, y = np.asarray(place, dtype=np.float64)
+def draw_ends(axes: Axes, strategy: Strategy) -> None:
+    """Mark start (square), goal (star) and stops (diamonds) with names; circle held ground."""
+    network, radius = strategy.network, strategy.game.options.held_radius
+    marks = [(network.source, 's', 90, 'start'), (network.target, '*', 260, 'goal')]
+    marks += [(stop, 'D', 70, f'stop {k}') for k, stop in enumerate(network.stops, start=1)]
+    for node, marker, size, name in marks:
+        x, y = network.points[node]
         axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
         axes.annotate(name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
-
-
-def draw_held_ground(axes: Axes, centres: npt.ArrayLike, radius: float) -> None:
-    """Draw circles of ``radius`` [m] around places (K, 2) where nobody can wait."""
-    for centre in np.asarray(centres, dtype=np.float64):
-        axes.add_patch(Circle(centre, radius, fill=False, edgecolor='black', linewidth=1.2,
-                              linestyle=HELD_DASHES, zorder=6))
+        if radius > 0.0:
+            axes.add_patch(Circle((x, y), radius, fill=False, edgecolor='black', linewidth=1.2,
+                                  linestyle=HELD_DASHES, zorder=6))
 
 
 def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
@@ -178,13 +183,9 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
         draw_sites(axes, strategy)
         key = [SITES, *key]
     draw_routes(axes, routes)
-    ends = network.points[[network.source, network.target]]
-    stops = network.points[network.stops]
-    held = strategy.game.options.held_radius
-    if held > 0.0:
-        draw_held_ground(axes, [*ends, *stops], held)
+    draw_ends(axes, strategy)
+    if strategy.game.options.held_radius > 0.0:
         key = [*key, HELD_GROUND]
-    draw_ends(axes, ends[0], ends[1], stops)
     axes.legend(handles=key, loc='upper left', bbox_to_anchor=(0.0, 0.0), borderaxespad=3.4,
                 frameon=False)
     return axes

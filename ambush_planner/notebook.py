@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 
-class Shown:
+
+class Shown(ABC):
     """A record that shows the numbers of its ``_summary()`` instead of its arrays."""
 
+    @abstractmethod
     def _summary(self) -> dict[str, str]:
-        raise NotImplementedError
+        """Return the numbers as text, by their names."""
 
     def __repr__(self) -> str:
         numbers = ', '.join(f'{name} {text}' for name, text in self._summary().items())

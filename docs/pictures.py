@@ -68,18 +68,12 @@ def trip(demo: Section) -> Figure:
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
     figure = Figure((figures.WIDTH, 6.9), layout='compressed')
     left, right = figure.subplots(1, 2)
-    start, *stops, goal = network.points[[network.source, *network.stops, network.target]]
     for axes, title in (
         (left, f'One strategy over {network.legs} legs: mean loss {plan.strategy.value:.2f}\n'
                f'(the shortest trip, once known: {known:.2f})'),
         (right, f'{TRIPS_SHOWN} departures'),
     ):
-        figures.frame(axes, risk_map, title)
-        risk = figures.draw_risk_map(axes, risk_map)
-        figures.draw_held_ground(axes, [start, *stops, goal],
-                                 plan.strategy.game.options.held_radius)
-        figures.draw_ends(axes, start, goal, stops)
-        figures.scale_bar(axes)
+        risk = figures.draw_ground(axes, plan.strategy, risk_map, title)
     edges = figures.draw_segments(left, network.points[network.edges],
                                   plan.strategy.edge_probability)
     figures.draw_sites(left, plan.strategy)
@@ -97,12 +91,7 @@ class Panel:
     def __init__(self, axes: Axes, demo: Section, title: str) -> None:
         self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
-        figures.frame(axes, demo.risk_map, title)
-        figures.draw_risk_map(axes, demo.risk_map)
-        ends = self.points[[self.game.network.source, self.game.network.target]]
-        figures.draw_held_ground(axes, ends, self.game.options.held_radius)
-        figures.draw_ends(axes, *ends)
-        figures.scale_bar(axes)
+        figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
         self.text = axes.set_xlabel(' \n ', fontsize=11, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)

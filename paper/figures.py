@@ -110,7 +110,7 @@ def _thresholds(results: Results) -> Figure:
             risk = draw_risk_map(panel, results.risk_map)
             lines = _draw_uses(panel, strategy, scale)
             _draw_sites(panel, strategy)
-            _draw_ends(panel, strategy)
+            draw_ends(panel, strategy)
             if panel is panels[1]:
                 panel.set(xlim=(22.0, 31.0), ylim=(7.0, 16.0))
             scale_bar(panel)
@@ -129,7 +129,7 @@ def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
         draw_mean_direction(right, _without_two_way_traffic(strategy), SPACING)
         for panel in (left, right):
             risk = draw_risk_map(panel, risk_map)
-            _draw_ends(panel, strategy)
+            draw_ends(panel, strategy)
             scale_bar(panel)
     _scales(figure, axes, lines, risk)
     return figure
@@ -165,11 +165,6 @@ def _without_two_way_traffic(strategy: Strategy) -> Strategy:
     uses = csr_matrix((p, network.edges.T), shape=(len(network.points),) * 2)
     back = np.asarray(uses[network.heads, network.tails]).ravel()
     return replace(strategy, edge_probability=np.maximum(p - back, 0.0))
-
-
-def _draw_ends(axes: Axes, strategy: Strategy) -> None:
-    network = strategy.network
-    draw_ends(axes, *network.points[[network.source, network.target]])
 
 
 def _draw_sites(axes: Axes, strategy: Strategy) -> None:

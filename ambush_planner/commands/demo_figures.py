@@ -37,18 +37,13 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
     """Draw the routes (K, 2) of departures on the left and the fixed routes on the right."""
     figure = Figure(figsize=(WIDTH, 6.7), layout='compressed')
     left, right = figure.subplots(1, 2)
-    ends = strategy.network.points[[strategy.network.source, strategy.network.target]]
     worst = max(route.loss for route in fixed)
     for axes, title in (
         (left, f'{len(routes)} departures of the random convoy\n'
                f'Mean loss of {strategy.value:.2f} if the strategy is known'),
         (right, f'The same route every day\nLoss of up to {worst:.2f} once the route is known'),
     ):
-        figures.frame(axes, risk_map, title)
-        risk = figures.draw_risk_map(axes, risk_map)
-        figures.draw_held_ground(axes, ends, strategy.game.options.held_radius)
-        figures.draw_ends(axes, *ends)
-        figures.scale_bar(axes)
+        risk = figures.draw_ground(axes, strategy, risk_map, title)
     figures.draw_routes(left, routes)
     for route, (colour, dashes), side in zip(fixed, FIXED, ('left', 'right'), strict=True):
         right.plot(*route.points.T, color=colour, linestyle=dashes, linewidth=2.4, zorder=4)

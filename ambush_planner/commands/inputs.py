@@ -54,6 +54,12 @@ def add_crs(parser: argparse.ArgumentParser) -> None:
     add_datum(crs)
 
 
+def add_map_output(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a command that writes a map."""
+    parser.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
+                        help='the map to write')
+
+
 def add_datum(parser: argparse._ActionsContainer) -> None:
     """Add the argument ``--datum``, for ``crs_text``."""
     parser.add_argument('--datum', type=float, nargs=3, metavar=('LAT', 'LON', 'YAW'),

@@ -17,6 +17,7 @@ from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import write_geotiff
 from . import cli
+from .inputs import add_map_output
 
 EPILOG = """\
 LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas:
@@ -40,8 +41,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('risk', 'Make a risk map from layers.', EPILOG)
     made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='description of the layers')
-    made.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
-                      help='the map to write')
+    add_map_output(made)
     return made
 
 

@@ -24,7 +24,7 @@ from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap, risk_map_from_occupancy
 from ..maps.risk_map_file import in_local_frame, write_geotiff
 from . import cli
-from .inputs import add_datum, crs_text
+from .inputs import add_datum, add_map_output, crs_text
 
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
@@ -48,8 +48,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('terrain', 'Make a risk map from an elevation model.', EPILOG)
     made.add_argument('elevation', type=Path, metavar='DEM', help='GeoTIFF or npz')
-    made.add_argument('-o', '--output', type=Path, required=True, metavar='MAP.yaml',
-                      help='the map to write')
+    add_map_output(made)
     add_terrain(made)
     add_datum(made)
     return made

@@ -173,11 +173,6 @@ class Strategy(Shown):
 
         return draw_strategy(axes, self, risk_map)
 
-    def __repr__(self) -> str:
-        return (f'Strategy(value={self.value:.6g}, lower_bound={self.lower_bound:.6g}, '
-                f'expected_length={self.expected_length:.6g}, '
-                f'route_entropy={self.route_entropy:.6g})')
-
     @property
     def network(self) -> Network:
         """The network that the strategy is for."""
