@@ -12,13 +12,12 @@ from rclpy.serialization import deserialize_message, serialize_message
 from ros_harness import FRAME, header, pose, risk_grid
 
 from ambush_planner.errors import InvalidPose, InvalidRiskMap
-from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
 from ambush_planner.maps.ros_messages import (
     occupancy_from_ros,
     path_from_ros,
     pose_from_ros,
     position_from_ros,
-    risk_map_from_ros,
 )
 from ambush_planner.ros.conversions import occupancy_to_ros, path_to_ros, pose_to_ros
 
@@ -49,14 +48,14 @@ def test_occupancy_round_trip():
 
 def test_resolution_is_used_as_it_was_received():
     message = over_the_wire(risk_grid(resolution=0.05))
-    assert risk_map_from_ros(message, OccupancyOptions()).resolution == float(np.float32(0.05))
+    assert occupancy_from_ros(message)[1] == float(np.float32(0.05))
 
 
 def test_first_cell_of_the_message_is_the_lower_left():
     values = np.zeros((2, 3), dtype=np.int8)
     values[0, 2] = 100
-    risk_map = risk_map_from_ros(occupancy_to_ros(values, 1.0, (0, 0, 0), header()),
-                                 OccupancyOptions())
+    risk_map = risk_map_from_occupancy(
+        *occupancy_from_ros(occupancy_to_ros(values, 1.0, (0, 0, 0), header())))
     assert np.argwhere(risk_map.obstacles).tolist() == [[0, 2]]
 
 
@@ -76,7 +75,7 @@ def test_path_keeps_both_ends_exactly():
 def test_bad_map_is_refused_by_name_and_number(name):
     message, words = BAD_MAPS[name]
     with pytest.raises(InvalidRiskMap, match=words):
-        risk_map_from_ros(message, OccupancyOptions())
+        occupancy_from_ros(message)
 
 
 def turned(**orientation):

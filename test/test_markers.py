@@ -1,6 +1,5 @@
 """Markers tell what the strategy says: one marker a topic, as many points as colours."""
 
-
 import numpy as np
 import pytest
 from rclpy.serialization import deserialize_message
@@ -9,8 +8,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.game.game import GameOptions
 from ambush_planner.game.strategy import solve
-from ambush_planner.maps.occupancy import OccupancyOptions
-from ambush_planner.maps.ros_messages import risk_map_from_ros
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.maps.ros_messages import occupancy_from_ros
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
 from ambush_planner.planning.options import PlanningOptions
@@ -23,12 +22,11 @@ from ambush_planner.ros.markers import (
 )
 
 ALL = (edge_probabilities, mean_direction, ambush_sites)
-BLUE, ORANGE = np.array([0.0, 0.2, 1.0]), np.array([0.9, 0.3, 0.0])
 
 
 @pytest.fixture(scope='module')
 def strategy():
-    risk_map = risk_map_from_ros(risk_grid(), OccupancyOptions())
+    risk_map = risk_map_from_occupancy(*occupancy_from_ros(risk_grid()))
     options = PlanningOptions(NetworkOptions(spacing=1.0))
     return plan_trip(risk_map, (1.5, 5.5), (8.5, 5.5), options).strategy
 

@@ -21,7 +21,7 @@ from ambush_planner.recordings import (
     recordings_in,
     source_findings,
 )
-from ambush_planner.recordings.recording_file import FORMAT
+from ambush_planner.recordings.recording_file import FORMAT, decode
 
 VERIFY = NO_ROS + """
 from ambush_planner.commands import cli
@@ -64,7 +64,7 @@ def test_map_and_path_are_those_that_rclpy_reads(files):
     theirs = deserialize_message(file.in_role('map').data, OccupancyGrid)
     ours = read_departure(files[GET_PLAN])
     assert np.array_equal(ours.planned_on.values.ravel(), np.array(theirs.data, np.int8))
-    path = file.decoded(file.in_role('path'))
+    path = decode(*file.defined(file.in_role('path')))
     assert np.array_equal(ours.path_poses, path_from_ros(path))
 
 

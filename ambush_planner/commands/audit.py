@@ -1,4 +1,4 @@
-"""``ambush_audit``: do recorded departures follow the published law, can they be predicted?"""
+"""``ambush_audit``: do departures follow the published law, and could one predict them?"""
 
 from __future__ import annotations
 

@@ -41,6 +41,6 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
                      label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
     observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
-    observer.set_title('Could one foresee the next departure?', loc='left', fontsize='large')
+    observer.set_title('Could one predict the next departure?', loc='left', fontsize='large')
     observer.legend()
     return figure

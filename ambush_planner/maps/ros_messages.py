@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray
 from ..errors import InvalidPose, InvalidRiskMap
-from .occupancy import OccupancyOptions, check_occupancy, risk_map_from_occupancy
-from .risk_map import RiskMap
+from .occupancy import check_occupancy
 
 # Tolerance of a quaternion's squared norm, as in Nav2; covers rounding to float32.
 _UNIT_TOLERANCE = 1e-4
@@ -43,11 +42,6 @@ def occupancy_from_ros(
     grid = values, float(info.resolution), pose_from_ros(origin)
     check_occupancy(*grid)
     return grid
-
-
-def risk_map_from_ros(message: Any, options: OccupancyOptions) -> RiskMap:
-    """Convert the map's cell values to losses; raises InvalidRiskMap."""
-    return risk_map_from_occupancy(*occupancy_from_ros(message), options)
 
 
 def pose_from_ros(pose: Any) -> tuple[float, float, float]:

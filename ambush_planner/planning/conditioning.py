@@ -1,4 +1,4 @@
-"""A strategy, conditional on its routes avoiding some edges.
+"""A strategy conditioned on its routes avoiding some edges.
 
 Drawing routes until one is clear samples this conditional strategy. On an acyclic network it is
 exact: let w = p / x be the probability of the next edge, and Z_i = sum w_ik Z_k that of reaching

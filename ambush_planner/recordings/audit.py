@@ -1,4 +1,4 @@
-"""Audit of departures: do they follow the published law, and could an observer foresee them?
+"""Audit of departures: do they follow the published law, and could an observer predict them?
 
 If all is well, each departure is an independent draw from its own strategy. The test counts the
 passages N_e of each edge in all departures and compares them with their mean E_e and variance V_e

@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, also after a crash or a power cut."""
+"""Files that are either complete or absent, even after a crash or a power cut."""
 
 from __future__ import annotations
 

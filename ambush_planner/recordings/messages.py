@@ -1,4 +1,4 @@
-"""Messages as they travelled, with quality of service in the text format of rosbag2 (Jazzy)."""
+"""Messages as they were sent, with quality of service in the text format of rosbag2 (Jazzy)."""
 
 from __future__ import annotations
 

@@ -48,10 +48,6 @@ class RecordingFile:
         topic = self.entries['topics'][role]
         return next(each for each in self.messages if each.topic == topic)
 
-    def decoded(self, message: RecordedMessage) -> Any:
-        """Decode a message. Its arrays of int8 are ``bytes``, which numpy reads at once."""
-        return decode(*self.defined(message))
-
     def defined(self, message: RecordedMessage) -> tuple[str, str, bytes]:
         """Return a message as ``decode`` takes it."""
         return self.definitions[message.type], message.type, message.data

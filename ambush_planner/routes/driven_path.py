@@ -1,4 +1,4 @@
-"""The driven path: the shortest in the drawn route's corridor, with round corners.
+"""The driven path: the shortest in the drawn route's corridor, with rounded corners.
 
 The taut string leaves a margin at both ends of each portal, in which its corners are rounded. If a
 turn is too tight, the margin is widened.
