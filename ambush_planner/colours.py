@@ -1,4 +1,7 @@
-"""Colours of pictures and reports; test_figures.py checks that colour-blind readers see them."""
+"""Colours of pictures, reports and layouts.
+
+test_colours.py checks that files with literals agree, and that colour-blind readers see them.
+"""
 
 OBSTACLE = '#1c1714'
 AMBUSHER = '#e66100'
@@ -9,3 +12,5 @@ RISK = ('#ffffff', '#848484')
 PROBABILITY = ('#7fb8e6', '#2f7fd0', '#1146b0', '#14075c')
 # Departures. None resembles the ambusher's orange.
 ROUTES = ('#2560a2', '#590051', '#15a9ff', '#350290', '#e0aed9', '#35c48c', '#9216f9', '#5b4a39')
+# RViz and Foxglove, whose ground is dark: the last departure and the start, and the goal.
+LIVE_ROUTE, LIVE_GOAL = '#00ff88', '#cc00cc'

@@ -37,7 +37,7 @@ def test_entry_lists_all_commands(capsys):
 def test_all_commands_share_options_and_exit_codes(name, capsys):
     assert exit_code([name, '--help']) == exit_code([name, '--version']) == 0
     output = capsys.readouterr().out
-    for text in ('--json', '--quiet', 'Exit codes: 0 all holds; 1 ', '--json: {'):
+    for text in ('--json', '--quiet', 'Exit codes: 0 success; 1 ', '--json: {'):
         assert text in output
     assert re.search(r'\nambush_planner \d', output)
 

@@ -1,31 +1,17 @@
 """Pictures: the layers, and the figure of the demo."""
 
 import math
-from itertools import combinations
 
 import numpy as np
 import pytest
 
 pytest.importorskip('matplotlib', reason='pictures need matplotlib')
 
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from ambush_planner import colours, figures
+from ambush_planner import figures
 from ambush_planner.maps.risk_map import RiskMap
 from paper.figures import binned_directions
-
-# Normal vision, then colours in linear RGB as protanopes, deuteranopes and tritanopes see them:
-# Machado, Oliveira and Fernandes 2009, severity 1.
-VISION = (
-    np.eye(3),
-    [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216],
-     [-0.003882, -0.048116, 1.051998]],
-    [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413],
-     [-0.011820, 0.042940, 0.968881]],
-    [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602],
-     [0.004733, 0.691367, 0.303900]],
-)
 
 
 @pytest.fixture
@@ -66,28 +52,6 @@ def test_binned_directions_are_weighted_means():
     np.testing.assert_allclose(share, [1.0, 0.5])
     places, mean, share = binned_directions(points, direction, np.zeros(4), 1.0)
     assert places.shape == mean.shape == (0, 2) and share.shape == (0,)
-
-
-def cielab(linear):
-    """CIELAB of a colour in linear RGB (D65)."""
-    xyz = np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
-    x, y, z = np.cbrt(xyz @ np.clip(linear, 0.001, 1.0) / (0.9505, 1.0, 1.089))
-    return np.array([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)])
-
-
-def difference(one, other):
-    """The least CIE76 difference of two colours for any vision; 2.3 is just noticeable."""
-    a, b = (((np.array(to_rgb(each)) + 0.055) / 1.055) ** 2.4 for each in (one, other))
-    return min(np.linalg.norm(cielab(np.array(eye) @ a) - cielab(np.array(eye) @ b))
-               for eye in VISION)
-
-
-def test_colour_blind_readers_tell_the_colours_apart():
-    for one, other in combinations(colours.ROUTES, 2):
-        assert difference(one, other) > 12.0, (one, other)
-    for route in (*colours.ROUTES, *colours.PROBABILITY, *colours.RISK, colours.ENDS):
-        assert difference(route, colours.AMBUSHER) > 30.0, route
-    assert difference('#cc3311', colours.AMBUSHER) < 20.0  # the measure sees what it should
 
 
 def test_scale_bar_has_a_round_length(axes):

@@ -206,9 +206,9 @@ POLYGON = rows(box(WEST, SOUTH, WEST + 100, SOUTH + 100))
     ('GRID {incidents: x.gpkg, bandwidth: 5}', rows(at(9, 9)), 'bandwidth must be .* 20, got 5'),
     ('GRID {incidents: x.gpkg, half_life: 9}', rows(at(9, 9)), "date: no attribute 'date'"),
     ('GRID {incidents: x.gpkg, half_life: 9}', rows(at(9, 9), date=['May?']),
-     'date: 1 of 1 incidents have none such as 2025-03-31'),
+     'date: 1 of 1 incidents have no date such as 2025-03-31'),
     ('GRID {incidents: x.gpkg, until: 2024-01-01}', rows(at(9, 9), date=['2025-01-01']),
-     'date: no incident until 2024-01-01'),
+     'until: all incidents are later than 2024-01-01'),
 ])
 def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_path, capsys):
     grid = {key: GRID[key] for key in ('resolution', 'bounds')}

@@ -27,20 +27,20 @@ from .console import place as place
 
 COMMANDS = {
     'audit': 'test whether departures follow their strategies',
-    'demo': 'departures on real terrain, through the real node',
-    'export': 'recorded routes for a GPS or a GIS',
-    'frontier': 'value, length and entropy of other budgets',
-    'plan': 'from a map to drawn routes for a GPS or a GIS',
+    'demo': 'run a real node on real terrain: departures, recordings, a report',
+    'export': 'write recorded routes to files for a GPS or a GIS',
+    'frontier': 'compare length budgets and slacks on a map',
+    'plan': 'plan on a map and draw routes for a GPS or a GIS',
     'replay': 'publish recorded departures again',
-    'report': 'recorded departures on one page for any browser',
-    'risk': 'a risk map from terrain, polygons, roads and incidents',
-    'table': 'value and length for all pairs of depots and customers',
-    'terrain': 'a risk map from an elevation model',
+    'report': 'show recorded departures on one page for any browser',
+    'risk': 'make a risk map from terrain, polygons, roads and incidents',
+    'table': 'compute value and length for all pairs of depots and customers',
+    'terrain': 'make a risk map from an elevation model',
     'verify': 'check that recorded departures follow from their inputs',
-    'views': 'RViz and Foxglove layouts for a map or a recording',
+    'views': 'make RViz and Foxglove layouts for a map or a recording',
 }
 EXIT_CODES = (
-    'Exit codes: 0 all holds; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
+    'Exit codes: 0 success; 1 a finding; 2 wrong usage; 3 a file cannot be read or written;\n'
     '4 not enough data to decide. A finding takes precedence.'
 )
 _SOUTHERN = re.compile(r'-[\d.]+,-?[\d.]*$')  # LAT,LON
@@ -182,7 +182,8 @@ def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentPar
 
 def _entry_parser() -> argparse.ArgumentParser:
     parser = _parser('ambush', 'Random routes that an ambusher cannot predict.',
-                     'ambush COMMAND --help shows its options.\n' + EXIT_CODES)
+                     'Begin with ambush plan. ambush COMMAND --help explains a command.\n'
+                     + EXIT_CODES)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
     for name, summary in COMMANDS.items():
         # Importing all commands is slow; only completion needs their options.

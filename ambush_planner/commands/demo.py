@@ -51,7 +51,7 @@ class DemoFailed(AmbushPlannerError):
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser(
-        'demo', 'Random routes on real terrain: departures, recordings, a report.', EPILOG
+        'demo', 'Run a real node on real terrain: departures, recordings, a report.', EPILOG
     )
     made.add_argument('-o', '--output', type=Path, default=Path('out/demo'), metavar='FOLDER',
                       help='folder for the results; made if missing (default: %(default)s)')

@@ -22,7 +22,7 @@ another one.
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.reader_parser('export', 'Recorded routes for a GPS or a GIS.', EPILOG)
+    made = cli.reader_parser('export', 'Write recorded routes to files for a GPS or a GIS.', EPILOG)
     add_outputs(made)
     add_crs(made)
     return made

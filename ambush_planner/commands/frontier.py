@@ -24,7 +24,8 @@ from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
 {MAP_HELP}
-Solves a strategy for each detour with the given slack, and for each slack with the given detour.
+Solves a strategy for each of --detours, all with strategy.risk_slack of --set, and for each of
+--slacks, all with strategy.max_detour of --set.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
 finding. TABLE.png shows the same as curves.
@@ -36,17 +37,18 @@ finding. TABLE.png shows the same as curves.
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser(
-        'frontier', 'Value, length, exposure and entropy over the budgets.', EPILOG
+        'frontier', 'Compare length budgets and slacks: value, length, exposure, entropy.', EPILOG
     )
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map, yaml or npz')
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
     for end in ('--start', '--goal'):
         made.add_argument(end, type=float, nargs=2, required=True, metavar=('X', 'Y'),
                           help='world position [m]')
     cli.add_table(made)
     made.add_argument('--detours', type=float, nargs='+', metavar='D', default=DETOURS,
-                      help='length budgets over the shortest route (default: 1.02 to 1.5)')
+                      help="length budgets, as multiples of the shortest route's length "
+                      '(default: 1.02 to 1.5)')
     made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
-                      'of the value to give up for unpredictability (default: 0 to 0.3)')
+                      'of the value to give up for less predictable routes (default: 0 to 0.3)')
     add_set(made)
     return made
 
@@ -54,7 +56,7 @@ def parser() -> argparse.ArgumentParser:
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options, output = options_from(arguments.set), arguments.output
     if output.suffix == '.png':
-        raise InvalidOption(f'{output}: the picture has this name; choose TABLE.csv')
+        raise InvalidOption(f'{output}: the picture gets this name; name the table .csv')
     risk_map = risk_map_from(arguments.map, options.map, console)
     network = build_network(risk_map, tuple(arguments.start), tuple(arguments.goal),
                             options.network)

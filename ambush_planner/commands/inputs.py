@@ -22,9 +22,9 @@ from ..network.construction import NetworkOptions
 from .console import Console
 
 MAP_HELP = """\
-MAP is a YAML file for map_server (ambush_terrain makes such maps), a GeoTIFF of the same values,
--1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution [m] and, if
-they are known, origin (x, y, yaw) and crs, the coordinate system."""
+MAP is a YAML file for map_server, as ambush_risk and ambush_terrain write it, a GeoTIFF of the
+same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
+[m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
 Options are named like the node's parameters (map., network., game., strategy.) and have the
 defaults of the Python functions."""

@@ -75,8 +75,9 @@ class _Positions(argparse.Action):
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('plan', 'Plan on a map and draw routes, for a GPS or a GIS.', EPILOG)
-    made.add_argument('map', type=Path, metavar='MAP', help='the risk map, or elevation model')
+    made = cli.new_parser('plan', 'Plan on a map and draw routes for a GPS or a GIS.', EPILOG)
+    made.add_argument('map', type=Path, metavar='MAP',
+                      help='the risk map, or with --terrain an elevation model')
     for end in ('--start', '--goal', '--via'):
         made.add_argument(end, nargs='+', action=_Positions, required=end != '--via', metavar='X Y',
                           help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')
@@ -90,7 +91,7 @@ def parser() -> argparse.ArgumentParser:
     add_crs(made)
     add_set(made)
     made.add_argument('--terrain', action='store_true', help='MAP is an elevation model')
-    add_terrain(made)
+    add_terrain(made.add_argument_group('with --terrain'))
     return made
 
 

@@ -115,7 +115,7 @@ class _Replay:
             self._console.say(f'nobody listens to {", ".join(unheard)}')
         self._round(files)
         while self._options.loop:
-            self._console.say('again from the beginning')
+            self._console.say('starting again from the first departure')
             self._round(files)
         if missing := self._wait_for_receipts():
             self._console.say(f'some listeners have not received all of {", ".join(missing)}')

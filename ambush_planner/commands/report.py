@@ -27,7 +27,7 @@ ambush_audit find; the exit code is 1 if a recording fails verification.
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.reader_parser(
-        'report', 'Recorded departures on one HTML page, for people without RViz or Foxglove.',
+        'report', 'Show recorded departures on one HTML page, for people without RViz or Foxglove.',
         EPILOG,
     )
     cli.add_output(made, PAGE, required=True)

@@ -59,7 +59,7 @@ class View {
     });
     cells.forEach((level, k) => {
       const at = (rows - 1 - Math.floor(k / columns)) * columns + k % columns;
-      pixels[at] = level === OBSTACLE ? 0xff31353a : losses ? grey[level] : 0;
+      pixels[at] = level === OBSTACLE ? 0xff14171c : losses ? grey[level] : 0;
     });
     pen.putImageData(image, 0, 0);
     return picture;

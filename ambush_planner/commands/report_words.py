@@ -34,15 +34,16 @@ def certificate(section: Section) -> list[str]:
     """What the value and its lower bound guarantee."""
     strategy = section.strategy
     held = strategy.game.options.held_radius
-    outside = f' that waits more than {distance(held)} from start and goal' if held > 0.0 else ''
+    ends = 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
+    outside = f' who waits more than {distance(held)} from {ends}' if held > 0.0 else ''
     length = ('' if strategy.length_budget == math.inf else
               f' with an expected length of at most {travel(strategy, strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
     verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
     reach = strategy.game.reach
     passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
-    ends = (
-        f' Nobody can wait within {distance(held)} of start or goal: if that ground is not held, '
+    assumed = (
+        f' Nobody can wait within {distance(held)} of {ends}: if that ground is not held, '
         'the guarantee does not hold.' if held > 0.0 else ''
     )
     return [
@@ -55,7 +56,7 @@ def certificate(section: Section) -> list[str]:
         'computed again for this page from the recorded probabilities.',
         'The assumptions: at each departure one ambush waits at one place, which is chosen before '
         f'the route is drawn, and hits every route {passing}. It causes the loss of the risk map '
-        f'at its place.{ends} If the map is wrong, or there are more ambushes, the numbers are '
+        f'at its place.{assumed} If the map is wrong, or there are more ambushes, the numbers are '
         'wrong, too.',
     ]
 
@@ -75,8 +76,8 @@ def tiles(strategy: Strategy) -> list[tuple[str, str]]:
 
 def measures(strategy: Strategy) -> list[tuple[str, ...]]:
     """Head and rows of the comparison of planners (the paper's table III)."""
-    head = ('planner', 'expected length E', 'probability of an ambush P_1',
-            'the same once it is known P_inf', 'mean loss then V_inf')
+    head = ('planner', 'mean length E', 'probability of a hit, planner unknown: P_1',
+            'probability of a hit, planner known: P_inf', 'mean loss, planner known: V_inf')
     return [head, *(
         (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
          percent(row.p_repeated), f'{row.v_repeated:.3f}')

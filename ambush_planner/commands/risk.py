@@ -28,8 +28,8 @@ LAYERS.yaml has a line for each layer; docs/risk_layers.md explains the formulas
   - {incidents: incidents.geojson, loss: 5, bandwidth: 400, half_life: 180}
   - {roads: roads.gpkg, width: 8, factor: 0.5, passable: true}
 
-It writes MAP.yaml and MAP.pgm for map_server, the exact losses as MAP.npz, MAP.tif if the
-coordinate system is known, and a picture of each layer and of the sum, MAP.png.
+It writes MAP.yaml and MAP.pgm for map_server, MAP.npz with the exact losses, MAP.png with a
+picture of each layer and of the result, and, if the coordinate system is known, a GeoTIFF, MAP.tif.
 --json: {"verdict", "files", "alpha_min", "alpha_max", "remarks"}
 """ + cli.EXIT_CODES
 # Losses of the values 0 and 100 in MAP.yaml unless the map exceeds them: the node's defaults.
@@ -40,7 +40,7 @@ _COLUMNS = 2
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser('risk', 'Make a risk map from layers.', EPILOG)
-    made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='description of the layers')
+    made.add_argument('layers', type=Path, metavar='LAYERS.yaml', help='the layers')
     add_map_output(made)
     return made
 

@@ -38,7 +38,7 @@ class InvalidPlaces(AmbushPlannerError, ValueError):
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     made = cli.new_parser(
-        'table', 'Value, length and entropy of the strategies for all pairs of places.', EPILOG
+        'table', 'Compute value, length and entropy for all pairs of places.', EPILOG
     )
     made.add_argument('depots', type=Path, metavar='DEPOTS.csv', help='where trips begin')
     made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where trips end')

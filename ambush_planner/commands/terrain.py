@@ -29,11 +29,11 @@ from .inputs import add_datum, add_map_output, crs_text
 EPILOG = """\
 DEM is a GeoTIFF (pip install 'ambush_planner[gis]'), or an npz file with elevation (H, W) [m],
 the northernmost row first, NaN where unknown, and resolution [m] (or dx and dy [m]). --roads takes
-the same kinds of files (npz: roads); nonzero cells are roads.
+the same kinds of files (npz: roads); cells other than 0 are roads.
 
 Map values: 0..99 risk, 100 too steep, -1 unknown. Risk is the weighted mean of four shares: depth
-of the cell below the ground within weapon range, share of that ground that sees a vehicle, how
-close a person can come unseen, and slope. The package ambush_planner.maps documents the formulas.
+of the cell below the ground within weapon range, share of that ground from which a vehicle can be
+seen, how close a person can come unseen, and slope. ambush_planner.maps has the formulas.
 A GeoTIFF in degrees is reprojected to its UTM zone, and the map keeps the coordinate system.
 
 It also writes MAP.pgm, in map_server's mode raw, a preview, MAP.png, and, if the coordinate system
@@ -54,9 +54,10 @@ def parser() -> argparse.ArgumentParser:
     return made
 
 
-def add_terrain(made: argparse.ArgumentParser) -> None:
+def add_terrain(made: argparse._ActionsContainer) -> None:
     """Add the options that convert an elevation model to risk."""
-    made.add_argument('--roads', type=Path, metavar='FILE', help='cells with roads')
+    made.add_argument('--roads', type=Path, metavar='FILE',
+                      help='raster of roads: cells other than 0')
     for name, default, text in (
         ('--resolution', 0.0, "cell size [m] (default: the DEM's)"),
         ('--weapon-range', 300.0, 'range of weapons [m] (default: 300)'),

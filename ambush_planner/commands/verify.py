@@ -16,7 +16,7 @@ EPILOG = """\
 For each departure, checks the file's checksums, rebuilds the network from the recorded map and
 parameters, recomputes the certificate from the recorded probabilities alone (it proves the value,
 and that no strategy within the budgets has less than the lower bound), and redraws route and path
-from the recorded entropy. Finds random sources that are too short, or repeat across the folder.
+from the recorded entropy. Also finds random sources that are too short or repeat in the folder.
 --replan also solves each game again, without a warm start, and compares the values.
 
 Not checked: markers, diagnostics, request and response, times, and the poses of start and goal.

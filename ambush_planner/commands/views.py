@@ -102,7 +102,8 @@ def foxglove_text(scene: Scene) -> str:
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    made = cli.new_parser('views', 'RViz and Foxglove layouts for a map or a recording.', EPILOG)
+    made = cli.new_parser('views', 'Make RViz and Foxglove layouts for a map or a recording.',
+                          EPILOG)
     made.add_argument('source', type=Path, metavar='RECORDING_OR_MAP', help='what to show')
     cli.add_output(made, f'{RVIZ}, {FOXGLOVE}')
     made.add_argument('--inputs', default='', metavar='NAMESPACE', help='namespace of '

@@ -39,11 +39,11 @@ def weighted_incidents(features: GeoDataFrame,
     dates = to_datetime(attribute(features, 'date', values['date']), errors='coerce', utc=True,
                         format='mixed')
     if missing := int(dates.isna().sum()):
-        raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have none such as '
-                              '2025-03-31')
+        raise InvalidFeatures(f'date: {missing} of {len(dates)} incidents have no date such '
+                              'as 2025-03-31')
     until = dates.max() if values['until'] is None else to_datetime(str(values['until']), utc=True)
     if not (dates <= until).any():
-        raise InvalidFeatures(f'date: no incident until {until:%Y-%m-%d}')
+        raise InvalidFeatures(f'until: all incidents are later than {until:%Y-%m-%d}')
     days = ((until - dates).dt.total_seconds() / 86400.0).to_numpy()
     return places[days >= 0.0], (weights * 0.5 ** (days / half_life))[days >= 0.0]
 

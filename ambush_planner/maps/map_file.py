@@ -117,7 +117,8 @@ def _pixels(path: Path, mode: str) -> tuple[FloatArray, BoolArray]:
         return _other_pixels(path, mode)
     columns, rows, largest = map(int, header.groups())
     if not (0 < rows * columns <= MAX_CELLS and 0 < largest < 65536):
-        raise InvalidTerrain(f'{path}: an image of {columns} x {rows} pixels up to {largest}')
+        raise InvalidTerrain(f'{path}: {columns} x {rows} pixels up to {largest}; 1 to '
+                             f'{MAX_CELLS} pixels up to 1..65535 can be read')
     kind = np.dtype(np.uint8 if largest < 256 else '>u2')
     if len(data) - header.end() < rows * columns * kind.itemsize:
         raise InvalidTerrain(f'{path}: too short for {columns} x {rows} pixels')

@@ -20,9 +20,9 @@ from .vector_file import InvalidFeatures, read_features
 if TYPE_CHECKING:
     from geopandas import GeoDataFrame
 
-# Vertices of lines that agree to so many digits are one place: 1 mm in metres and in degrees.
+# Decimals to which vertices are rounded, about 1 mm each; equal vertices are one place.
 DIGITS_METRES, DIGITS_DEGREES = 3, 8
-# Connected parts that are told apart in pictures.
+# Connected parts that have colours of their own in pictures.
 MOST_NAMED = 9
 # Values of ``oneway`` in OpenStreetMap, osmnx and Geofabrik's extracts (F, T, B).
 ONE_WAY = {'yes': 1, 'true': 1, '1': 1, 'f': 1, '-1': -1, 'reverse': -1, 't': -1,
