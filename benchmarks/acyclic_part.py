@@ -1,8 +1,8 @@
 """How much route entropy the acyclic part keeps, against mixtures of all simple routes.
 
 The games are so small that all simple routes can be listed. The most entropy that a mixture of them
-has within the same limits is the minimum of the dual function, which bounds it from above wherever
-the search ends.
+has within the same limits is the minimum of the dual function, which is an upper bound even if
+the search ends early.
 """
 
 import sys

@@ -62,7 +62,7 @@ def draw_all(results: Results, folder: Path, say: Say) -> None:
         ('figure_6_energy', _energy(results)),
         ('figure_7_threshold', _thresholds(results)),
         ('figure_ours', _methods(results, 'max_entropy', 'max_entropy')),
-        ('figure_ours_secured', _secured(results)),
+        ('figure_ours_held_ground', _held_ground(results)),
         ('figure_solvers', _solvers(results)),
     ):
         say(f'drawing {name}.png')
@@ -88,10 +88,10 @@ def _energy(results: Results) -> Figure:
     return _rows(results.risk_map, [(title, results.weighted)])
 
 
-def _secured(results: Results) -> Figure:
+def _held_ground(results: Results) -> Figure:
     title = f'{METHOD_3}, max_entropy\nheld ground: {SECURED_RADIUS:g} m around the ends'
-    figure = _rows(results.risk_map, [(title, results.secured)])
-    _draw_sites(figure.axes[0], results.secured)
+    figure = _rows(results.risk_map, [(title, results.held)])
+    _draw_sites(figure.axes[0], results.held)
     figure.legend(handles=[OBSTACLE, SITES], **LEGEND)
     return figure
 

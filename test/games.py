@@ -37,7 +37,7 @@ def examples(count: int) -> settings:
 
 @st.composite
 def networks(draw, alphas=WITH_ZERO, max_nodes=9):
-    """Networks of any shape with a route: loops, dead ends, corridors, s beside t, two nodes."""
+    """Networks of any shape with a route: loops, dead ends, corridors, s next to t, two nodes."""
     n = draw(st.integers(2, max_nodes))
     place = st.tuples(st.integers(0, 6), st.integers(0, 6))
     points = draw(st.lists(place, min_size=n, max_size=n, unique=True))

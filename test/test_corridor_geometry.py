@@ -61,7 +61,7 @@ def test_strips_and_quarters_are_clear(drive, seed):
 
 @pytest.mark.parametrize('clearance', [0.0, 0.3])
 def test_the_outer_side_of_a_turn_round_a_corner_is_free(clearance):
-    """Nodes beside the corner of a block: nothing on the block's side, and room on the other."""
+    """Nodes next to the corner of a block: nothing on the block's side, and room on the other."""
     obstacles = np.zeros((20, 20), bool)
     obstacles[:10, 10:] = True
     near = 0.01 + clearance

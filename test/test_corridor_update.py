@@ -50,7 +50,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     assert field.clear_segments(uv[:-1], uv[1:], clearance).all()
     # Nothing is any wider, and nothing narrower than measured on the whole new map.
     whole = make_corridors(corridors.network, newest, clearance, tube, clear_of_edge)
-    before, now, anew = (
+    before, now, full = (
         {tuple(link): widths for link, *widths in zip(
             each.links.tolist(), *each.widths.T, each.beyond, strict=True)}
         for each in (corridors, refitted, whole)
@@ -59,7 +59,7 @@ def test_paths_keep_clear_of_new_obstacles(drive, data):
     clear = field.clear_segments(links[:, 0], links[:, 1], clearance)
     for link in map(tuple, corridors.links[clear].tolist()):
         widths = now[link]
-        for width, once, again in zip(widths, before[link], anew.get(link, (0, 0, 0)), strict=True):
+        for width, once, again in zip(widths, before[link], full.get(link, (0, 0, 0)), strict=True):
             assert np.all(width <= once) and np.all(width >= np.asarray(again) - 1e-9)
 
 

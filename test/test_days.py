@@ -54,15 +54,15 @@ def exact_law(strategy, n, distinct):
 @examples(40)
 @given(networks(), SHARES, st.integers(1, 3))
 def test_conditional_flows_average_to_the_exact_distribution(network, distinct, n):
-    """Beside each day of n - 1, the flow of one more; over all of them, the exact marginal."""
+    """Given each day of n - 1, the flow of one more; averaged over them, the exact marginal."""
     strategy = solve(network, options=StrategyOptions(max_detour=2.0))
     assume(len(routes_with_probabilities(strategy)) <= 12)
     law = exact_law(strategy, n, distinct)
     others = exact_law(strategy, n - 1, distinct)
-    beside, middle = _ConditionalFlow(strategy), MiddleSection(strategy, distinct)
+    conditional, middle = _ConditionalFlow(strategy), MiddleSection(strategy, distinct)
     chance, flow = 0.0, np.zeros(len(network.edges))
     for day, probability in others.items():
-        z, p = beside.flow(middle, [[np.array(route) for route in day]])
+        z, p = conditional.flow(middle, [[np.array(route) for route in day]])
         chance, flow = chance + probability * z, flow + probability * p
     assert chance == pytest.approx(sum(law.values()), abs=1e-12)
     expected = np.zeros(len(network.edges))
@@ -167,8 +167,8 @@ def test_reports_a_bottleneck():
     points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (4.0, 0.0)])
     edges = np.array([(0, 1), (0, 2), (1, 3), (2, 3), (3, 4)])
     strategy = solve(Network(points, np.array([0.0, 1.0, 1.0, 1.0, 0.0]), edges, 0, 4))
-    told = r'2 routes .* middle 60 % .* at most 1 can be; plan fewer convoys'
-    with pytest.raises(NotDistinct, match=told):
+    message = r'2 routes .* middle 60 % .* at most 1 can be; plan fewer convoys'
+    with pytest.raises(NotDistinct, match=message):
         sample_departures(strategy, 2, np.random.default_rng(1), 0.6)
     with pytest.raises(NotDistinct, match='at most 1'):
         day_effect(strategy, 2, np.random.default_rng(1), 0.6)
@@ -176,8 +176,8 @@ def test_reports_a_bottleneck():
 
 def test_reports_that_distinct_days_are_too_rare():
     strategy = solve(corridors(*[1.0] * 6), options=StrategyOptions(max_detour=3.0))
-    told = 'in 0 of 5 tries: distinct routes are too rare'
-    with pytest.raises(NotDistinct, match=told):
+    message = 'in 0 of 5 tries: distinct routes are too rare'
+    with pytest.raises(NotDistinct, match=message):
         sample_departures(strategy, 6, np.random.default_rng(1), 0.5, tries=5)
     routes = sample_departures(strategy, 6, np.random.default_rng(1), 0.5)
     assert sorted(route[2] for route in routes) == [2, 5, 8, 11, 14, 17]
@@ -188,8 +188,8 @@ def test_no_effect_is_estimated_if_distinct_days_are_too_rare():
     rng, options = np.random.default_rng(1), StrategyOptions(max_detour=6.0)
     strategy = solve(corridors(*[1.0] * 10), options=options)
     assert day_effect(strategy, 10, rng, days=20).share == pytest.approx(3.6e-4, rel=0.5)
-    told = r'12 routes .* middle 50 % .* probability [3-8]\.?\d?e-05, too rarely .* is 0\.0001'
-    with pytest.raises(NotDistinct, match=told):
+    message = r'12 routes .* middle 50 % .* probability [3-8]\.?\d?e-05, too rarely .* is 0\.0001'
+    with pytest.raises(NotDistinct, match=message):
         day_effect(solve(corridors(*[1.0] * 12), options=options), 12, rng, days=20)
 
 

@@ -16,7 +16,7 @@ SIDE, SPACING, REACH, SECURED = 100.0, 6.0, 6.0, 12.0
 DRAWS = 1400 * HUNT
 # Without a reach lines are looked at more closely, which takes longer.
 DRAWS_WITHOUT = 450 * HUNT
-# Without a reach, whoever comes as near to a node as this passes it [spacings].
+# Without a reach, a path that comes as near to a node as this passes it [spacings].
 PASSES = 0.01
 
 
@@ -87,7 +87,7 @@ def dense(line, step):
 def test_with_a_reach_no_ambush_costs_more_than_the_value(ground, tube, tracking_error):
     a_plan = planned(ground, REACH, tube, tracking_error)
     paths = departure_paths(a_plan, DRAWS, 0.5, np.random.default_rng(1))
-    # The robot is beside its path, on one side after the other.
+    # The robot strays from its path, to one side and then to the other.
     waves = tracking_error * np.sin(np.arange(2000) / 8)
     mean, error = losses(a_plan, [
         path[:, :2] + waves[:len(path), None] * np.column_stack(

@@ -75,11 +75,11 @@ def test_no_route_says_what_the_threshold_discards():
 # Sites off the road.
 
 
-def road(alpha=(0, 1, 1, 1, 0), beside=(9.0,)) -> Network:
+def road(alpha=(0, 1, 1, 1, 0), aside=(9.0,)) -> Network:
     """A road of nodes 1 m apart and, from 1 m next to its middle, nodes without edges."""
-    points = [[k, 0] for k in range(5)] + [[2, 1 + k] for k in range(len(beside))]
+    points = [[k, 0] for k in range(5)] + [[2, 1 + k] for k in range(len(aside))]
     edges = [(k, k + 1) for k in range(4)]
-    return Network(points, [*alpha, *beside], edges, 0, 4)
+    return Network(points, [*alpha, *aside], edges, 0, 4)
 
 
 def losses_at(network, **options) -> dict[int, float]:
@@ -97,11 +97,11 @@ def test_with_a_reach_sites_may_be_off_the_road():
     assert losses_at(road(), ambush_radius=1.1) == {2: 1.0, 5: 9.0}
     assert solve(road(), GameOptions(ambush_radius=1.1)).value == pytest.approx(9.0)
     # An ambush out of reach of the road causes no loss.
-    assert losses_at(road(beside=(1.0, 9.0)), ambush_radius=1.1) == {2: 1.0, 5: 1.0, 6: 0.0}
+    assert losses_at(road(aside=(1.0, 9.0)), ambush_radius=1.1) == {2: 1.0, 5: 1.0, 6: 0.0}
 
 
 def test_with_a_reach_sites_may_be_on_forbidden_ground():
-    network = road(beside=(12.0,))
+    network = road(aside=(12.0,))
     two_way = np.vstack((network.edges, [(2, 5), (5, 2)]))
     network = Network(network.points, network.alpha, two_way, 0, 4)
     strategy = solve(network, GameOptions(ambush_radius=1.1, alpha_threshold=5.0))
@@ -111,8 +111,8 @@ def test_with_a_reach_sites_may_be_on_forbidden_ground():
 
 
 def test_a_disc_that_contains_or_touches_an_end_is_not_a_site():
-    assert losses_at(road(beside=()), ambush_radius=2.0) == {}
-    assert losses_at(road(beside=()), ambush_radius=1.9) == {2: 1.0}
+    assert losses_at(road(aside=()), ambush_radius=2.0) == {}
+    assert losses_at(road(aside=()), ambush_radius=1.9) == {2: 1.0}
 
 
 def test_more_ambushers_than_nodes_are_refused():

@@ -81,7 +81,7 @@ def test_losses_of_several_ambushers_add_up(tmp_path, ambushers):
 
 
 def short_of_time(network, game, options, start):
-    """What is left of a solve whose time is up: a strategy that is 4 % over the best."""
+    """The result of a solve at the time limit: a strategy that is 4 % over the best."""
     rough = StrategyOptions(max_detour=options.max_detour, risk_slack=0.05)
     raise TimeLimit('time is up', solve(network, game, rough))
 

@@ -87,7 +87,7 @@ def test_the_node_may_do_all_that_it_does(names):
 
 
 def test_the_node_may_do_nothing_else(names):
-    """Beside what other packages bring, where they are installed."""
+    """Apart from topics and services that other installed packages add."""
     profile = Profile('/ambush_planner')
     others = {'/ambush_planner/transition_event'}
     assert profile.listed('topic', 'publish') <= names.published | others

@@ -231,20 +231,20 @@ def test_the_files_that_the_command_writes(folder, tmp_path, capsys):
     (folder / 'layers.yaml').write_text(yaml.safe_dump({'layers': layers}))
     output = tmp_path / 'map.yaml'
     assert cli.main(['risk', str(folder / 'layers.yaml'), '-o', str(output), '--json']) == 0
-    told = json.loads(capsys.readouterr().out)
+    result = json.loads(capsys.readouterr().out)
     expected = risk_from_layers(folder / 'layers.yaml').risk_map
     exact = read_risk_map(output.with_suffix('.npz'))
     assert np.array_equal(exact.alpha, expected.alpha) and exact.crs == CRS
     assert np.array_equal(exact.obstacles, expected.obstacles) and exact.origin == expected.origin
     grid = read_map(output)
-    scale = told['alpha_max'] - told['alpha_min']
+    scale = result['alpha_max'] - result['alpha_min']
     free = ~expected.obstacles
     assert np.array_equal(grid.values == 100, ~free)
-    read = told['alpha_min'] + scale * grid.values[free] / 100.0
+    read = result['alpha_min'] + scale * grid.values[free] / 100.0
     assert np.abs(read - expected.alpha[free]).max() <= scale / 200.0 * (1.0 + 1e-9)
-    assert f'map.alpha_max={told["alpha_max"]:.6g}' in output.read_text()
+    assert f'map.alpha_max={result["alpha_max"]:.6g}' in output.read_text()
     assert np.array_equal(read_map(output).values, read_risk_map_values(output.with_suffix('.tif')))
-    assert 'bandwidth' in told['remarks'][0]
+    assert 'bandwidth' in result['remarks'][0]
     assert output.with_suffix('.png').stat().st_size > 20_000
 
 

@@ -69,7 +69,7 @@ def test_straight_lines_between_portals_stay_in_the_corridor(drive, seed):
     corridors, route, risk_map, clearance, tube, clear_of_edge = drive
     portals = portals_along(corridors, [route])
     rng = np.random.default_rng(seed)
-    # Mostly from end to end: they lead closest past what is beside the route.
+    # Mostly from end to end: they pass closest to what is next to the route.
     t = np.where(rng.random((40, len(route))) < 0.7, rng.integers(0, 2, (40, len(route))),
                  rng.random((40, len(route))))
     aside = t * portals.width - portals.right

@@ -243,8 +243,8 @@ def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(as_given
         steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
         assert steps.max() <= 5.0 + 1e-9 and steps.min() > 0.0
         moved = (START[0] + 3.0, START[1]), (GOAL[0], GOAL[1] - 3.0)
-        beside = departure_path(plan, route, 5.0, moved)
-        assert (tuple(beside[0, :2]), tuple(beside[-1, :2])) == moved
+        shifted = departure_path(plan, route, 5.0, moved)
+        assert (tuple(shifted[0, :2]), tuple(shifted[-1, :2])) == moved
 
 
 def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):

@@ -119,11 +119,11 @@ def test_tiles_do_not_change_results(monkeypatch):
     elevation = Elevation(heights, 10.0)
     whole = viewshed(elevation, ViewOptions(150.0))
     monkeypatch.setattr(visibility, 'TILE', (7, 13))
-    told = []
-    parts = viewshed(elevation, ViewOptions(150.0), told.append)
+    shares = []
+    parts = viewshed(elevation, ViewOptions(150.0), shares.append)
     np.testing.assert_array_equal(whole.exposure, parts.exposure)
     np.testing.assert_array_equal(whole.approach, parts.approach)
-    assert told == sorted(told) and told[-1] == 1.0 and len(told) == 20
+    assert shares == sorted(shares) and shares[-1] == 1.0 and len(shares) == 20
 
 
 def test_rejects_a_range_below_one_cell():

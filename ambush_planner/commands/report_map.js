@@ -113,7 +113,7 @@ class View {
     return { here: this.#loss(x, y), loss, hit, cost: loss * hit, held: near <= held };
   }
 
-  // Loss by the map: NaN in obstacles, undefined beside the map.
+  // Loss by the map: NaN in obstacles, undefined off the map.
   #loss(x, y) {
     const { yaw, cell, columns, rows, cells, levels } = this.data;
     const column = Math.floor((x * Math.cos(yaw) + y * Math.sin(yaw)) / cell);
