@@ -14,6 +14,11 @@ commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', '
 gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
        'shapely>=2.0']
 
+# A package index has neither the pictures nor the pages that README.md links to.
+introduction = Path('README.md').read_text(encoding='utf-8').split('\n## ')[0]
+introduction = '\n'.join(line for line in introduction.splitlines() if not line.startswith('!['))
+introduction += "\n\n`pip install 'ambush_planner[figures]'`, then `ambush plan --help`.\n"
+
 # pip builds in the checkout; its build results go to a temporary folder.
 options = {}
 if {'egg_info', 'dist_info', 'bdist_wheel', 'editable_wheel'} & set(sys.argv[1:]):
@@ -26,7 +31,7 @@ setup(
     options=options,
     version='0.1.0',
     description='Random routes that an ambusher cannot foresee, for ROS 2',
-    long_description=Path('README.md').read_text(encoding='utf-8'),
+    long_description=introduction,
     long_description_content_type='text/markdown',
     maintainer='ambush_planner maintainers',
     maintainer_email='maintainers@ambush-planner.invalid',

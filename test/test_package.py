@@ -70,6 +70,12 @@ def dependencies(*kinds):
     return [element.text for kind in kinds for element in manifest().findall(kind)]
 
 
+def test_the_text_for_package_indexes_stands_alone():
+    text = setup_arguments()['long_description']
+    assert '](' not in text and 'ambush plan' in text
+    assert text.startswith('# ambush_planner\n') and text.count('**The guarantee.**') == 1
+
+
 def imported_packages(folder=NAME, walk=ast.walk):
     """Return the top-level names that sources import, without the standard library and ours."""
     ours = {NAME, *NOT_INSTALLED}
