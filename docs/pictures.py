@@ -47,7 +47,7 @@ LEGEND = {'loc': 'outside lower center', 'frameon': False}
 
 def strategy(demo: Section) -> Figure:
     """Where the convoy drives and where the ambusher waits."""
-    figure = Figure((7.8, 7.6), layout='compressed')
+    figure = Figure((6.4, 6.6), layout='compressed')
     axes = figures.draw_strategy(figure.subplots(), demo.strategy, demo.risk_map)
     figures.scale_bar(axes)
     return figure
@@ -66,7 +66,7 @@ def trip(demo: Section) -> Figure:
     plan = plan_trip(risk_map, demo_ground.START, demo_ground.GOAL, TRIP, stops=STOPS, order='best')
     network = plan.network
     known = evaluate(plan.strategy)['energy_efficient'].v_repeated
-    figure = Figure((figures.WIDTH, 6.9), layout='compressed')
+    figure = Figure((figures.WIDTH, 5.7), layout='compressed')
     left, right = figure.subplots(1, 2)
     for axes, title in (
         (left, f'One strategy over {network.legs} legs: mean loss {plan.strategy.value:.2f}\n'
@@ -92,7 +92,7 @@ class Panel:
         self.axes, self.game = axes, demo.strategy.game
         self.points = self.game.network.points
         figures.draw_ground(axes, demo.strategy, demo.risk_map, title)
-        self.text = axes.set_xlabel(' \n ', fontsize=11, linespacing=1.4)
+        self.text = axes.set_xlabel(' \n ', fontsize=10, linespacing=1.4)
         self.way, = axes.plot([], [], color=PROBABILITY[2], linewidth=2.6, zorder=4,
                               path_effects=figures.HALO)
         self.site = axes.scatter([], [], s=130, color=AMBUSHER, edgecolors='white', zorder=9)
@@ -133,7 +133,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     Both panels use the game's own hits; the routes and the ambusher's places come from seed 1.
     """
     chosen, rng = demo.strategy, np.random.default_rng(1)
-    figure = Figure((figures.WIDTH, 5.9), dpi=PIXELS / figures.WIDTH, layout='constrained')
+    figure = Figure((figures.WIDTH, 5.0), dpi=PIXELS / figures.WIDTH, layout='constrained')
     left, right = (
         Panel(axes, demo, title) for axes, title in zip(figure.subplots(1, 2), (
             'The shortest route, every day\nThe ambusher waits at its worst place',
@@ -142,7 +142,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
     figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle. '
-                     'Dashed: held ground, where nobody can wait.', fontsize=10)
+                     'Dashed: held ground, where nobody can wait.', fontsize=9)
     same = energy_efficient_route(chosen.game)
     worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
     q = chosen.ambush_probability[chosen.game.sites]

@@ -39,7 +39,7 @@ from .results import METHOD_3, SOLVERS, Results, Say
 # Share of the busiest square's visits below which a square gets no arrow.
 LEAST_SHARE = 2e-3
 
-DOTS_PER_INCH = 150
+DOTS_PER_INCH = 190
 SITES = Line2D([], [], linestyle='none', marker='s', markersize=8, color='white',
                markeredgecolor='black', label='ambush site')
 LEGEND = {'loc': 'outside lower center', 'ncols': 2, 'frameon': False}
@@ -138,7 +138,7 @@ def _rows(risk_map: RiskMap, rows: Sequence[tuple[str, Strategy]]) -> Figure:
 def _panels(strategies: Sequence[Strategy]) -> tuple[Figure, np.ndarray, LogNorm]:
     """A figure, a row of two panels for each strategy, and one colour scale for all."""
     rows = len(strategies)
-    figure = Figure((WIDTH, 4.6 * rows + 1.2), dpi=DOTS_PER_INCH, layout='compressed')
+    figure = Figure((WIDTH, 3.7 * rows + 1.2), dpi=DOTS_PER_INCH, layout='compressed')
     scale = probability_scale(np.concatenate([each.edge_probability for each in strategies]))
     return figure, figure.subplots(rows, 2, squeeze=False), scale
 
@@ -178,7 +178,7 @@ def _example(results: Results, solver: str, name: str) -> Figure:
     """The 8-node network; wider arrows are likelier edges, dotted ones are unused."""
     strategy = results.strategies[EXAMPLE, solver]
     network = strategy.network
-    figure = Figure(figsize=(8.0, 4.6), dpi=DOTS_PER_INCH, layout='constrained')
+    figure = Figure(figsize=(WIDTH, 4.2), dpi=DOTS_PER_INCH, layout='constrained')
     axes = figure.subplots()
     for (tail, head), p in zip(network.edges, strategy.edge_probability, strict=True):
         _draw_arrow(axes, network.points[tail], network.points[head], float(p))

@@ -21,7 +21,7 @@ from ..recordings.audit import Audit
 
 def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     """Published and recorded frequencies on the map, and the losses caused by an observer."""
-    figure = Figure((WIDTH, 9.0), layout='compressed')
+    figure = Figure((WIDTH, 7.6), layout='compressed')
     panels = figure.subplot_mosaic('ab;cc', height_ratios=(5, 3))
     published, recorded, observer = panels['a'], panels['b'], panels['c']
     scale = probability_scale(result.expected / result.departures)
@@ -41,6 +41,6 @@ def audit_figure(risk_map: RiskMap, result: Audit) -> Figure:
     observer.axhspan(*result.observer_range, color=AMBUSHER, alpha=0.15, linewidth=0.0,
                      label=f'after {count[-1]} departures, if drawn as published (9 of 10)')
     observer.set(xlabel='departures after the first', ylabel='mean loss', ylim=(0.0, None))
-    observer.set_title('Could one predict the next departure?', loc='left', fontsize='large')
+    observer.set_title('Could one predict the next departure?', loc='left', fontsize='medium')
     observer.legend()
     return figure

@@ -35,7 +35,7 @@ class FixedRoute:
 def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatArray],
                   fixed: Sequence[FixedRoute]) -> Figure:
     """Draw the routes (K, 2) of departures on the left and the fixed routes on the right."""
-    figure = Figure(figsize=(WIDTH, 6.7), layout='compressed')
+    figure = Figure(figsize=(WIDTH, 5.5), layout='compressed')
     left, right = figure.subplots(1, 2)
     worst = max(route.loss for route in fixed)
     for axes, title in (

@@ -107,7 +107,7 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
 
     Dashed lines mark ``max_detour`` and ``risk_slack``, which are fixed in each other's sweep.
     """
-    figure = Figure(figsize=(WIDTH, 7.2), layout='constrained')
+    figure = Figure(figsize=(WIDTH, 6.2), layout='constrained')
     panels = figure.subplots(3, 2, sharex='col', sharey='row')
     convoy, style = PROBABILITY(0.6), {'marker': 'o', 'markersize': 5, 'zorder': 3}
     for (value, exposure, entropy), name, fixed, title in (

@@ -130,7 +130,7 @@ def _content(path: Path, drawn: Drawn) -> bytes:
 
 
 def _picture(drawn: Drawn) -> bytes:
-    figure = Figure(figsize=(WIDTH, 7.6), layout='compressed')
+    figure = Figure(figsize=(WIDTH, 6.2), layout='compressed')
     draw_strategy(figure.subplots(), drawn.strategy, drawn.risk_map,
                   [path[:, :2] for path in drawn.paths])
     return as_png(figure)

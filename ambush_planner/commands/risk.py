@@ -87,7 +87,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     count = len(joined.layers) + 1
     rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
     width, height = joined.risk_map.size
-    size = (0.5 * WIDTH * columns, (0.8 + 3.8 * min(height / width, 3.0)) * rows)
+    size = (0.5 * WIDTH * columns, (0.8 + 3.0 * min(height / width, 3.0)) * rows)
     figure = Figure(size, dpi=DOTS_PER_INCH, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, layer in zip(panels, joined.layers, strict=False):

@@ -119,7 +119,7 @@ def _summary(ground: TerrainMap) -> str:
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
-    figure = Figure(figsize=(WIDTH, 12.0), dpi=DOTS_PER_INCH, layout='compressed')
+    figure = Figure(figsize=(WIDTH, 9.8), dpi=DOTS_PER_INCH, layout='compressed')
     *panels, last = figure.subplots(3, 2).ravel()
     risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
     width, height = risk_map.size
