@@ -74,8 +74,9 @@ def test_shell_blocks_parse_and_name_what_exists(document):
         assert (ROOT / name).is_file(), name
     for name in re.findall(r'ros2 launch ambush_planner (\S+)', text):
         assert (ROOT / 'launch' / name).is_file(), name
-    scripts = setup_arguments()['entry_points']['console_scripts']
-    assert {each.split(' = ')[0] for each in scripts} >= set(re.findall(r'ros2 run\s+ambush_planner\s+(\w+)', text))
+    scripts = {each.split(' = ')[0] for each in
+               setup_arguments()['entry_points']['console_scripts']}
+    assert scripts >= set(re.findall(r'ros2 run\s+ambush_planner\s+(\w+)', text))
 
 
 @pytest.mark.parametrize('document', DOCUMENTS)
