@@ -124,7 +124,7 @@ class Panel:
                        zorder=3)
         days, hits = len(self.losses), np.count_nonzero(self.losses)
         self.text.set_text(f'ambushed on {hits} of {days} days\n'
-                           f'mean loss {np.mean(self.losses):.2f} a day{limit}')
+                           f'mean loss {np.mean(self.losses):.2f}{limit}')
 
 
 def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
@@ -141,7 +141,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
         ), strict=True)
     )
     figure.get_layout_engine().set(w_pad=0.12, h_pad=0.1)
-    figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle. '
+    figure.supxlabel('Grey: the darker, the larger the loss if ambushed there. Black: obstacle.\n'
                      'Dashed: held ground, where nobody can wait.', fontsize=9)
     same = energy_efficient_route(chosen.game)
     worst = int(largest_losses(chosen.game, route_strategy(chosen.network, same))[1][0])
@@ -161,7 +161,7 @@ def route_a_day(demo: Section, path: Path, days: int = 20) -> None:
             right.step(route, row, share)
             shoot(STEP_TIME)
         left.night(same, worst, '')
-        right.night(route, row, f', at most {chosen.value:.2f} in the long run')
+        right.night(route, row, f', in the long run at most {chosen.value:.2f}')
         shoot(NIGHT)
     times[-1] = LAST
     frames[0].save(path, save_all=True, append_images=frames[1:], duration=times, loop=0,

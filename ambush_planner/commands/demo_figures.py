@@ -45,10 +45,13 @@ def routes_figure(risk_map: RiskMap, strategy: Strategy, routes: Sequence[FloatA
     ):
         risk = figures.draw_ground(axes, strategy, risk_map, title)
     figures.draw_routes(left, routes)
-    for route, (colour, dashes), side in zip(fixed, FIXED, ('left', 'right'), strict=True):
+    for route, (colour, dashes), (side, share) in zip(
+        fixed, FIXED, (('left', 0.62), ('right', 0.75)), strict=True
+    ):
         right.plot(*route.points.T, color=colour, linestyle=dashes, linewidth=2.4, zorder=4)
         length = np.hypot(*np.diff(route.points, axis=0).T).sum() / 1000.0
-        right.annotate(f'{route.name}\n{length:.1f} km', route.points[3 * len(route.points) // 4],
+        place = route.points[int(share * len(route.points))]
+        right.annotate(f'{route.name}\n{length:.1f} km', place,
                        xytext=(12 if side == 'left' else -12, 0), textcoords='offset points',
                        ha=side, va='center', color=colour, path_effects=HALO, zorder=9)
     # The place further right has the upper label, so that the lines do not cross.

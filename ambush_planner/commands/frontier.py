@@ -135,8 +135,8 @@ def frontier_figure(rows: Sequence[FrontierRow], max_detour: float, risk_slack: 
         axes.set_ylabel(label)
         bottom, top = axes.get_ylim()
         axes.set_ylim(max(0.0, min(bottom, 0.8 * top)), top)  # small changes look small
-    panels[2, 0].set_xlabel('max_detour: expected length over the shortest')
-    panels[2, 1].set_xlabel('risk_slack: share of the value given up')
+    panels[2, 0].set_xlabel('max_detour: mean over shortest length')
+    panels[2, 1].set_xlabel('risk_slack: share of value given up')
     panels[0, 0].legend([*lines, *bound], ['value', 'lower bound'], frameon=False)
     return figure
 
