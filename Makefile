@@ -29,7 +29,7 @@ help:
 	@echo 'PYTHON=python3.12 make ... chooses the Python (3.10 or newer) when .venv is made'
 
 demo: $(VENV)/.demo
-	$(BIN)/ambush_demo
+	$(BIN)/ambush demo
 
 paper: $(VENV)/.demo
 	$(BIN)/python -m paper

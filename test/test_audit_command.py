@@ -1,4 +1,4 @@
-"""``ambush_audit`` on recordings: verdicts, exit codes, JSON, the picture, bad input."""
+"""``ambush audit`` on recordings: verdicts, exit codes, JSON, the picture, bad input."""
 
 import re
 import shutil

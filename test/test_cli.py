@@ -47,7 +47,7 @@ def test_missing_input_exits_3_even_if_quiet(name, tmp_path, capsys):
     output = ['-o', str(tmp_path / 'out')] if name == 'report' else []
     assert cli.main([name, '--quiet', str(tmp_path / 'none'), *output]) == 3
     out, err = capsys.readouterr()
-    assert out == '' and err.startswith(f'ambush_{name}: ') and err.count('\n') == 1
+    assert out == '' and err.startswith(f'ambush {name}: ') and err.count('\n') == 1
 
 
 @pytest.mark.parametrize('missing', ['rclpy', 'matplotlib'])

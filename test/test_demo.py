@@ -1,4 +1,4 @@
-"""``ambush_demo``: its recordings, pictures and numbers, and the node that it starts and stops."""
+"""``ambush demo``: its recordings, pictures and numbers, and the node that it starts and stops."""
 
 import csv
 import os
@@ -170,7 +170,7 @@ def test_interrupted_demo_stops_its_node(tmp_path):
     assert nodes_of(tmp_path)
     process.send_signal(signal.SIGTERM)
     _, errors = process.communicate(timeout=120.0)
-    assert (process.returncode, errors.splitlines()[-1]) == (130, 'ambush_demo: interrupted')
+    assert (process.returncode, errors.splitlines()[-1]) == (130, 'ambush demo: interrupted')
     assert not nodes_of(tmp_path)
 
 

@@ -139,5 +139,5 @@ def test_risk_map_from_an_npz_file(map_file, tmp_path):
 def test_bad_input_exits_3_with_one_line(map_file, tmp_path, arguments, reason):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
     assert done.code == 3 and reason in done.err
-    assert done.err.startswith('ambush_frontier: ') and done.err.count('\n') == 1
+    assert done.err.startswith('ambush frontier: ') and done.err.count('\n') == 1
     assert not (tmp_path / 'f.csv').exists()

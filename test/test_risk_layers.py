@@ -221,7 +221,7 @@ def test_bad_input_is_named_and_nothing_is_written(text, features, words, tmp_pa
         risk_from_layers(tmp_path / 'layers.yaml')
     before = sorted(tmp_path.iterdir())
     assert cli.main(['risk', str(tmp_path / 'layers.yaml'), '-o', str(tmp_path / 'm.yaml')]) == 3
-    assert re.fullmatch('ambush_risk: .*\n', capsys.readouterr().err)
+    assert re.fullmatch('ambush risk: .*\n', capsys.readouterr().err)
     assert sorted(tmp_path.iterdir()) == before
 
 

@@ -1,4 +1,4 @@
-"""``ambush_table``: the table, its inputs, bad input."""
+"""``ambush table``: the table, its inputs, bad input."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""Elevation models read, maps written and read back, and ``ambush_terrain`` as a user starts it."""
+"""Elevation models read, maps written and read back, and ``ambush terrain`` as a user starts it."""
 
 
 import numpy as np

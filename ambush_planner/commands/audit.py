@@ -1,4 +1,4 @@
-"""``ambush_audit``: do departures follow the published law, and could one predict them?"""
+"""``ambush audit``: do departures follow the published law, and could one predict them?"""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """Return a parser with the options that all commands have."""
-    parser = _parser(f'ambush_{command}', description, epilog)
+    parser = _parser(f'ambush {command}', description, epilog)
     parser.add_argument('--json', action='store_true', help='print the result as one JSON object')
     parser.add_argument('-q', '--quiet', action='store_true', help='print errors only')
     return parser
@@ -197,7 +197,7 @@ def _run_command(name: str, arguments: Sequence[str]) -> int:
         return _module(name).main(arguments)
     except ModuleNotFoundError as error:
         package = str(error.name).partition('.')[0]
-        print(f"ambush_{name}: {package} is not installed; try: pip install "
+        print(f"ambush {name}: {package} is not installed; try: pip install "
               "'ambush_planner[jazzy,figures,gis]'", file=sys.stderr)
         return Exit.UNREADABLE
 

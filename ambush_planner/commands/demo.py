@@ -1,4 +1,4 @@
-"""``ambush_demo``: departures on real terrain through the real node, with a verified report."""
+"""``ambush demo``: departures on real terrain through the real node, with a verified report."""
 
 from __future__ import annotations
 

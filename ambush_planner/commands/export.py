@@ -1,4 +1,4 @@
-"""``ambush_export``: recorded departures for GIS programs, phones and GPS receivers."""
+"""``ambush export``: recorded departures for GIS programs, phones and GPS receivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ambush_frontier``: what a longer detour, or a little more risk, buys."""
+"""``ambush frontier``: what a longer detour, or a little more risk, buys."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from ..network.construction import NetworkOptions
 from .console import Console
 
 MAP_HELP = """\
-MAP is a YAML file for map_server, as ambush_risk and ambush_terrain write it, a GeoTIFF of the
+MAP is a YAML file for map_server, as ambush risk and ambush terrain write it, a GeoTIFF of the
 same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
 [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\

@@ -1,4 +1,4 @@
-"""``ambush_plan``: from a map to drawn routes."""
+"""``ambush plan``: from a map to drawn routes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from .terrain import add_terrain, terrain_from
 
 EPILOG = f"""\
 {MAP_HELP}
-With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush_terrain does.
+With --terrain, MAP is an elevation model (GeoTIFF or npz), converted as ambush terrain does.
 
 A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west.
 {FORMATS_HELP}

@@ -1,4 +1,4 @@
-"""``ambush_replay``: publish recorded departures again, as they were published."""
+"""``ambush replay``: publish recorded departures again, as they were published."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ timing; departures are --every seconds apart. First waits for listeners on each 
 <service>/_service_event; no service is called. Keeps latched messages for late joiners until all
 listeners have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node options
 follow --ros-args at the end, as for any ROS executable:
-  ambush_replay FOLDER --keep --topics /alpha_map /path
-  ambush_replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
+  ambush replay FOLDER --keep --topics /alpha_map /path
+  ambush replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
 """ + cli.EXIT_CODES + ' Ctrl-C ends it with 0.'
 INPUT_TYPES = frozenset({'nav_msgs/msg/OccupancyGrid', 'geometry_msgs/msg/PoseStamped',

@@ -31,7 +31,7 @@ FIXED_SEED = (
     'predict the route. Use fixed seeds for tests only.'
 )
 NOT_VERIFIED = (
-    'Not verified: this page shows what the recordings say. Run ambush_verify on them, or make '
+    'Not verified: this page shows what the recordings say. Run ambush verify on them, or make '
     'this page with --verify.'
 )
 

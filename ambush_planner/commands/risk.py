@@ -1,4 +1,4 @@
-"""``ambush_risk``: a risk map from terrain, polygons, roads and incidents."""
+"""``ambush risk``: a risk map from terrain, polygons, roads and incidents."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ambush_table``: value and length of the strategies for all pairs of depots and customers."""
+"""``ambush table``: value and length of the strategies for all pairs of depots and customers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``ambush_terrain``: a risk map for map_server from an elevation model."""
+"""``ambush terrain``: a risk map for map_server from an elevation model."""
 
 from __future__ import annotations
 

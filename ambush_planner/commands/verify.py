@@ -1,4 +1,4 @@
-"""``ambush_verify``: do recorded departures follow from what is recorded with them?"""
+"""``ambush verify``: do recorded departures follow from what is recorded with them?"""
 
 from __future__ import annotations
 

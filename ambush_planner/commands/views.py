@@ -1,4 +1,4 @@
-"""``ambush_views``: RViz and Foxglove layouts for a map of any size.
+"""``ambush views``: RViz and Foxglove layouts for a map of any size.
 
 The two templates next to this file, installed in share/ambush_planner/config, fit the example map
 of 10 m x 8 m. The path is at height 0, line markers are below it and discs above it. Foxglove draws

@@ -42,7 +42,7 @@ def _read_npz(path: Path, name: str) -> Raster:
     except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InvalidTerrain(f'{path}: not a readable .npz file: {error}') from error
     if name not in content:
-        raise InvalidTerrain(f'{path}: no array {name!r}; see ambush_terrain --help for the layout')
+        raise InvalidTerrain(f'{path}: no array {name!r}; see ambush terrain --help for the layout')
     try:
         column_step = float(content['dx' if 'dx' in content else 'resolution'])
         row_step = float(content['dy' if 'dy' in content else 'resolution'])
