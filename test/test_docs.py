@@ -41,6 +41,20 @@ def test_the_modules_of_the_contributors_tables_exist():
             assert (package / room / f'{name}.py').is_file(), name
 
 
+def test_the_theorys_statements_are_numbered_in_order_and_references_exist():
+    text = (ROOT / 'docs/theory.md').read_text()
+    made = re.findall(r'(?m)^\*\*(?:Definition|Proposition|Corollary) (\d+)\.(\d+)', text)
+    for section in {first for first, _ in made}:
+        numbers = [int(second) for first, second in made if first == section]
+        assert numbers == list(range(1, len(numbers) + 1)), section
+        assert re.search(rf'(?m)^## {section}\. ', text)
+    prose = re.sub(r'(?ms)^```math.*?^```$|\$`[^`\n]+`\$', '', text)
+    named = re.findall(r'(?:Definition|Proposition|Corollary) (\d+\.\d+)|\((\d\.\d+)[ )]', prose)
+    assert {a or b for a, b in named} <= {'.'.join(each) for each in made}
+    sections = re.findall(r'[Ss]ections? (\d+)', prose)
+    assert all(re.search(rf'(?m)^## {each}\. ', text) for each in sections)
+
+
 @pytest.mark.parametrize('document', DOCUMENTS, ids=lambda path: path.name)
 def test_formulas_parse(document):
     converter = pytest.importorskip('latex2mathml.converter', reason='it has no rosdep key')

@@ -134,7 +134,7 @@ def test_risk_map_from_an_npz_file(map_file, tmp_path):
 
 @pytest.mark.parametrize(('arguments', 'reason'), [
     (('--set', 'strategy.max_detour=0.5'), 'max_detour'), (('--detours', '0.5'), 'max_detour'),
-    (('--goal', '95', '95'), 'goal'), (('-o', 'f.png'), 'choose TABLE.csv'),
+    (('--goal', '95', '95'), 'goal'), (('-o', 'f.png'), 'name the table .csv'),
 ])
 def test_bad_input_exits_3_with_one_line(map_file, tmp_path, arguments, reason):
     done = run(map_file, *ENDS, '-o', tmp_path / 'f.csv', *arguments)
