@@ -26,8 +26,8 @@ MAP is a YAML file for map_server, as ambush risk and ambush terrain write it, a
 same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
 [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
-Options are named like the node's parameters (map., network., game., strategy.) and have the
-defaults of the Python functions."""
+Options are named like the node's parameters (map., network., game., strategy.), which
+docs/ros_interface.md explains, and have the defaults of the Python functions."""
 
 
 @dataclass(frozen=True)
