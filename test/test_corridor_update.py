@@ -31,6 +31,15 @@ def a_route_left(network, lost, seed):
     return shortest_path(*graph, network.target)
 
 
+@examples(5)
+@given(drives)
+def test_obstacles_far_from_all_corridors_change_nothing(drive):
+    corridors, _, risk_map, clearance, _, _ = drive
+    far = np.array([[1e4, 1e4]])
+    same = with_new_obstacles(corridors, far, clearance, risk_map.resolution)
+    np.testing.assert_array_equal(same.widths, corridors.widths)
+
+
 @examples(60)
 @given(drives, st.data())
 def test_paths_keep_clear_of_new_obstacles(drive, data):

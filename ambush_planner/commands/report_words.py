@@ -21,7 +21,7 @@ OPTIMAL = 1e-5
 
 
 def distance(metres: float) -> str:
-    """Return a length in km from 2 km on, else in m."""
+    """Return a length in km if it is at least 2 km, else in m."""
     return f'{metres / 1000.0:.1f} km' if metres >= 2000.0 else f'{metres:.0f} m'
 
 

@@ -158,7 +158,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'between nodes, whichever is larger. A path of more than 20000 poses is refused.'),
     'path.publish': Declaration(
         True,
-        'Whether the path is published. If not, only the answers of get_plan carry routes, and '
+        'Whether the path is published. If not, only responses of get_plan carry routes, and '
         'new_route is refused.', fixed=True),
     'trip.order': Declaration(
         'given',
@@ -176,7 +176,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'zstd', 'Compression of the recordings.', choices=('zstd', 'lz4', 'none'), fixed=True),
     'recording.service_events': Declaration(
         False,
-        'Whether request and answer are also recorded as messages, for `ros2 bag play '
+        'Whether request and response are also recorded as messages, for `ros2 bag play '
         '--publish-service-requests`; many other readers refuse such files.', fixed=True),
     'diagnostics.error_hold': Declaration(
         30.0,

@@ -72,7 +72,7 @@ class Verdict:
 
 
 class Verifier:
-    """Verifies departures; with ``replan`` each strategy is also solved again, from cold."""
+    """Verifies departures; with ``replan`` each strategy is also solved again from scratch."""
 
     def __init__(self, replan: bool = False) -> None:
         self._replan = replan
@@ -217,7 +217,7 @@ def source_problems(departure: RecordedDeparture) -> list[str]:
 
 
 def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
-    """Solve the game again, from cold and without a time limit, and compare the values."""
+    """Solve the game again, from scratch and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
     try:
         again = solve(strategy.network, strategy.game.options, options)

@@ -131,7 +131,7 @@ class _CellIndex:
         if self._tree is None:
             return np.empty(0, dtype=np.int64), np.empty((0, 4, 2))
         found = self._tree.query_ball_point(places, radius, return_sorted=False)
-        count = np.array([len(some) for some in found])
+        count = np.array([len(some) for some in found], dtype=np.int64)
         index = np.concatenate([*found, []]).astype(np.int64)
         first, many = (np.cumsum(count) - count)[of], count[of]
         whose = np.repeat(np.arange(len(of)), many)
