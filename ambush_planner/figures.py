@@ -54,7 +54,7 @@ def frame(axes: Axes, risk_map: RiskMap, title: str) -> None:
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect='equal')
     unit, scale = ('km', 1000.0) if max(risk_map.size) >= 2000.0 else ('m', 1.0)
     for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(MaxNLocator(nbins=7, steps=[1, 2, 5, 10]))
+        axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 5, 10]))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f'{value / scale:g}'))
     axes.set(xlabel=f'x [{unit}]', ylabel=f'y [{unit}]')
     axes.set_title(title, fontsize='medium', loc='left', linespacing=1.4)

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..colours import OBSTACLE, ROUTES
-from ..figures import DOTS_PER_INCH, WIDTH, draw_risk_map, frame, risk_bar
+from ..figures import WIDTH, as_png, draw_risk_map, frame, risk_bar
 from ..maps.map_file import write_map
 from ..maps.occupancy import OccupancyMap
 from ..maps.risk_layers import Layer, LayeredRisk, risk_from_layers
@@ -57,7 +57,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     np.savez_compressed(files[2], alpha=risk_map.alpha, obstacles=risk_map.obstacles,
                         resolution=risk_map.resolution, origin=risk_map.origin,
                         crs=risk_map.crs or '')
-    figure.savefig(files[3])
+    files[3].write_bytes(as_png(figure))
     if grid.crs:
         files.append(output.with_suffix('.tif'))
         write_geotiff(files[-1], grid)
@@ -88,7 +88,7 @@ def layers_figure(joined: LayeredRisk) -> Figure:
     rows, columns = -(-count // _COLUMNS), min(count, _COLUMNS)
     width, height = joined.risk_map.size
     size = (0.5 * WIDTH * columns, (0.8 + 3.0 * min(height / width, 3.0)) * rows)
-    figure = Figure(size, dpi=DOTS_PER_INCH, layout='compressed')
+    figure = Figure(size, layout='compressed')
     panels = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes, layer in zip(panels, joined.layers, strict=False):
         _draw(figure, axes, joined.risk_map, layer)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from ..colours import OBSTACLE
-from ..figures import DOTS_PER_INCH, WIDTH, draw_risk_map, frame, risk_bar
+from ..figures import WIDTH, as_png, draw_risk_map, frame, risk_bar
 from ..maps import (
     Elevation,
     TerrainMap,
@@ -82,7 +82,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         write_map(arguments.output, grid, 'Risk map from an elevation model.'),
         arguments.output.with_suffix('.png'),
     ]
-    terrain_figure(elevation, ground).savefig(files[-1])
+    files[-1].write_bytes(as_png(terrain_figure(elevation, ground)))
     if grid.crs:
         files.append(arguments.output.with_suffix('.tif'))
         write_geotiff(files[-1], grid)
@@ -119,7 +119,7 @@ def _summary(ground: TerrainMap) -> str:
 
 def terrain_figure(elevation: Elevation, ground: TerrainMap) -> Figure:
     """Draw six panels: height, slope, depth, exposure, approach, and the risk map with roads."""
-    figure = Figure(figsize=(WIDTH, 9.8), dpi=DOTS_PER_INCH, layout='compressed')
+    figure = Figure(figsize=(WIDTH, 9.8), layout='compressed')
     *panels, last = figure.subplots(3, 2).ravel()
     risk_map = risk_map_from_occupancy(ground.values, ground.resolution)
     width, height = risk_map.size
