@@ -51,6 +51,12 @@ class HandedOn(WorkerProcess):
         process.start()
         return process
 
+    def solve(self, request):
+        """Solve, also if the worker was halted while it had nothing to do."""
+        if self.alive:
+            os.kill(self._process.pid, signal.SIGCONT)
+        return super().solve(request)
+
     def close(self):
         """Only a worker that has nothing to do is alive here: ``kill`` ends a solve."""
         self.at_work.remove(self)

@@ -137,6 +137,34 @@ def test_background_solves_run_last(queue):
     assert outcomes == ['asked', 'last']
 
 
+def test_a_request_overtakes_a_running_background_solve(queue):
+    background = submit(queue, 'background', slow_request(), background=True)
+    begun(queue)
+    assert submit(queue, 'asked', request()).result(TIMEOUT), 'long before the other one'
+    assert not background.done() and queue.busy, 'it has begun again'
+    begun(queue)
+    newer = submit(queue, 'newer', slow_request(), background=True)
+    assert submit(queue, 'asked', request()).result(TIMEOUT)
+    with pytest.raises(SolveCancelled, match='a newer map'):
+        background.result(TIMEOUT)
+    begun(queue)
+    asked = submit(queue, 'newer', slow_request())
+    assert asked is newer, 'a request for the same plan shares it'
+    later = submit(queue, 'later', request())
+    assert queue.cancel() == 2 and later.exception(TIMEOUT) and newer.exception(TIMEOUT)
+
+
+def test_a_spare_worker_takes_the_place_of_one_that_is_killed(queue):
+    submit(queue, 'first', request()).result(TIMEOUT)
+    wait_until(lambda: queue._spare, 'the spare worker')
+    used, spare = queue._worker, queue._spare
+    submit(queue, 'slow', slow_request())
+    begun(queue)
+    assert queue.cancel() == 1
+    assert submit(queue, 'next', request()).result(TIMEOUT)
+    assert (queue._worker, used.alive) == (spare, False)
+
+
 def test_a_withdrawn_request_leaves_the_background_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)

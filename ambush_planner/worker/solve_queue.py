@@ -28,7 +28,7 @@ class _Solve(Generic[_Result]):
     """A waiting or running solve; ``cancelled`` is the reason if it was cancelled.
 
     ``waiters`` callers wait for its outcome. Without any it is a background solve, which goes on
-    only if ``lasting``.
+    only if ``lasting``. One that is ``overtaken`` begins again later.
     """
 
     key: Hashable
@@ -36,6 +36,7 @@ class _Solve(Generic[_Result]):
     finish: Callable[[Plan], _Result]
     lasting: bool
     waiters: int
+    overtaken: bool = False
     outcome: Future[_Result] = field(default_factory=Future)
     begin: float = 0.0
     cancelled: str = ''
@@ -46,7 +47,10 @@ class _Solve(Generic[_Result]):
 
 
 class SolveQueue(Generic[_Result]):
-    """Passes solves to one worker process, which it replaces if it died."""
+    """Passes solves to one worker process, which it replaces if it died.
+
+    After the first solve a spare worker is ready: a start takes as long as many solves.
+    """
 
     def __init__(self) -> None:
         self._condition = Condition()
@@ -55,6 +59,7 @@ class SolveQueue(Generic[_Result]):
         # The solve whose outcome is being set: it can still be shared but not cancelled.
         self._finished: _Solve[_Result] | None = None
         self._worker: WorkerProcess | None = None
+        self._spare: WorkerProcess | None = None
         self._closed = False
         self._thread = Thread(target=self._work, name='solves', daemon=True)
         self._thread.start()
@@ -78,8 +83,8 @@ class SolveQueue(Generic[_Result]):
         size
             Number of solves that may wait, besides the running and the background ones.
         background
-            No caller waits for it: it runs after all others and replaces other background solves
-            that have not begun.
+            No caller waits for it: it runs after all others, begins again if one of them comes
+            while it runs, and replaces other background solves that wait.
 
         Raises SolveCancelled if the queue is closed, and QueueFull if ``size`` solves wait.
         """
@@ -99,6 +104,8 @@ class SolveQueue(Generic[_Result]):
             solve = _Solve(key, request, finish, background, int(not background))
             self._waiting[key] = solve
             self._condition.notify()
+            if not background:
+                self._overtake_background()
         _end(superseded, _SUPERSEDED)
         return solve.outcome
 
@@ -146,6 +153,13 @@ class SolveQueue(Generic[_Result]):
                 return solve
         return None
 
+    def _overtake_background(self) -> None:
+        """End a running background solve, which waits from then on."""
+        if self._running is not None and self._running.background:
+            self._running.overtaken = True
+            if self._worker is not None:
+                self._worker.kill()
+
     def _drop_background(self) -> list[_Solve[_Result]]:
         dropped = [solve for solve in self._waiting.values() if solve.background]
         for solve in dropped:
@@ -173,16 +187,19 @@ class SolveQueue(Generic[_Result]):
             while (solve := self._next()) is not None:
                 self._answer(solve)
                 del solve  # frees its map
-                self._warm_up()
+                self._warm_up(spare=True)
         finally:
-            if self._worker is not None:
-                self._worker.close()
+            for worker in self._worker, self._spare:
+                if worker is not None:
+                    worker.close()
 
-    def _warm_up(self) -> None:
-        """Start a worker before it is needed; the next solve reports if that fails."""
+    def _warm_up(self, spare: bool = False) -> None:
+        """Start workers before they are needed; the next solve reports if that fails."""
         if not self._closed:
             with suppress(WorkerFailed):
                 self._living_worker()
+                if spare:
+                    self._spare = _living(self._spare)
 
     def _next(self) -> _Solve[_Result] | None:
         with self._condition:
@@ -199,7 +216,7 @@ class SolveQueue(Generic[_Result]):
         error: AmbushPlannerError | None = None
         try:
             worker = self._living_worker()
-            if solve.cancelled:  # before there was a worker to kill
+            if solve.cancelled or solve.overtaken:  # before there was a worker to kill
                 raise SolveCancelled(solve.cancelled)
             result = solve.finish(worker.solve(solve.request))
         except AmbushPlannerError as known:
@@ -211,7 +228,14 @@ class SolveQueue(Generic[_Result]):
                 self._worker.kill()
         forget_frames(error)
         with self._condition:
-            self._running, self._finished = None, solve
+            self._running = None
+            if solve.overtaken and result is None and not solve.cancelled:
+                newer = any(each.background for each in self._waiting.values())
+                if not (solve.background and newer):
+                    solve.overtaken, self._waiting[solve.key] = False, solve
+                    return
+                solve.cancelled = _SUPERSEDED
+            self._finished = solve
         if solve.cancelled:
             solve.outcome.set_exception(SolveCancelled(solve.cancelled))
         elif error is not None:
@@ -225,13 +249,22 @@ class SolveQueue(Generic[_Result]):
         if self._worker is None or not self._worker.alive:
             if self._worker is not None:
                 self._worker.close()
-            try:
-                worker = WorkerProcess()
-            except OSError as error:
-                raise WorkerFailed(f'the worker process cannot be started: {error}') from error
+            worker, self._spare = _living(self._spare), None
             with self._condition:
                 self._worker = worker
         return self._worker
+
+
+def _living(worker: WorkerProcess | None) -> WorkerProcess:
+    """Return a worker, or a new one in its place if it has died; raises WorkerFailed."""
+    if worker is not None:
+        if worker.alive:
+            return worker
+        worker.close()
+    try:
+        return WorkerProcess()
+    except OSError as error:
+        raise WorkerFailed(f'the worker process cannot be started: {error}') from error
 
 
 def _end(solves: list[_Solve[_Result]], why: str) -> None:
