@@ -11,7 +11,12 @@ from scipy.optimize import linprog
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
 from ambush_planner.game.route_sampler import route_edges
-from ambush_planner.planning.cell_losses import CellLosses
+from ambush_planner.maps.occupancy import (
+    OccupancyMap,
+    OccupancyOptions,
+    risk_map_from_occupancy,
+)
+from ambush_planner.planning.cell_losses import CellLosses, LatestLosses
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.trip import plan_trip
 
@@ -76,3 +81,24 @@ def test_the_search_finds_the_worst_cell(in_obstacles):
     found = CellLosses(rough, in_obstacles).worst(strategy.game, p, 0.0, 2.0)
     assert found.mean_loss[0] == pytest.approx(losses.max(), rel=1e-9)
     assert (np.diff(found.mean_loss) <= 0.0).all()
+
+
+@pytest.mark.parametrize('changes', [0, 1, 30, 400])
+def test_losses_follow_the_changes_of_a_map(changes):
+    rng, options, latest = np.random.default_rng(changes), OccupancyOptions(), LatestLosses()
+    values = rng.integers(-1, 101, (37, 51), dtype=np.int8)
+    for _ in range(4):
+        values = values.copy()
+        values.ravel()[rng.integers(0, values.size, changes)] = rng.integers(-1, 101, changes)
+        grid = OccupancyMap(values, 0.5)
+        losses = latest.on(grid, options, False)
+        fresh = CellLosses(risk_map_from_occupancy(values, 0.5, options=options), False)
+        for side in (1, 4, 16):
+            np.testing.assert_array_equal(losses._loss_of_blocks(side), fresh._loss_of_blocks(side))
+    places = rng.uniform(-1.0, 30.0, (500, 2))
+    np.testing.assert_array_equal(losses.at(places), fresh.at(places))
+    for other, read in ((replace(grid, resolution=1.0), options),
+                        (grid, OccupancyOptions(alpha_max=5.0))):
+        risk_map = risk_map_from_occupancy(values, other.resolution, options=read)
+        np.testing.assert_array_equal(latest.on(other, read, False).at(places),
+                                      CellLosses(risk_map, False).at(places))

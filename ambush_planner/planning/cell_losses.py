@@ -8,6 +8,8 @@ of them is hit. A block whose largest loss, times these entries, is not above th
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -16,10 +18,14 @@ from ..arrays import FloatArray, IndexArray
 from ..game.discs import near_ends
 from ..game.game import Game
 from ..game.hits import RouteHits
-from ..maps.risk_map import RiskMap
+from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
+from ..maps.risk_map import RiskMap, to_map_axes, to_world
 
 # A block of cells is divided into this many along each side.
 _DIVISION = 4
+# If more than this share of the cells has changed, their losses are computed from the whole map.
+_MOST_CHANGED = 0.05
+_PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
 # Cells whose hits are computed together.
 _AT_ONCE = 64
 
@@ -37,13 +43,25 @@ class CellLosses:
 
     def __init__(self, risk_map: RiskMap, in_obstacles: bool) -> None:
         alpha = np.where(risk_map.obstacles, 0.0, risk_map.alpha)
-        self._map = risk_map
+        self._resolution, self._origin = risk_map.resolution, risk_map.origin
         self._largest = {1: risk_map.nearest_free_alpha() if in_obstacles else alpha}
 
     def at(self, points: FloatArray) -> FloatArray:
         """The losses (K,) at positions (K, 2) [m]; 0 off the map and where nobody can wait."""
-        uv = self._map.to_map_axes(points)
-        return np.where(self._map.contains(uv), self._loss_of_blocks(1)[self._map.cells(uv)], 0.0)
+        loss = self._largest[1]
+        uv, shape = to_map_axes(self._origin, points) / self._resolution, loss.shape[::-1]
+        inside = ((uv >= 0.0) & (uv <= shape)).all(axis=1)
+        column, row = np.clip(np.floor(uv).astype(np.int64), 0, np.array(shape) - 1).T
+        return np.where(inside, loss[row, column], 0.0)
+
+    def change(self, cells: IndexArray, alpha: FloatArray) -> None:
+        """Set the losses (K,) of some cells (K, 2) = (row, column)."""
+        self._largest[1][tuple(cells.T)] = alpha
+        for side in sorted(self._largest)[1:]:
+            finer = self._largest[side // _DIVISION]
+            cells = np.unique(cells // _DIVISION, axis=0)
+            parts = np.minimum(cells[:, None] * _DIVISION + _PARTS, np.array(finer.shape) - 1)
+            self._largest[side][tuple(cells.T)] = finer[parts[..., 0], parts[..., 1]].max(axis=1)
 
     def worst(self, game: Game, p: FloatArray, above: float, apart: float) -> Places:
         """Cells that cost an acyclic strategy p (M,) more than ``above``, the worst first.
@@ -52,7 +70,7 @@ class CellLosses:
         cell is returned, the one with the largest bound.
         """
         side = 1
-        while side * _DIVISION * self._map.resolution <= game.reach:
+        while side * _DIVISION * self._resolution <= game.reach:
             side *= _DIVISION
         blocks = np.argwhere(self._loss_of_blocks(side) > above)
         bound = self._entries(game, p, blocks, side)
@@ -71,7 +89,7 @@ class CellLosses:
         points, alpha = self._centres(cells, 1), self._loss_of_blocks(1)[tuple(cells.T)]
         used = np.flatnonzero(p > 0.0)
         hits, losses = RouteHits(game.network, p), np.zeros(len(cells))
-        squares = np.floor(cells * self._map.resolution / apart).astype(np.int64)
+        squares = np.floor(cells * self._resolution / apart).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
         chosen = np.sort(first)
         losses[chosen] = alpha[chosen] * hits.probability(game.hits_from(points[chosen], used))
@@ -88,28 +106,66 @@ class CellLosses:
     def _entries(self, game: Game, p: FloatArray, blocks: IndexArray, side: int) -> FloatArray:
         """Upper bounds (K,) of the mean losses at all cells of the blocks (K, 2)."""
         used = np.flatnonzero(p > 0.0)
-        wider = (side - 1) * self._map.resolution / np.sqrt(2.0)
+        wider = (side - 1) * self._resolution / np.sqrt(2.0)
         rows = game.hits_from(self._centres(blocks, side), used, wider)
         hit = np.minimum(rows @ p, 1.0)
         return np.asarray(self._loss_of_blocks(side)[tuple(blocks.T)] * hit)
 
     def _centres(self, blocks: IndexArray, side: int) -> FloatArray:
-        return self._map.to_world((blocks[:, ::-1] + 0.5) * side * self._map.resolution)
+        return to_world(self._origin, (blocks[:, ::-1] + 0.5) * side * self._resolution)
 
     def _loss_of_blocks(self, side: int) -> FloatArray:
         """The largest loss of each block of ``side`` x ``side`` cells."""
         if side not in self._largest:
             finer = self._loss_of_blocks(side // _DIVISION)
-            rows, columns = (-(-size // _DIVISION) * _DIVISION for size in finer.shape)
-            padded = np.zeros((rows, columns))
-            padded[: finer.shape[0], : finer.shape[1]] = finer
-            parts = padded.reshape(rows // _DIVISION, _DIVISION, columns // _DIVISION, _DIVISION)
-            self._largest[side] = parts.max(axis=(1, 3))
+            padded = np.pad(finer, [(0, -size % _DIVISION) for size in finer.shape])
+            # By whole rows, then columns: ten times as fast as a maximum over two axes.
+            rows = reduce(np.maximum, [padded[k::_DIVISION] for k in range(_DIVISION)])
+            self._largest[side] = reduce(np.maximum,
+                                         [rows[:, k::_DIVISION] for k in range(_DIVISION)])
         return self._largest[side]
 
     def _divided(self, blocks: IndexArray, side: int) -> IndexArray:
         """The parts (K, 2) of blocks of ``side`` cells."""
-        steps = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
-        parts = (blocks[:, None] * _DIVISION + steps).reshape(-1, 2)
+        parts = (blocks[:, None] * _DIVISION + _PARTS).reshape(-1, 2)
         shape = np.array(self._loss_of_blocks(side // _DIVISION).shape)
         return np.asarray(parts[(parts < shape).all(axis=1)])
+
+
+class LatestLosses:
+    """The losses at the cells of the latest map: those of the one before with the changes since."""
+
+    def __init__(self) -> None:
+        self._latest: tuple[OccupancyMap, OccupancyOptions, CellLosses] | None = None
+
+    def on(self, grid: OccupancyMap, options: OccupancyOptions, in_obstacles: bool) -> CellLosses:
+        """Return the losses on a map, which hold until the next call."""
+        if in_obstacles:  # a change of one cell can change many
+            return CellLosses(_risk(grid, options), True)
+        if self._latest is not None:
+            last, read_by, losses = self._latest
+            at = _changed(last, grid) if options == read_by else None
+            if at is not None and len(at) <= _MOST_CHANGED * grid.values.size:
+                if len(at):
+                    rows, columns = np.divmod(at, grid.values.shape[1])
+                    some = replace(grid, values=grid.values[rows, columns][None, :])
+                    risk = _risk(some, options)
+                    losses.change(np.stack((rows, columns), axis=1),
+                                  np.where(risk.obstacles, 0.0, risk.alpha)[0])
+                self._latest = grid, options, losses
+                return losses
+        losses = CellLosses(_risk(grid, options), False)
+        self._latest = grid, options, losses
+        return losses
+
+
+def _risk(grid: OccupancyMap, options: OccupancyOptions) -> RiskMap:
+    return risk_map_from_occupancy(grid.values, grid.resolution, grid.origin, options)
+
+
+def _changed(one: OccupancyMap, other: OccupancyMap) -> IndexArray | None:
+    """Return the flat indices of the cells that differ; None if the maps cover other ground."""
+    if (one.values.shape, one.resolution, one.origin) != (
+            other.values.shape, other.resolution, other.origin):
+        return None
+    return np.flatnonzero(one.values.ravel() != other.values.ravel())

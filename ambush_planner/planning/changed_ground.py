@@ -21,7 +21,7 @@ from ..maps.risk_map import RiskMap
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
-from .cell_losses import CellLosses
+from .cell_losses import LatestLosses
 from .conditioning import ConditionedStrategy
 from .plan import Plan, Route, depart
 from .solving import holds_anywhere
@@ -93,9 +93,12 @@ class ChangedGround:
     """Assesses a plan, and draws its routes, on other maps of the same ground.
 
     The plan was solved on the map ``planned_on``; ``occupancy`` says how cell values are read.
+    Several plans may share the ``losses`` of the newest map.
     """
 
-    def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions) -> None:
+    def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions,
+                 losses: LatestLosses | None = None) -> None:
+        self._cell_losses = losses or LatestLosses()
         self.plan, self._planned_on, self._occupancy = plan, planned_on, occupancy
         self._clearance = plan.options.network.clearance
         network = plan.network
@@ -103,7 +106,6 @@ class ChangedGround:
         self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
         self._segments = _Segments(*(self._uv[network.edges[:, k]] for k in (0, 1)))
         self._cells = self._cells_of_nodes()
-        self._cell_losses: CellLosses | None = None
         self._latest: Comparison | None = None
 
     def assess(self, newest: OccupancyMap) -> Assessment:
@@ -233,13 +235,8 @@ class ChangedGround:
         changed = np.flatnonzero(now != before)
         # An ambusher in a cell that has become an obstacle still counts.
         other = bool((~_obstacles(now[changed], self._occupancy)).any())
-        cells = self._cell_losses
-        if other or cells is None:
-            values = newest.values if other else planned_on.values
-            risk_map = risk_map_from_occupancy(values, newest.resolution, newest.origin,
-                                               self._occupancy)
-            cells = CellLosses(risk_map, options.game.ambush_in_obstacles)
-            self._cell_losses = None if other else cells
+        cells = self._cell_losses.on(newest if other else planned_on, self._occupancy,
+                                     options.game.ambush_in_obstacles)
         worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 

@@ -11,6 +11,7 @@ from threading import RLock
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
@@ -160,6 +161,7 @@ class PlanCache:
         self._pending: list[_Pending] = []
         self._lock = RLock()
         self._queue: SolveQueue[CachedPlan] = SolveQueue()
+        self._losses = LatestLosses()
 
     @property
     def solving(self) -> bool:
@@ -249,7 +251,7 @@ class PlanCache:
 
     def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
-        ground = ChangedGround(plan, trip.map, parameters.occupancy)
+        ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
         cached = CachedPlan(plan, trip, parameters, ground)
         with self._lock:
             self._keep(cached)
