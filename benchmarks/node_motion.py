@@ -54,7 +54,7 @@ ARRIVED = 3.0  # m from the goal, where the next one comes
 # Time from a change of the map to its arrival in the node at the latest [s].
 ARRIVAL = 1.0
 FIRST_CHANGE = 3.0  # s after the publisher's start, which takes one
-# One request in so many is for a goal that cannot be reached.
+# Each tenth request is for a goal that cannot be reached.
 UNREACHABLE = 10
 CODES = {getattr(ComputePathToPose.Result, name): name
          for name in ('UNKNOWN', 'INVALID_PLANNER', 'TF_ERROR', 'START_OUTSIDE_MAP',

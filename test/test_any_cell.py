@@ -17,6 +17,7 @@ from ambush_planner.maps.occupancy import (
     risk_map_from_occupancy,
 )
 from ambush_planner.planning.cell_losses import CellLosses, LatestLosses
+from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
 from ambush_planner.planning.trip import plan_trip
 
@@ -81,6 +82,27 @@ def test_the_search_finds_the_worst_cell(in_obstacles):
     found = CellLosses(rough, in_obstacles).worst(strategy.game, p, 0.0, 2.0)
     assert found.mean_loss[0] == pytest.approx(losses.max(), rel=1e-9)
     assert (np.diff(found.mean_loss) <= 0.0).all()
+
+
+def test_on_a_changed_map_no_cell_costs_more_than_the_value():
+    rng, occupancy = np.random.default_rng(2), OccupancyOptions()
+    values = rng.integers(0, 60, (20, 26), dtype=np.int8)
+    values[7:14, 12:14] = 100
+    planned_on, game = OccupancyMap(values, 1.0), GameOptions(2.0)
+    plan = plan_trip(risk_map_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5),
+                     replace(OPTIONS, game=game))
+    ground, strategy = ChangedGround(plan, planned_on, occupancy), plan.strategy
+    raised = 0
+    for row, column in rng.integers(2, 18, (12, 2)) + (0, 4):
+        now = values.copy()
+        now[row - 1:row + 2, column - 1:column + 2] = 99
+        risk_map = risk_map_from_occupancy(now, 1.0)
+        worst = losses_at_cells(risk_map, strategy, strategy.game.options.held_radius).max()
+        value = ground.assess(OccupancyMap(now, 1.0)).value
+        assert worst <= value * (1.0 + 1e-9)
+        assert value == strategy.value or value == pytest.approx(worst, rel=1e-6)
+        raised += value > strategy.value
+    assert 0 < raised < 12
 
 
 @pytest.mark.parametrize('changes', [0, 1, 30, 400])

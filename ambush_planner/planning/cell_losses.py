@@ -63,16 +63,19 @@ class CellLosses:
             parts = np.minimum(cells[:, None] * _DIVISION + _PARTS, np.array(finer.shape) - 1)
             self._largest[side][tuple(cells.T)] = finer[parts[..., 0], parts[..., 1]].max(axis=1)
 
-    def worst(self, game: Game, p: FloatArray, above: float, apart: float) -> Places:
+    def worst(self, game: Game, p: FloatArray, above: float, apart: float,
+              among: IndexArray | None = None) -> Places:
         """Cells that cost an acyclic strategy p (M,) more than ``above``, the worst first.
 
         The first one is the worst of all cells. Of each square of side ``apart`` [m], at most one
-        cell is returned, the one with the largest bound.
+        cell is returned, the one with the largest bound. Without ``among`` (K, 2) all cells count.
         """
         side = 1
-        while side * _DIVISION * self._resolution <= game.reach:
+        while among is None and side * _DIVISION * self._resolution <= game.reach:
             side *= _DIVISION
-        blocks = np.argwhere(self._loss_of_blocks(side) > above)
+        losses = self._loss_of_blocks(side)
+        blocks = np.argwhere(losses > above) if among is None else among[
+            losses[tuple(among.T)] > above]
         bound = self._entries(game, p, blocks, side)
         while side > 1:
             blocks = self._divided(blocks[bound > above], side)
@@ -87,6 +90,8 @@ class CellLosses:
                above: float, apart: float) -> Places:
         """Mean losses, each route counted once, of cells (K, 2) ordered by their bounds (K,)."""
         points, alpha = self._centres(cells, 1), self._loss_of_blocks(1)[tuple(cells.T)]
+        if not len(cells):
+            return Places(points, alpha, np.zeros(0))
         used = np.flatnonzero(p > 0.0)
         hits, losses = RouteHits(game.network, p), np.zeros(len(cells))
         squares = np.floor(cells * self._resolution / apart).astype(np.int64)

@@ -220,24 +220,37 @@ class ChangedGround:
         clear_share, p = 1.0, strategy.edge_probability
         if lost[self._used].any():
             clear_share, p = self.conditioned.avoiding(lost)
-        known = self.at_any_cell(revalue(strategy, alpha, p), newest, strategy.game, p)
+        same = p is strategy.edge_probability and np.array_equal(alpha, network.alpha)
+        known = (Certificate(strategy.value, strategy.lower_bound) if same
+                 else revalue(strategy, alpha, p))
+        known = self.at_any_cell(known, newest, strategy.game, p, same)
         assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return Comparison(newest, assessment, centres, lost, pairs, alpha)
 
-    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, game: Game,
-                    p: FloatArray) -> Certificate:
-        """The certificate of p (M,) in a game, against ambushers at any cell if the plan's is."""
+    def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, game: Game, p: FloatArray,
+                    on_others: bool = False) -> Certificate:
+        """The certificate of p (M,) in a game, against ambushers at any cell if the plan's is.
+
+        Only at cells that have changed if ``at_sites`` holds ``on_others``.
+        """
         planned_on, options = self._planned_on, self.plan.options
         if not holds_anywhere(game, options) or math.isinf(at_sites.value):
             return at_sites
         now, before = newest.values.ravel(), planned_on.values.ravel()
         changed = np.flatnonzero(now != before)
         # An ambusher in a cell that has become an obstacle still counts.
-        other = bool((~_obstacles(now[changed], self._occupancy)).any())
+        changed = changed[~_obstacles(now[changed], self._occupancy)]
+        other = len(changed) > 0
+        if on_others and not other:
+            return at_sites
         cells = self._cell_losses.on(newest if other else planned_on, self._occupancy,
                                      options.game.ambush_in_obstacles)
-        worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution)
+        among = None
+        if on_others and not options.game.ambush_in_obstacles:
+            among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
+        worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution,
+                            among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,

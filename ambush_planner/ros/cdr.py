@@ -20,8 +20,8 @@ from ..arrays import FloatArray
 
 # Size of the encapsulation header (little-endian CDR). Alignment counts from its end.
 _HEADER_SIZE = 4
-# A colour that no marker has. Its bytes contain 0xfe, which never occurs in UTF-8, so neither a
-# frame name nor a namespace can be mistaken for it.
+# A colour that no marker has. Its bytes contain 0xfe, which never occurs in UTF-8, so no frame name
+# or namespace can contain it.
 _PLACEHOLDER = -(2.0**126)
 _PLACEHOLDER_BYTES = struct.pack('<4f', *[_PLACEHOLDER] * 4)
 

@@ -36,9 +36,9 @@ class ComputePath:
     """The action called ``name``, if ``nav2_msgs`` is installed; if not, ``server`` is None.
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
-    last. As with Nav2, a new goal takes the place of one that waits and leads elsewhere. While they
-    wait, goals are accepted but not executing: rclpy polls coroutines that await. Cancelling a goal
-    leaves the solves of others alone.
+    last. As in Nav2, a new goal replaces a waiting one that leads elsewhere. Waiting goals are
+    accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal does not
+    affect the solves of other requests.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,
@@ -59,7 +59,7 @@ class ComputePath:
         )
 
     def close(self) -> None:
-        """Destroy the action server; to be called before the node is destroyed."""
+        """Destroy the action server; call this before the node is destroyed."""
         if self.server is not None:
             self.server.destroy()
 

@@ -48,7 +48,7 @@ INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE act
 
 @dataclass(eq=False)
 class _Pending:
-    """A requested departure; the ``client`` is '' if it cannot be told from others."""
+    """A requested departure; ``client`` is '' if it is not known who asked."""
 
     call: ServiceCall
     trip_request: TripRequest

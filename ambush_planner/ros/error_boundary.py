@@ -20,8 +20,8 @@ _Result = TypeVar('_Result')
 class ErrorBoundary:
     """Logs errors and passes each to ``report`` with what it concerns.
 
-    Of errors of one type in one place only the first is logged; ``log_repeated`` logs how many have
-    followed, and begins anew. It is to be called about once a second. Thread-safe.
+    It logs only the first of several errors of one type in one place; ``log_repeated`` logs how many
+    followed and resets the count. Call that about once a second. Thread-safe.
     """
 
     def __init__(self, context: Context, logger: RcutilsLogger,

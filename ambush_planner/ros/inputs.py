@@ -26,9 +26,9 @@ MOST_STOPS = 50
 
 @dataclass(frozen=True, eq=False)
 class TripRequest:
-    """Where somebody wants to go, in any frames, via some stops.
+    """A start, a goal and stops, each in any frame.
 
-    Without a start it is the robot's pose at departure. A blocked goal may be moved by
+    Without a start, the route begins at the robot's pose at departure. A blocked goal may be moved by
     ``goal_tolerance`` [m].
     """
 
@@ -69,8 +69,8 @@ class Inputs:
     """The latest valid map, and the latest poses as they arrived.
 
     A map is checked on arrival, and a malformed one leaves the previous map current. A pose is
-    checked at departure, when its map is known; a bad pose replaces the previous one, so that
-    nobody departs for a goal that has been given up. If a trip starts at the robot, its pose is
+    checked at departure, when its map is known; a bad pose replaces the previous one, so that no
+    convoy departs for an abandoned goal. If a trip starts at the robot, its pose is
     recorded as if it had arrived on ``start_topic``.
 
     Attributes

@@ -134,7 +134,7 @@ class Fit:
 
     @property
     def note(self) -> str:
-        """What whoever departs should know about the start; '' if there is nothing."""
+        """A remark about the start for the response and the diagnostics; '' if there is none."""
         worth = f'value {self.assessment.value:.4g}, bound {self.assessment.lower_bound:.4g}'
         if self.late_by:
             return ('the path begins where the convoy was at the request, '

@@ -19,8 +19,8 @@ from .publishers import Publishers
 class Reporter:
     """Publishes the status of the node called ``name``; thread-safe.
 
-    ``is_solving`` returns whether a solve runs or waits. The error of a request disappears after
-    ``error_hold()`` [s]; all else is reported as long as it lasts.
+    ``is_solving`` returns whether a solve is running or waiting. A request's error is reported for
+    ``error_hold()`` [s], everything else as long as it lasts.
     """
 
     def __init__(self, name: str, publishers: Publishers, clock: Clock,
@@ -46,7 +46,7 @@ class Reporter:
         self._change(lambda status: replace(status, **fields))
 
     def unconfigured(self) -> None:
-        """Clear all that does not concern parameters."""
+        """Clear everything except warnings about parameters."""
         def change(status: Status) -> Status:
             kept = {key: text for key, text in status.warnings.items() if key == 'parameters'}
             return Status(lifecycle='unconfigured', recording=status.recording, warnings=kept)
@@ -74,11 +74,11 @@ class Reporter:
 
     def departed(self, number: int, departure_id: str, tight_turns: int, worth: Assessment,
                  late_start: str, publish: bool = True) -> tuple[RecordedMessage, str]:
-        """Report a departure; return the report, and what is wrong with the recording, if anything.
+        """Report a departure; return the report and the recording's problem, '' if it has none.
 
-        ``worth`` is its assessment, and ``late_start`` says why it begins where the convoy was.
-        Both results come from one status, so the answer and the recorded diagnostics agree. Without
-        ``publish`` the departure leaves once it is recorded: the report of then is only returned.
+        ``worth`` is its assessment; ``late_start`` says why it begins at an earlier position of the
+        convoy. Both results come from one status, so the answer and the recorded diagnostics agree.
+        Without ``publish`` the report is only returned, for a departure that leaves once recorded.
         """
         with self._lock:
             status = replace(self._status.without_problem('request'), departures=number,
