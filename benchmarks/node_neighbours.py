@@ -66,7 +66,7 @@ def obstacle_at(cells: int, step: int) -> tuple[int, int]:
 
 
 def publish_maps(cells: int, whole: bool, begin: float) -> None:
-    """Publish a map, and every 1 / RATE from ``begin`` (``time.monotonic``) where its obstacle is."""
+    """Publish a map, and from ``begin`` (``time.monotonic``) on where its obstacle moves."""
     node = rclpy.create_node('costmap')
     maps = node.create_publisher(OccupancyGrid, 'alpha_map', LATCHED)
     updates = node.create_publisher(OccupancyGridUpdate, 'alpha_map_updates', 10)

@@ -220,10 +220,10 @@ class ChangedGround:
         clear_share, p = 1.0, strategy.edge_probability
         if lost[self._used].any():
             clear_share, p = self.conditioned.avoiding(lost)
-        same = p is strategy.edge_probability and np.array_equal(alpha, network.alpha)
-        known = (Certificate(strategy.value, strategy.lower_bound) if same
+        unchanged = p is strategy.edge_probability and np.array_equal(alpha, network.alpha)
+        known = (Certificate(strategy.value, strategy.lower_bound) if unchanged
                  else revalue(strategy, alpha, p))
-        known = self.at_any_cell(known, newest, strategy.game, p, same)
+        known = self.at_any_cell(known, newest, strategy.game, p, unchanged)
         assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
         return Comparison(newest, assessment, centres, lost, pairs, alpha)

@@ -37,8 +37,8 @@ class ComputePath:
 
     A goal is treated like a request of ``get_plan`` without tolerance, through all poses but the
     last. As in Nav2, a new goal replaces a waiting one that leads elsewhere. Waiting goals are
-    accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal does not
-    affect the solves of other requests.
+    accepted but not executing, because rclpy polls coroutines that await. Cancelling a goal leaves
+    the solves of other requests alone.
     """
 
     def __init__(self, node: Node, error_boundary: ErrorBoundary, requests: Requests,

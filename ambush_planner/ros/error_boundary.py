@@ -20,8 +20,8 @@ _Result = TypeVar('_Result')
 class ErrorBoundary:
     """Logs errors and passes each to ``report`` with what it concerns.
 
-    It logs only the first of several errors of one type in one place; ``log_repeated`` logs how many
-    followed and resets the count. Call that about once a second. Thread-safe.
+    Only the first of several errors of one type in one place is logged; ``log_repeated``, to be
+    called about once a second, logs how many followed and resets the count. Thread-safe.
     """
 
     def __init__(self, context: Context, logger: RcutilsLogger,

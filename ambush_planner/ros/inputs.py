@@ -28,8 +28,8 @@ MOST_STOPS = 50
 class TripRequest:
     """A start, a goal and stops, each in any frame.
 
-    Without a start, the route begins at the robot's pose at departure. A blocked goal may be moved by
-    ``goal_tolerance`` [m].
+    Without a start, the route begins at the robot's pose at departure. A blocked goal may be moved
+    by ``goal_tolerance`` [m].
     """
 
     start: ReceivedMessage | None
