@@ -123,7 +123,8 @@ class CellLosses:
         """The largest loss of each block of ``side`` x ``side`` cells."""
         if side not in self._largest:
             finer = self._loss_of_blocks(side // _DIVISION)
-            padded = np.pad(finer, [(0, -size % _DIVISION) for size in finer.shape])
+            margins = [(0, -size % _DIVISION) for size in finer.shape]
+            padded = np.pad(finer, margins) if np.any(margins) else finer
             # By whole rows, then columns: ten times as fast as a maximum over two axes.
             rows = reduce(np.maximum, [padded[k::_DIVISION] for k in range(_DIVISION)])
             self._largest[side] = reduce(np.maximum,

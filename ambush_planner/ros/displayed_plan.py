@@ -57,8 +57,8 @@ class DisplayedPlan:
     def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
         """Report how good the plan is on the current map.
 
-        A plan that is blocked, or whose value has risen by more than ``tolerance``, is solved again.
-        Then ``after_resolve`` is called; if that is None, nothing is solved.
+        A plan that is blocked, or whose value has risen by more than ``tolerance``, is solved
+        again. Then ``after_resolve`` is called; if that is None, nothing is solved.
         """
         cached, newest = self.cached, self._inputs.current_map()
         self._plans.keep_ground(newest)
