@@ -155,15 +155,21 @@ class ChangedGround:
         """Return which edges (M,) meet a new obstacle or lead to a node over the threshold."""
         return self.compare(newest).lost
 
-    def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> bool:
-        """Whether all segments a -> b, both (K, 2), stay clear of the newest map's obstacles."""
+    def clear(self, a: FloatArray, b: FloatArray, newest: OccupancyMap) -> npt.NDArray[np.bool_]:
+        """Which segments a -> b, both (K, 2), stay clear of the newest map's obstacles: (K,).
+
+        Those of one call should lie together: the map is read around all of them.
+        """
         ends = _map_axes(newest, np.concatenate((a, b)))
         size = np.array(newest.values.shape[::-1]) * newest.resolution
-        if not ((ends >= 0.0) & (ends <= size)).all():
-            return False
-        corner, part = self._part(newest, ends, self._clearance)
-        tails, heads = np.split(ends - corner, [len(a)])
-        return bool(ObstacleField(part).clear_segments(tails, heads, self._clearance).all())
+        on_map: npt.NDArray[np.bool_] = np.all((ends >= 0.0) & (ends <= size), axis=1)
+        found: npt.NDArray[np.bool_] = on_map[:len(a)] & on_map[len(a):]
+        if found.any():
+            tails, heads = ends.reshape(2, -1, 2)[:, found]
+            corner, part = self._part(newest, np.concatenate((tails, heads)), self._clearance)
+            found[found] = ObstacleField(part).clear_segments(tails - corner, heads - corner,
+                                                              self._clearance)
+        return found
 
     def _corridors(self, newest: OccupancyMap) -> Corridors:
         """Return the plan's corridors among the new obstacles."""

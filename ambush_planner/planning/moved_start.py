@@ -60,9 +60,7 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     joins = ground.conditioned.joins(p, _nearing(network, ends[0])) if share else np.zeros(0)
     at = np.flatnonzero(joins)
     a, b = np.broadcast_to(ends[0], (len(at), 2)), network.points[at]
-    clear = [(x != y).any() and ground.clear(x[None], y[None], newest)
-             for x, y in zip(a, b, strict=True)]
-    at = at[np.array(clear, dtype=bool)]
+    at = at[(a != b).any(axis=1) & ground.clear(a, b, newest)]
     share *= float(joins[at].sum())
     if share < LEAST_CLEAR:
         return None

@@ -109,7 +109,8 @@ class CachedPlan:
             return False  # a step of length 0 has no direction
         # Start and goal separately: the rectangle around both may be the whole map.
         return all(
-            self.ground.clear(places[network.tails[edges]], places[network.heads[edges]], trip.map)
+            self.ground.clear(places[network.tails[edges]], places[network.heads[edges]],
+                              trip.map).all()
             for edges in (first, last)
         )
 
