@@ -16,6 +16,7 @@ If the route that it finds costs more than that, a second search keeps all label
 from __future__ import annotations
 
 import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,6 @@ MAX_COMPARISONS, MAX_MERGED_COMPARISONS = 300_000, 20_000_000
 _ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
 _NEGLIGIBLE = 1e-9
-
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ class _Labels:
                 return least, None
             here = settled.setdefault(node, [])
             comparisons -= len(here)
-            if any(c + loss(met & ~m) <= cost for c, m in here):
+            if self._dominated(here, cost, met):
                 continue
             if merged and here:
                 met |= here.pop()[1]
@@ -114,11 +114,25 @@ class _Labels:
                 after = cost + self._base[k] + (loss(new) if new else 0.0)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
-                if any(c + loss(both & ~m) <= after for c, m in there):
+                if self._dominated(there, after, both):
                     continue
                 labels.append((number, k))
                 heapq.heappush(queue, (after + behind[head], after, len(labels) - 1, head, both))
         return np.inf, None
+
+    def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
+        """Whether another label at the node costs no more even with the sites that only it lacks."""
+        known, loss = self._losses, self._loss
+        for least, theirs in others:
+            lacking = met & ~theirs
+            if not lacking:
+                if least <= cost:
+                    return True
+            elif least <= cost:
+                more = known.get(lacking)
+                if least + (loss(lacking) if more is None else more) <= cost:
+                    return True
+        return False
 
     def _loss(self, met: int) -> float:
         known = self._losses.get(met)

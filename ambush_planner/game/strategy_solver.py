@@ -209,14 +209,19 @@ class EntropyStage:
         return Solution(self.level_lines, q, prices, self.evaluations)
 
     def _least_on_faces(self, budget: Budget, bound: float) -> LevelLines:
-        """Solve on strips around the best route until the ambusher found proves the value."""
+        """Solve on strips around the best route until the ambusher found proves the value.
+
+        Entries show that well enough, and a strip that is too narrow proves next to nothing.
+        """
+        game = self.game
         assert self.faces is not None  # it has a chain
         program = FaceProgram(self.faces, budget, bound, FACES_GAP * self.slack,
                               self.program_deadline())
         for width in STRIPS:
             found = program.solve(width)
-            proved = found.q is None or self.hit_bound(found.q, self._priced(budget, found.price))
-            if proved is True or proved >= found.value * (1.0 - PROVED_GAP * self.slack):
+            if found.q is None or found.value * (1.0 - PROVED_GAP * self.slack) <= entry_bound(
+                game, found.q, self.budgets, self._priced(budget, found.price)
+            ):
                 break
         return found
 
