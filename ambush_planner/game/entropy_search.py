@@ -29,8 +29,10 @@ from .node_limits import NodeLimits
 
 # Evaluations of L-BFGS before Newton's method starts, and in each round after it.
 FIRST_EVALUATIONS, NEXT_EVALUATIONS = 150, 300
-# Limits that Newton's method moves at once.
-NEWTON_LIMITS = 3000
+# Limits that Newton's method moves at once, and its most steps.
+NEWTON_LIMITS, MOST_STEPS = 3000, 500
+# With soft limits: evaluations of L-BFGS, Newton's most steps, and the relative decrease that ends it.
+SOFT_EVALUATIONS, SOFT_STEPS, SOFT_GAIN = 40, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative.
 LEAST_GAIN = 1e-9
 # Missing entropy at which the search ends, relative and in nats.
@@ -86,23 +88,24 @@ class GibbsStrategy:
 
 
 def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
-                     deadline: float, softness: float = 0.0,
-                     evaluations: int = 0) -> GibbsStrategy:
-    """Minimise log Z(C' v) + sum v + softness / 2 (sum v)^2 over v >= 0.
+                     deadline: float, softness: float = 0.0, soft: int = 0) -> GibbsStrategy:
+    """Minimise log Z(C' v) + sum v + softness / 2 (sum of the first ``soft`` v)^2 over v >= 0.
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
     entropy; when the limits are proved infeasible; when the function falls no more; or at
-    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed its limits by softness
-    * sum v, so that a minimum always exists; this search ends after ``evaluations``.
+    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed each of the ``soft`` first
+    limits by softness * the sum of their v, so that a minimum exists if the others can be kept;
+    this search is short.
     """
     if rows.shape[0] == 0:
         log_z, p, _ = network.law(np.zeros(len(network.edge)))
         return GibbsStrategy(p, start, 0.0, False, 1, log_z)
-    search = _DualSearch(network, rows, tolerance, deadline, softness)
+    search = _DualSearch(network, rows, tolerance, deadline, softness, soft)
     with contextlib.suppress(_SearchEnded):
         if softness > 0.0:
-            search.quasi_newton(start, evaluations)
+            search.quasi_newton(start, SOFT_EVALUATIONS)
+            search.newton(SOFT_STEPS, SOFT_GAIN)
         else:
             search.run(start)
     search.found.evaluations = search.count
@@ -113,9 +116,10 @@ class _DualSearch:
     """The dual function, its least evaluation ``found``, and the methods that minimise it."""
 
     def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
-                 softness: float) -> None:
+                 softness: float, soft: int) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
-        self.tolerance, self.deadline, self.softness = tolerance, deadline, softness
+        self.tolerance, self.deadline = tolerance, deadline
+        self.softness, self.soft = softness, np.arange(rows.shape[0]) < soft
         self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
         self.p = self.share = self.gradient = np.empty(0)
         # A limit used in portions of c has a use with a variance of about c.
@@ -131,7 +135,10 @@ class _DualSearch:
         used, total, hard = self.rows @ self.p, float(v.sum()), self.softness == 0.0
         excess = float(used.max()) - 1.0
         self.count += 1
-        value = log_z + total + self.softness / 2.0 * total**2
+        softened = self.softness * float(v[self.soft].sum())
+        value = log_z + total
+        if not hard:
+            value += softened**2 / (2.0 * self.softness)
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
         near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
@@ -142,7 +149,7 @@ class _DualSearch:
             self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0, log_z)
         if reached or infeasible or time.monotonic() > self.deadline:
             raise _SearchEnded
-        self.gradient = 1.0 - used + self.softness * total
+        self.gradient = 1.0 - used + softened * self.soft
         return value, self.gradient
 
     def run(self, start: FloatArray) -> None:
@@ -220,20 +227,22 @@ class _DualSearch:
             idle = 0 if gains or tried @ unused < mu / CENTRING * len(v) else idle + 1
             v, least = tried, self.least
 
-    def newton(self) -> None:
-        """Take damped Newton steps in the limits of greatest weight."""
+    def newton(self, steps: int = MOST_STEPS, gain: float = 0.0) -> None:
+        """Take damped Newton steps in the limits of greatest weight, while they promise ``gain``."""
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
-        while True:
+        for _ in range(steps):
             weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
             counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
             hessian = self.network.covariance(self.share, self.p, self.rows[counts])
+            hessian += self.softness * np.outer(self.soft[counts], self.soft[counts])
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)
                 foreseen = -float(gradient[counts] @ step + step @ hessian @ step / 2.0)
-                if abs(foreseen) <= np.spacing(1.0 + abs(value)):
+                scale = 1.0 + abs(value)
+                if abs(foreseen) <= max(gain * scale, np.spacing(scale)):
                     return
                 tried = v.copy()
                 tried[counts] += step

@@ -58,6 +58,11 @@ class LimitRows:
         mean = np.array([float(b.cost[edge].mean()) for b in self._binding])
         self._first = np.minimum(self._margin / np.maximum(mean, 1e-300), MAX_FIRST_MULTIPLIER)
 
+    @property
+    def sites(self) -> int:
+        """Number of rows of sites, which are the first."""
+        return len(self._row)
+
     def start(self, warm: Multipliers | None) -> FloatArray:
         """Scaled multipliers (R,) to start from: those of ``warm``, or 0 for sites."""
         if warm is None or len(warm.sites) != self._game.node_count:

@@ -68,10 +68,13 @@ FACES_GAP, PROVED_GAP = 0.1, 0.2
 STRIPS = (1.0, 2.0, 4.0, np.inf)
 # Share of the remaining time for the linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
-# The search with soft limits: rounds, evaluations per round, factor of the softness per round.
-SOFT_ROUNDS, SOFT_EVALUATIONS, SOFTNESS_FACTOR = 8, 80, 0.25
-# Its limits, at least this share of the shortest route's value, and a typical entropy [nats].
-REFERENCE_SHARE, FIRST_ENTROPY = 0.05, 30.0
+# The search with soft limits: its softness, by which the first multipliers of a round grow in
+# inverse proportion to its root, and the gap, relative to the bound, at which the first ends.
+SOFTNESS, FIRST_GAP = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5, 1e-5), 0.06
+# Its limits, as a share of the shortest route's value, if no bound is known.
+REFERENCE_SHARE = 0.05
+# Time for the first strategy after the deadline, as a share of the time until then.
+FIRST_SHARE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +98,7 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
     before the first strategy.
     """
-    game, budgets, least = stage.game, stage.budgets, 0.0
+    game, budgets = stage.game, stage.budgets
     free = without_forbidden_edges(game, budgets)
     if free is not game:
         inner = EntropyStage(free, budgets, stage.slack, stage.deadline, stage.warm)
@@ -103,15 +106,19 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     if loose := least_risk_by_cut(game, budgets):
         if found := stage.most_unpredictable(loose):
             return found
-        least = loose.bound / game.ambushers
-    elif found := stage.along_chain() or stage.along_level_lines():
+    elif found := stage.along_chain():
+        return found
+    first = stage.soft_strategy(loose, FIRST_GAP)
+    if time.monotonic() > stage.deadline:
+        return first
+    if not loose and (found := stage.along_level_lines()):
         return found
     try:
         part = initial_part(game, stage.budgets, stage.potential)
         risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
                           stage.program_deadline())
     except (TimeLimit, SolverFailed):
-        return stage.without_linear_program(least)
+        return stage.soft_strategy(loose, stage.slack)
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 
@@ -139,7 +146,7 @@ class EntropyStage:
                  warm: Multipliers | None) -> None:
         self.game, self.budgets = game, budgets
         self.slack = max(risk_slack, LEAST_SLACK)
-        self.deadline, self.warm = deadline, warm
+        self.begin, self.deadline, self.warm = time.monotonic(), deadline, warm
         self.potential = order_potential(game)
         self.evaluations = 0
         # Searched so far, whether or not they keep the limits.
@@ -153,6 +160,12 @@ class EntropyStage:
         """When a linear program has to end, so that time is left for the entropy search."""
         now = time.monotonic()
         return now + PROGRAM_SHARE * max(self.deadline - now, 0.0)
+
+    @cached_property
+    def law_deadline(self) -> float:
+        """The deadline of the laws: what was prepared for the first is used even if it passed."""
+        now = time.monotonic()
+        return max(self.deadline, now + FIRST_SHARE * (now - self.begin))
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
@@ -276,12 +289,11 @@ class EntropyStage:
         return AcyclicNetwork(part, rank)
 
     def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
-                       softness: float = 0.0,
-                       evaluations: int = 0) -> tuple[FloatArray, GibbsStrategy]:
-        """The p (M,) of the entropy search, and its result."""
+                       softness: float = 0.0) -> tuple[FloatArray, GibbsStrategy]:
+        """The p (M,) of the entropy search, and its result; the limits of sites may be soft."""
         found = maximize_entropy(network, limits.rows, start,
-                                 min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.deadline,
-                                 softness, evaluations)
+                                 min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.law_deadline,
+                                 softness, limits.sites)
         self.evaluations += found.evaluations
         p = np.zeros(len(self.game.network.edges))
         p[network.edge] = found.p
@@ -307,39 +319,41 @@ class EntropyStage:
         p = mixture(found.p, least.p, holds)
         return None if p is None else replace(found, p=p)
 
-    def without_linear_program(self, least: float) -> Solution:
-        """Search with ever harder soft limits; return the best strategy of each side.
+    def soft_strategy(self, loose: LeastRisk | None, closed: float) -> Solution:
+        """Search with ever harder soft limits until the relative gap, in entries, is ``closed``.
 
-        ``least`` is a lower bound of the worst site's mean loss. The multipliers, scaled to an
-        ambusher's strategy, give a bound at every step.
+        ``loose`` is the solution without budgets, if a cut gives it. The multipliers, scaled to an
+        ambusher's strategy, give a bound at every step. Returns the best strategy of each side.
         """
-        shortest = shortest_route_strategy(self.game)
+        game, shortest = self.game, shortest_route_strategy(self.game)
         if not self.within_budgets(shortest):
             raise TimeLimit('the time limit passed before a strategy within the budgets was found')
-        best = Solution(shortest, uniform_ambusher(self.game), (0.0,) * len(self.budgets), 0)
+        none = (0.0,) * len(self.budgets)
+        bound, q = (loose.bound, loose.q) if loose else self.chain or self._ambusher_at_nodes()
+        best = Solution(shortest, q, none, 0)
         for law in self.laws:
             best = self._better(best, law, shortest)
-        value, bound = entry_value(self.game, best.p), 0.0
-        network = self.acyclic_part(self.game, best.p)
-        reference = max(least, REFERENCE_SHARE * value)
-        level = np.full(len(self.game.sites), reference)
-        limits = LimitRows(self.game, network, level, self.budgets)
-        start, softness = limits.start(self.warm), value / reference / FIRST_ENTROPY
-        for _ in range(SOFT_ROUNDS):
-            p, found = self.gibbs_strategy(network, limits, start, softness, SOFT_EVALUATIONS)
-            start, softness = found.multipliers, softness * SOFTNESS_FACTOR
-            best = self._better(best, replace(best, p=p, multipliers=limits.unscaled(start),
-                                              iterations=self.evaluations), shortest)
-            q, prices = limits.ambusher(start)
-            reached = entry_bound(self.game, q, self.budgets, prices)
-            if reached > bound:
-                bound = reached
-                best = replace(best, q=q, prices=prices)
-            if time.monotonic() > self.deadline:
+        value = entry_value(game, best.p)
+        network = self.acyclic_part(game, best.p)
+        level = np.full(len(game.sites), bound / game.ambushers or REFERENCE_SHARE * value)
+        limits = LimitRows(game, network, level, self.budgets)
+        start, reached = limits.start(best.multipliers or self.warm), bound
+        for softness in SOFTNESS:
+            if entry_value(game, best.p) <= reached * (1.0 + closed):
                 break
-        known = self.chain or self._ambusher_at_nodes()
-        if known is not None and known[0] > bound:
-            best = replace(best, q=known[1], prices=(0.0,) * len(self.budgets))
+            p, found = self.gibbs_strategy(network, limits, start, softness)
+            start = found.multipliers
+            law = Solution(p, *limits.ambusher(start), self.evaluations, limits.unscaled(start))
+            best = self._better(best, law, shortest)
+            entered = entry_bound(game, law.q, self.budgets, law.prices)
+            if entered > reached:
+                reached, best = entered, replace(best, q=law.q, prices=law.prices)
+            if time.monotonic() > self.law_deadline:
+                break
+            start = start * np.sqrt(SOFTNESS[0] / SOFTNESS[1])
+        self.laws.append(best)
+        if reached > bound and self.hit_bound(best.q, best.prices) < bound:
+            best = replace(best, q=q, prices=none)
         return best
 
     def _better(self, best: Solution, law: Solution, shortest: FloatArray) -> Solution:
@@ -350,12 +364,12 @@ class EntropyStage:
         return replace(best, p=without_cycles(self.game.network, p), multipliers=law.multipliers,
                        iterations=law.iterations)
 
-    def _ambusher_at_nodes(self) -> tuple[float, FloatArray] | None:
+    def _ambusher_at_nodes(self) -> tuple[float, FloatArray]:
         """Bound and q (N,) of the plain game on the same sites, which a reach can only raise."""
         game = self.game
         at_nodes = replace(game.options, ambush_radius=0.0, tube=0.0)
         plain = least_risk_by_cut(replace(game, options=at_nodes))
-        return None if plain is None else (plain.bound, plain.q)
+        return (plain.bound, plain.q) if plain else (0.0, uniform_ambusher(game))
 
     def within_budgets(self, p: FloatArray) -> bool:
         """Whether p (M,) is within all budgets."""
