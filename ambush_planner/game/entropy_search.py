@@ -31,7 +31,7 @@ from .node_limits import NodeLimits
 FIRST_EVALUATIONS, NEXT_EVALUATIONS = 150, 300
 # Limits that Newton's method moves at once, and its most steps.
 NEWTON_LIMITS, MOST_STEPS = 3000, 500
-# With soft limits: evaluations of L-BFGS, Newton's most steps, and the relative decrease that ends it.
+# With soft limits: evaluations of L-BFGS, most steps of Newton's method, least relative decrease.
 SOFT_EVALUATIONS, SOFT_STEPS, SOFT_GAIN = 40, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative.
 LEAST_GAIN = 1e-9
@@ -94,9 +94,9 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
     entropy; when the limits are proved infeasible; when the function falls no more; or at
-    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed each of the ``soft`` first
-    limits by softness * the sum of their v, so that a minimum exists if the others can be kept;
-    this search is short.
+    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed each of the
+    ``soft`` first limits by softness * the sum of their v, so that a minimum exists if the others
+    can be kept; this search is short.
     """
     if rows.shape[0] == 0:
         log_z, p, _ = network.law(np.zeros(len(network.edge)))
@@ -228,7 +228,7 @@ class _DualSearch:
             v, least = tried, self.least
 
     def newton(self, steps: int = MOST_STEPS, gain: float = 0.0) -> None:
-        """Take damped Newton steps in the limits of greatest weight, while they promise ``gain``."""
+        """Take damped Newton steps in the limits of greatest weight while they gain."""
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)

@@ -51,6 +51,7 @@ from .least_risk import (
 )
 from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
 from .route_sampler import shortest_route_strategy
+from .two_routes import strategy_within_budgets
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
@@ -68,12 +69,13 @@ FACES_GAP, PROVED_GAP = 0.1, 0.2
 STRIPS = (1.0, 2.0, 4.0, np.inf)
 # Share of the remaining time for the linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
-# The search with soft limits: its softness, by which the first multipliers of a round grow in
-# inverse proportion to its root, and the gap, relative to the bound, at which the first ends.
+# The search with soft limits: the softness of each round, and the relative gap at which the search
+# before the programs ends.
 SOFTNESS, FIRST_GAP = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5, 1e-5), 0.06
-# Its limits, as a share of the shortest route's value, if no bound is known.
-REFERENCE_SHARE = 0.05
-# Time for the first strategy after the deadline, as a share of the time until then.
+# Factor of its multipliers from round to round; its limits as a share of the first strategy's value
+# if no bound is known.
+GROWTH, REFERENCE_SHARE = 2.0, 0.05
+# Time of the laws after the deadline, as a share of the time before the first of them began.
 FIRST_SHARE = 0.3
 
 
@@ -108,17 +110,22 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
             return found
     elif found := stage.along_chain():
         return found
-    first = stage.soft_strategy(loose, FIRST_GAP)
-    if time.monotonic() > stage.deadline:
-        return first
-    if not loose and (found := stage.along_level_lines()):
-        return found
+    if not loose:
+        # The programs with a reach take long, and may not end in time.
+        first = stage.soft_strategy(None, FIRST_GAP)
+        if first and time.monotonic() > stage.deadline:
+            return first
+        if found := stage.along_level_lines():
+            return found
     try:
         part = initial_part(game, stage.budgets, stage.potential)
         risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
                           stage.program_deadline())
-    except (TimeLimit, SolverFailed):
-        return stage.soft_strategy(loose, stage.slack)
+    except (TimeLimit, SolverFailed) as failure:
+        found = stage.soft_strategy(loose, stage.slack)
+        if found is None:
+            raise TimeLimit('no strategy within the budgets was found in time') from failure
+        return found
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 
@@ -291,8 +298,8 @@ class EntropyStage:
     def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
                        softness: float = 0.0) -> tuple[FloatArray, GibbsStrategy]:
         """The p (M,) of the entropy search, and its result; the limits of sites may be soft."""
-        found = maximize_entropy(network, limits.rows, start,
-                                 min(LIMIT_TOLERANCE * self.slack, limits.tolerance), self.law_deadline,
+        tolerance = min(LIMIT_TOLERANCE * self.slack, limits.tolerance)
+        found = maximize_entropy(network, limits.rows, start, tolerance, self.law_deadline,
                                  softness, limits.sites)
         self.evaluations += found.evaluations
         p = np.zeros(len(self.game.network.edges))
@@ -319,20 +326,21 @@ class EntropyStage:
         p = mixture(found.p, least.p, holds)
         return None if p is None else replace(found, p=p)
 
-    def soft_strategy(self, loose: LeastRisk | None, closed: float) -> Solution:
+    def soft_strategy(self, loose: LeastRisk | None, closed: float) -> Solution | None:
         """Search with ever harder soft limits until the relative gap, in entries, is ``closed``.
 
         ``loose`` is the solution without budgets, if a cut gives it. The multipliers, scaled to an
-        ambusher's strategy, give a bound at every step. Returns the best strategy of each side.
+        ambusher's strategy, give a bound at every step. Returns the best strategy of each side;
+        None if rounding leaves no first strategy within the budgets.
         """
-        game, shortest = self.game, shortest_route_strategy(self.game)
-        if not self.within_budgets(shortest):
-            raise TimeLimit('the time limit passed before a strategy within the budgets was found')
+        game, first = self.game, strategy_within_budgets(self.game, self.budgets)
+        if first is None:
+            return None
         none = (0.0,) * len(self.budgets)
         bound, q = (loose.bound, loose.q) if loose else self.chain or self._ambusher_at_nodes()
-        best = Solution(shortest, q, none, 0)
+        best = Solution(first, q, none, 0)
         for law in self.laws:
-            best = self._better(best, law, shortest)
+            best = self._better(best, law, first)
         value = entry_value(game, best.p)
         network = self.acyclic_part(game, best.p)
         level = np.full(len(game.sites), bound / game.ambushers or REFERENCE_SHARE * value)
@@ -344,21 +352,21 @@ class EntropyStage:
             p, found = self.gibbs_strategy(network, limits, start, softness)
             start = found.multipliers
             law = Solution(p, *limits.ambusher(start), self.evaluations, limits.unscaled(start))
-            best = self._better(best, law, shortest)
+            best = self._better(best, law, first)
             entered = entry_bound(game, law.q, self.budgets, law.prices)
             if entered > reached:
                 reached, best = entered, replace(best, q=law.q, prices=law.prices)
             if time.monotonic() > self.law_deadline:
                 break
-            start = start * np.sqrt(SOFTNESS[0] / SOFTNESS[1])
+            start = start * GROWTH
         self.laws.append(best)
         if reached > bound and self.hit_bound(best.q, best.prices) < bound:
             best = replace(best, q=q, prices=none)
         return best
 
-    def _better(self, best: Solution, law: Solution, shortest: FloatArray) -> Solution:
-        """The law, mixed with the shortest route to fit the budgets, if that has a lower value."""
-        p = mixture(law.p, shortest, self.within_budgets)
+    def _better(self, best: Solution, law: Solution, partner: FloatArray) -> Solution:
+        """The law, mixed with its partner to fit the budgets, if that has a lower value."""
+        p = mixture(law.p, partner, self.within_budgets)
         if p is None or entry_value(self.game, p) >= entry_value(self.game, best.p):
             return best
         return replace(best, p=without_cycles(self.game.network, p), multipliers=law.multipliers,
