@@ -75,6 +75,8 @@ SOFTNESS, FIRST_GAP = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5, 1e-5), 0.06
 # Factor of its multipliers from round to round; its limits as a share of the first strategy's value
 # if no bound is known.
 GROWTH, REFERENCE_SHARE = 2.0, 0.05
+# A program may take this many times as long as everything before it.
+HURRY = 25.0
 # Time of the laws after the deadline, as a share of the time before the first of them began.
 FIRST_SHARE = 0.3
 
@@ -110,13 +112,12 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
             return found
     elif found := stage.along_chain():
         return found
-    if not loose:
-        # The programs with a reach take long, and may not end in time.
-        first = stage.soft_strategy(None, FIRST_GAP)
+    if stage.in_a_hurry:
+        first = stage.soft_strategy(loose, FIRST_GAP)
         if first and time.monotonic() > stage.deadline:
             return first
-        if found := stage.along_level_lines():
-            return found
+    if not loose and (found := stage.along_level_lines()):
+        return found
     try:
         part = initial_part(game, stage.budgets, stage.potential)
         risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
@@ -155,7 +156,7 @@ class EntropyStage:
         self.slack = max(risk_slack, LEAST_SLACK)
         self.begin, self.deadline, self.warm = time.monotonic(), deadline, warm
         self.potential = order_potential(game)
-        self.evaluations = 0
+        self.evaluations, self.softness = 0, list(SOFTNESS)
         # Searched so far, whether or not they keep the limits.
         self.laws: list[Solution] = []
         # The last ambusher that hit_bound judged, and the bound.
@@ -167,6 +168,12 @@ class EntropyStage:
         """When a linear program has to end, so that time is left for the entropy search."""
         now = time.monotonic()
         return now + PROGRAM_SHARE * max(self.deadline - now, 0.0)
+
+    @property
+    def in_a_hurry(self) -> bool:
+        """Whether a program may not end before the deadline."""
+        now = time.monotonic()
+        return self.deadline - now < HURRY * (now - self.begin)
 
     @cached_property
     def law_deadline(self) -> float:
@@ -338,39 +345,40 @@ class EntropyStage:
             return None
         none = (0.0,) * len(self.budgets)
         bound, q = (loose.bound, loose.q) if loose else self.chain or self._ambusher_at_nodes()
-        best = Solution(first, q, none, 0)
+        best, reached = Solution(first, q, none, 0), bound
         for law in self.laws:
-            best = self._better(best, law, first)
-        value = entry_value(game, best.p)
+            best, reached = self._best_of_both(best, reached, law, first)
         network = self.acyclic_part(game, best.p)
-        level = np.full(len(game.sites), bound / game.ambushers or REFERENCE_SHARE * value)
-        limits = LimitRows(game, network, level, self.budgets)
-        start, reached = limits.start(best.multipliers or self.warm), bound
-        for softness in SOFTNESS:
-            if entry_value(game, best.p) <= reached * (1.0 + closed):
-                break
-            p, found = self.gibbs_strategy(network, limits, start, softness)
-            start = found.multipliers
-            law = Solution(p, *limits.ambusher(start), self.evaluations, limits.unscaled(start))
-            best = self._better(best, law, first)
-            entered = entry_bound(game, law.q, self.budgets, law.prices)
-            if entered > reached:
-                reached, best = entered, replace(best, q=law.q, prices=law.prices)
+        level = bound / game.ambushers or REFERENCE_SHARE * entry_value(game, best.p)
+        limits = LimitRows(game, network, np.full(len(game.sites), level), self.budgets)
+        start = limits.start(best.multipliers or self.warm)
+        while self.softness and entry_value(game, best.p) > reached * (1.0 + closed):
+            p, found = self.gibbs_strategy(network, limits, start, self.softness.pop(0))
+            law = Solution(p, *limits.ambusher(found.multipliers), self.evaluations,
+                           limits.unscaled(found.multipliers))
+            best, reached = self._best_of_both(best, reached, law, first)
+            start = found.multipliers * GROWTH
             if time.monotonic() > self.law_deadline:
                 break
-            start = start * GROWTH
         self.laws.append(best)
         if reached > bound and self.hit_bound(best.q, best.prices) < bound:
             best = replace(best, q=q, prices=none)
         return best
 
-    def _better(self, best: Solution, law: Solution, partner: FloatArray) -> Solution:
-        """The law, mixed with its partner to fit the budgets, if that has a lower value."""
+    def _best_of_both(self, best: Solution, bound: float, law: Solution,
+                      partner: FloatArray) -> tuple[Solution, float]:
+        """The strategy of least value, the ambusher of greatest bound, and the bound, in entries.
+
+        The law is mixed with its ``partner`` to fit the budgets.
+        """
+        reached = entry_bound(self.game, law.q, self.budgets, law.prices)
+        if reached > bound:
+            best, bound = replace(best, q=law.q, prices=law.prices), reached
         p = mixture(law.p, partner, self.within_budgets)
-        if p is None or entry_value(self.game, p) >= entry_value(self.game, best.p):
-            return best
-        return replace(best, p=without_cycles(self.game.network, p), multipliers=law.multipliers,
-                       iterations=law.iterations)
+        if p is not None and entry_value(self.game, p) < entry_value(self.game, best.p):
+            best = replace(best, p=without_cycles(self.game.network, p), iterations=law.iterations,
+                           multipliers=law.multipliers)
+        return best, bound
 
     def _ambusher_at_nodes(self) -> tuple[float, FloatArray]:
         """Bound and q (N,) of the plain game on the same sites, which a reach can only raise."""
