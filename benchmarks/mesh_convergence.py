@@ -30,9 +30,9 @@ from ambush_planner.planning.options import DriveOptions
 FAMILIES = ('hills-obstacles', 'city', 'terrain')
 FRACTIONS = (8.0, 6.0, 4.0, 3.0, 2.0, 1.0)
 # Size of the maps, in nodes of ``draw``; the finest network has far fewer.
-NODES = 10_000
-REACH = 1 / 8  # of the map's longer side
-HELD = 1.5  # reaches
+NODES = 5000
+REACH = 1 / 6  # of the map's longer side
+HELD = 1.0  # reaches
 DETOUR = 1.5  # a budget that seldom raises the value
 
 # Value, bound, nodes, nats and processor seconds of one plan; NaN if there is none.
@@ -58,14 +58,15 @@ def measure(name: str, fraction: float, tube: float | None, limit: float) -> tup
             time.process_time() - begin)
 
 
-def convergence(names: list[str], tube: float | None, limit: float) -> str:
+def convergence(names: list[str], fractions: list[float], tube: float | None,
+                limit: float) -> str:
     """One row per map and spacing, then the medians per spacing, relative to the finest."""
     rows: list[list[str]] = []
     ratios: list[list[FloatArray]] = []
     for name in names:
         plans: list[FloatArray] = []
         ratios.append([])
-        for fraction in FRACTIONS:
+        for fraction in fractions:
             plan = np.array(measure(name, fraction, tube, limit))
             plans.append(plan)
             ratios[-1].append(plan / plans[0])
@@ -78,7 +79,7 @@ def convergence(names: list[str], tube: float | None, limit: float) -> str:
     found = np.isfinite(np.array(ratios)[:, :, 0]).sum(axis=0)
     short = [[f'reach / {fraction:g}', str(count), f'**{median[0]:.2f}**', f'{median[2]:.2f}',
               f'{median[3]:.2f}', f'{median[4]:.2f}']
-             for fraction, count, median in zip(FRACTIONS, found, medians, strict=True)]
+             for fraction, count, median in zip(fractions, found, medians, strict=True)]
     return (f"{table(head, rows)}\n\nMedians, relative to the finest:\n\n"
             f"{table(('spacing', 'plans', 'value', 'nodes', 'nats', 's'), short)}")
 
@@ -86,6 +87,8 @@ def convergence(names: list[str], tube: float | None, limit: float) -> str:
 def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--families', nargs='+', default=list(FAMILIES))
+    parser.add_argument('--fractions', type=float, nargs='+', default=list(FRACTIONS),
+                        help='reach over spacing, the finest first')
     parser.add_argument('--each', type=int, default=2, help='maps of each family')
     parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
     parser.add_argument('--tube', type=float, help='of the path [m], in place of the default')
@@ -96,7 +99,7 @@ def main() -> None:
     text = (f'Seeds {first} to {first + options.each - 1}, reach {REACH:.3g} of the map, held '
             f'ground {HELD:g} reaches, detour {DETOUR:g}. {conditions()}.\n\n')
     publish(options.results, 'mesh_convergence',
-            text + convergence(names, options.tube, options.limit))
+            text + convergence(names, options.fractions, options.tube, options.limit))
 
 
 if __name__ == '__main__':

@@ -33,6 +33,8 @@ PEERS = {
 SHIFT = 1.0  # s, of the geometric means
 # Relative difference by which a peer's value may exceed ours, or its entropy differ.
 SAME_VALUE, SAME_ENTROPY = 1e-5, 1e-2
+# The first usable strategy: time limit as a share of the whole solve's time, least limit [s], gap.
+EARLY, LEAST_EARLY, USABLE = 0.1, 0.2, 0.1
 STAGES = ('cut', 'program', 'law', 'once', 'certificate')
 
 Answer = dict[str, Any]
@@ -55,7 +57,8 @@ def one_run(task: str, name: str, file: Path, limit: float, *more: str) -> Answe
     return answer | {'name': name}
 
 
-def measure(names: list[str], limit: float, peers: list[str], *more: str) -> list[Answer]:
+def measure(names: list[str], limit: float, peers: list[str], early: bool,
+            *more: str) -> list[Answer]:
     """Our answers; those without a reach hold the peers' under their names."""
     answers = []
     for name in names:
@@ -66,6 +69,9 @@ def measure(names: list[str], limit: float, peers: list[str], *more: str) -> lis
             if file.exists() and ours['reach'] == 0.0:
                 ours |= {peer: one_run(peer, name, file, limit, *more) for peer in peers}
                 check_agreement(ours)
+            if early and 'failed' not in ours:
+                soon = max(EARLY * ours['seconds'], LEAST_EARLY)
+                ours['early'] = one_run('strategy', name, file, soon, *more) | {'limit': soon}
     return answers
 
 
@@ -117,6 +123,23 @@ def paths(answers: list[Answer]) -> str:
     return table(('way', 'problems'), [[w or 'none', str(n)] for w, n in ways.most_common()])
 
 
+def first_strategies(answers: list[Answer]) -> str:
+    """The gaps, relative to the bound, of solves that were given a tenth of the time."""
+    ran = [a['early'] for a in answers if 'early' in a]
+    if not ran:
+        return ''
+    gaps = [math.inf if 'failed' in a else a['gap'] / max(a['value'] - a['gap'], 1e-300)
+            for a in ran]
+    worst, over = int(np.argmax(gaps)), [a['seconds'] - a['limit'] for a in ran]
+    row = [str(len(ran)), f'**{np.mean(np.array(gaps) <= USABLE):.0%}**', f'{np.median(gaps):.1%}',
+           f"{gaps[worst]:.0%} (`{ran[worst]['name']}`)", f'{np.median(over):.2f}',
+           f'{max(over):.2f}']
+    head = ('problems', f'gap at most {USABLE:.0%}', 'median', 'worst',
+            'over the limit, median [s]', 'most [s]')
+    return (f'\n\nAfter {EARLY:g} of the time, at least {LEAST_EARLY:g} s:\n\n'
+            f'{table(head, [row])}')
+
+
 def against_peers(answers: list[Answer], peers: list[str], limit: float) -> str:
     """Shifted geometric means over the problems without a reach, and their ratios to ours."""
     shared = [a for a in answers if peers and peers[0] in a]
@@ -149,6 +172,8 @@ def main() -> None:
     parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
     parser.add_argument('--reach', type=float, help='for all problems [spacings]')
     parser.add_argument('--detour', type=float, help='for all problems')
+    parser.add_argument('--early', action='store_true',
+                        help='solve again within a tenth of the time, on an idle machine')
     parser.add_argument('--peers', nargs='*', default=list(PEERS), choices=list(PEERS))
     parser.add_argument('--limit', type=float, default=300.0,
                         help='limit of each solve [s]; ours is elapsed time')
@@ -159,8 +184,9 @@ def main() -> None:
     sections = []
     for nodes in options.sizes:
         names = [f'{f}:{nodes}:{first + k}' for f in options.families for k in range(options.each)]
-        answers = measure(names, options.limit, options.peers, *more)
+        answers = measure(names, options.limit, options.peers, options.early, *more)
         sections.append(f'### {nodes} nodes\n\n{by_family(answers)}\n\n{paths(answers)}'
+                        f'{first_strategies(answers)}'
                         f'{against_peers(answers, options.peers, options.limit)}')
     text = (f'Seeds {first} to {first + options.each - 1}. One thread, processor seconds. '
             f"{conditions('highspy', 'clarabel')}.\n\n" + '\n\n'.join(sections))

@@ -15,11 +15,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
     'ambush_radius': '--sizes 10 14',
+    'mesh_convergence': '--families hills-coarse --each 1 --fractions 2 1 --seed 1',
     'many': '--cells 60 --pairs 3 --nodes 60 --repeats 1',
     'markers': '--across 10',
     'random_games': '--first 57 --count 2',
     'routes': '--maps maze --departures 4 --nodes 1000',
-    'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60',
+    'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60 --early',
     'trips': '--spacing 1500',
 }
 NODE_SCRIPTS = {

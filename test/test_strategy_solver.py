@@ -30,6 +30,8 @@ from ambush_planner.game import strategy_solver
 from ambush_planner.game.certificate import certify
 from ambush_planner.game.entries import entry_value
 from ambush_planner.game.game import make_game
+from ambush_planner.game.limit_rows import LimitRows
+from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.game.strategy import make_budgets
 from ambush_planner.game.strategy_solver import max_entropy_strategy
 
@@ -169,6 +171,38 @@ def test_the_certificate_of_the_soft_search_holds(failing_program):
     found = certify(game, solution.p, solution.q, budgets, solution.prices)
     assert 0.0 < found.bound <= found.value
     assert found.bound <= least * (1 + 1e-6)
+    assert entry_value(game, solution.p) <= least * 1.1
+
+
+@pytest.mark.parametrize('reach', [0.0, 2.0])
+def test_without_time_there_is_a_strategy_within_both_budgets(reach):
+    """Also if the shortest route is over one of them."""
+    network = terrain_network(3, cells=14)
+    game = make_game(network, GameOptions(ambush_radius=reach))
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.5, max_exposure=1.02))
+    assert not all(budget.keeps(shortest_route_strategy(game)) for budget in budgets)
+    stage = strategy_solver.EntropyStage(game, budgets, 0.01, -math.inf, None)
+    solution = max_entropy_strategy(stage)
+    found = certify(game, solution.p, solution.q, budgets, solution.prices)
+    assert 0.0 < found.bound <= found.value
+
+
+@examples(6)
+@given(st.integers(0, 10**6), st.sampled_from((0.01, 0.1)))
+def test_soft_limits_are_exceeded_by_the_softness_and_the_others_kept(seed, softness):
+    """The first order conditions of the soft search, with a hard limit of the length."""
+    network = terrain_network(seed, cells=12)
+    game = make_game(network, GameOptions(ambush_radius=2.0))
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.1))
+    stage = strategy_solver.EntropyStage(game, budgets, 0.01, math.inf, None)
+    part = stage.acyclic_part(game, shortest_route_strategy(game))
+    level = np.full(len(game.sites), entry_value(game, shortest_route_strategy(game)) / 2)
+    limits = LimitRows(game, part, level, budgets)
+    _, found = stage.gibbs_strategy(part, limits, limits.start(None), softness)
+    used, v = limits.rows @ found.p, found.multipliers
+    over = softness * v[: limits.sites].sum()
+    assert used[: limits.sites].max() <= 1.0 + over + 0.02 * (1.0 + over)
+    assert used[limits.sites :].max() <= 1.0 + 0.02
 
 
 @pytest.mark.parametrize('reach', [0.0, 1.5])

@@ -77,8 +77,8 @@ SOFTNESS, FIRST_GAP = (1e-2, 2.5e-3, 6e-4, 1.5e-4, 4e-5, 1e-5), 0.06
 GROWTH, REFERENCE_SHARE = 2.0, 0.05
 # A program may take this many times as long as everything before it.
 HURRY = 25.0
-# Time of the laws after the deadline, as a share of the time before the first of them began.
-FIRST_SHARE = 0.3
+# Time of the first law, or of the soft search, after the deadline, as a share of all time before.
+FIRST_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,6 +156,7 @@ class EntropyStage:
         self.slack = max(risk_slack, LEAST_SLACK)
         self.begin, self.deadline, self.warm = time.monotonic(), deadline, warm
         self.potential = order_potential(game)
+        self.law_deadline = deadline
         self.evaluations, self.softness = 0, list(SOFTNESS)
         # Searched so far, whether or not they keep the limits.
         self.laws: list[Solution] = []
@@ -175,11 +176,10 @@ class EntropyStage:
         now = time.monotonic()
         return self.deadline - now < HURRY * (now - self.begin)
 
-    @cached_property
-    def law_deadline(self) -> float:
-        """The deadline of the laws: what was prepared for the first is used even if it passed."""
+    def extend_law_deadline(self) -> None:
+        """Let what was prepared for the laws be used, even if the deadline passed meanwhile."""
         now = time.monotonic()
-        return max(self.deadline, now + FIRST_SHARE * (now - self.begin))
+        self.law_deadline = max(self.deadline, now + FIRST_SHARE * (now - self.begin))
 
     def most_unpredictable(self, least: LeastRisk) -> Solution | None:
         """The strategy of greatest entropy at the least risk; None if it cannot keep the limits."""
@@ -278,6 +278,8 @@ class EntropyStage:
     def _law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],
              q: FloatArray, prices: tuple[float, ...]) -> Solution:
         """Search at the level (S,), with the first kept margins that are not infeasible."""
+        if not self.laws:
+            self.extend_law_deadline()
         for margins in kept:
             limits = LimitRows(self.game, network, level * (1.0 + LEVEL_AIM * self.slack),
                                self.budgets, margins)
@@ -348,6 +350,7 @@ class EntropyStage:
         best, reached = Solution(first, q, none, 0), bound
         for law in self.laws:
             best, reached = self._best_of_both(best, reached, law, first)
+        self.extend_law_deadline()
         network = self.acyclic_part(game, best.p)
         level = bound / game.ambushers or REFERENCE_SHARE * entry_value(game, best.p)
         limits = LimitRows(game, network, np.full(len(game.sites), level), self.budgets)
