@@ -291,7 +291,7 @@ def _with_gap_checked(game: Game, solution: Solution, budgets: tuple[Budget, Bud
     if closed(strategy.value, strategy.lower_bound):
         return strategy
     if hits_can_differ(game):
-        complete = time.monotonic() < deadline if entropic else closed(
+        complete = solution.complete and time.monotonic() < deadline if entropic else closed(
             entry_value(game, solution.p),
             entry_bound(game, solution.q, budgets, solution.prices),
         )

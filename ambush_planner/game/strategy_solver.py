@@ -85,7 +85,8 @@ FIRST_SHARE = 0.5
 class Solution:
     """A solver's p (M,), q (N,), prices of the budgets [loss / unit], effort and multipliers.
 
-    ``entropy_bound`` is the most entropy [nats] that a strategy on the same acyclic part can have.
+    ``entropy_bound`` is the most entropy [nats] that a strategy on the same acyclic part can have;
+    ``complete`` is False if a program ran out of time.
     """
 
     p: FloatArray
@@ -94,6 +95,7 @@ class Solution:
     iterations: int
     multipliers: Multipliers | None = None
     entropy_bound: float = np.nan
+    complete: bool = True
 
 
 def max_entropy_strategy(stage: EntropyStage) -> Solution:
@@ -112,12 +114,12 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
             return found
     elif found := stage.along_chain():
         return found
-    if stage.in_a_hurry:
-        first = stage.soft_strategy(loose, FIRST_GAP)
-        if first and time.monotonic() > stage.deadline:
-            return first
+    first = stage.soft_strategy(loose, FIRST_GAP) if stage.in_a_hurry else None
+    if first and time.monotonic() > stage.deadline:
+        return first
     if not loose and (found := stage.along_level_lines()):
-        return found
+        # If they were cut short, the better of the two is chosen later.
+        return first if first and time.monotonic() > stage.deadline else found
     try:
         part = initial_part(game, stage.budgets, stage.potential)
         risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
@@ -126,7 +128,7 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         found = stage.soft_strategy(loose, stage.slack)
         if found is None:
             raise TimeLimit('no strategy within the budgets was found in time') from failure
-        return found
+        return replace(found, complete=not isinstance(failure, TimeLimit))
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 
