@@ -50,6 +50,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/solver.py
 	$(BIN)/python benchmarks/random_games.py --count 200
 	$(BIN)/python benchmarks/ambush_radius.py
+	$(BIN)/python benchmarks/mesh_convergence.py
 	$(BIN)/python benchmarks/routes.py
 	$(BIN)/python benchmarks/markers.py
 	$(BIN)/python benchmarks/many.py

@@ -27,7 +27,7 @@ from ambush_planner import (
 from ambush_planner.arrays import FloatArray
 from ambush_planner.planning.options import DriveOptions
 
-FAMILIES = ('hills-obstacles', 'city', 'terrain')
+FAMILIES = ('hills-coarse', 'hills-obstacles', 'city')
 FRACTIONS = (8.0, 6.0, 4.0, 3.0, 2.0, 1.0)
 # Size of the maps, in nodes of ``draw``; the finest network has far fewer.
 NODES = 5000
@@ -70,9 +70,10 @@ def convergence(names: list[str], fractions: list[float], tube: float | None,
             plan = np.array(measure(name, fraction, tube, limit))
             plans.append(plan)
             ratios[-1].append(plan / plans[0])
-            rows.append([f'`{name}`', f'reach / {fraction:g}', f'{plan[2]:.0f}',
-                         f'**{ratios[-1][-1][0]:.2f}** ({plan[0]:.4g})', f'{plan[1]:.4g}',
-                         f'{plan[3]:.1f}', f'{plan[4]:.1f}'])
+            numbers = [f'{plan[2]:.0f}', f'**{ratios[-1][-1][0]:.2f}** ({plan[0]:.4g})',
+                       f'{plan[1]:.4g}', f'{plan[3]:.1f}', f'{plan[4]:.1f}']
+            rows.append([f'`{name}`', f'reach / {fraction:g}',
+                         *(numbers if np.isfinite(plan[0]) else '-' * len(numbers))])
             print(*rows[-1], file=sys.stderr, flush=True)
     head = ('map', 'spacing', 'nodes', 'value', 'bound', 'nats', 's')
     medians = np.nanmedian(ratios, axis=0)
