@@ -121,7 +121,7 @@ class _Labels:
         return np.inf, None
 
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
-        """Whether another label at the node costs no more even with the sites that only it lacks."""
+        """Whether another label costs no more even if it pays for the sites that it lacks."""
         known, loss = self._losses, self._loss
         for least, theirs in others:
             lacking = met & ~theirs
