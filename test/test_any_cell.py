@@ -10,7 +10,9 @@ from games import ground, hit_once, may_wait, meets
 from scipy.optimize import linprog
 
 from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
+from ambush_planner.game.certificate import certify
 from ambush_planner.game.route_sampler import route_edges
+from ambush_planner.game.strategy import make_budgets
 from ambush_planner.maps.occupancy import (
     OccupancyMap,
     OccupancyOptions,
@@ -124,3 +126,22 @@ def test_losses_follow_the_changes_of_a_map(changes):
         risk_map = risk_map_from_occupancy(values, other.resolution, options=read)
         np.testing.assert_array_equal(latest.on(other, read, False).at(places),
                                       CellLosses(risk_map, False).at(places))
+
+
+@pytest.mark.parametrize('door', [8, 10, 12, 14])
+def test_value_and_bound_of_different_rounds_make_one_certificate(door):
+    """A door that one cell covers, but no node: only the second round's ambusher proves the value.
+    """
+    obstacles = np.zeros((60, 80), bool)
+    obstacles[:, 38:42] = True
+    obstacles[30 - door // 2 : 30 + door // 2, 38:42] = False
+    risk_map = RiskMap(np.ones(obstacles.shape), obstacles, 0.25)
+    options = replace(OPTIONS, game=GameOptions(ambush_radius=1.1, secured_radius=3.0),
+                      strategy=StrategyOptions(max_detour=1.5))
+    strategy = plan_trip(risk_map, (2.0, 7.5), (18.0, 7.5), options).strategy
+    certified = certify(strategy.game, strategy.edge_probability, strategy.ambush_probability,
+                        make_budgets(strategy.game, options.strategy),
+                        (strategy.length_price, strategy.exposure_price))
+    assert strategy.value == certified.value == pytest.approx(1.0)
+    assert strategy.lower_bound == certified.bound == pytest.approx(1.0)
+    assert strategy.gap == strategy.value - strategy.lower_bound

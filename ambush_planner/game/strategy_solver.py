@@ -60,7 +60,7 @@ LEVEL_AIM, LIMIT_TOLERANCE = 0.95, 0.04
 # What the search keeps below a budget costs at most this share of the slack, by the budget's price.
 KEPT_SLACK = 0.02
 # Bisection steps for the share of a mixture.
-BISECTIONS = 30
+BISECTIONS = 15
 # Relative gap of the linear program, as a share of the slack.
 PROGRAM_GAP = 0.02
 # The same for the program in potentials of the faces, and for the bound that its ambusher proves.

@@ -22,7 +22,7 @@ from .cell_losses import CellLosses
 from .options import PlanningOptions, node_spacing, solved_game
 
 # Most solves with the cells as sites that cost the strategy before more than its value.
-_MOST_REPETITIONS = 3
+_MOST_REPETITIONS = 8
 # Share of the slack that is left to cells which exceed the value at the sites.
 _LEFT_TO_CELLS = 0.2
 # Side of the squares of which the worst cell becomes a site, in node spacings.
@@ -90,7 +90,9 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
             strategy, late = _solved(added, game, asked, until, start)
         except TimeLimit as error:
             late = error
-    return _within_max_gap(min(found, key=lambda each: each.value), late, options)
+    best = min(found, key=lambda each: each.value)
+    proof = max(found, key=lambda each: each.lower_bound)
+    return _within_max_gap(_proved_by(best, proof, options), late, options)
 
 
 def holds_anywhere(game: Game | GameOptions, options: PlanningOptions) -> bool:
@@ -146,6 +148,28 @@ def _valued(strategy: Strategy, points: FloatArray, alpha: FloatArray,
         multipliers=_extended(strategy, len(alpha)),
         counting_gap=value > limit and (strategy.counting_gap or strategy.value <= limit),
     )
+
+
+def _proved_by(strategy: Strategy, proof: Strategy, options: PlanningOptions) -> Strategy:
+    """The strategy with the ambusher and the bound of another one, on the game with more sites.
+
+    Their edges are the same, and the places of the one are the first places of the other.
+    """
+    count = len(proof.network.points) - len(strategy.network.points)
+    legs, p = strategy.network.legs, strategy.edge_probability
+    larger = proof if count > 0 else strategy
+    none = np.zeros(max(-count, 0) // legs)
+    proved = replace(
+        strategy, game=larger.game, lower_bound=proof.lower_bound,
+        gap=strategy.value - proof.lower_bound, length_price=proof.length_price,
+        exposure_price=proof.exposure_price,
+        visit_probability=frozen_array(larger.game.visits(p), np.float64),
+        ambush_probability=frozen_array(
+            on_places(proof.network, proof.ambush_probability, none), np.float64),
+        multipliers=_extended(strategy, max(count, 0) // legs),
+    )
+    return replace(proved, counting_gap=proved.counting_gap
+                   and proved.value > _limit(proved, options))
 
 
 def _limit(strategy: Strategy, options: PlanningOptions) -> float:
