@@ -1,7 +1,8 @@
 """Families of random problems, each drawn from a seed: map, start, goal, reach and detour.
 
 A problem's name is ``family:nodes:seed``. A family leaves no choice to whoever measures: losses,
-obstacles, reach, detour and places are drawn, and held ground is 3 % of the map's width.
+obstacles, reach, detour and places are drawn, and held ground is 3 % of the map's width. On trips,
+each stop adds a layer to the network, and all layers together have about ``nodes`` nodes.
 """
 
 from __future__ import annotations
@@ -14,15 +15,18 @@ import numpy as np
 from scenarios import Scenario, block, city, maze, terrain
 from scipy.ndimage import gaussian_filter, label
 
-from ambush_planner import GameOptions, NetworkOptions, RiskMap, StrategyOptions
+from ambush_planner import GameOptions, Network, NetworkOptions, RiskMap, StrategyOptions
 from ambush_planner.arrays import BoolArray, FloatArray
 from ambush_planner.maps.obstacles import nearest_free_cell
+from ambush_planner.network.construction import build_trip_graph
 
 REACHES, DETOURS = (0.0, 2.0, 4.0), (1.05, 1.1, 1.2, 1.5)  # spacings, shortest lengths
 HELD = 0.03  # of the map's width
 OBSTACLES = 0.08  # share of the cells
 # Cells per node along a line; larger maps have finer features, not more of them.
 CELLS_PER_NODE = 1.3
+
+Position = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,27 +37,43 @@ class Problem:
     nodes: int
     reach: float
     detour: float
+    ambushers: int = 1
+    stops: tuple[Position, ...] = ()
 
-    def network_options(self) -> NetworkOptions:
-        return NetworkOptions(target_nodes=self.nodes)
+    def network(self) -> Network:
+        options = NetworkOptions(target_nodes=self.nodes // (len(self.stops) + 1))
+        graph = build_trip_graph(self.scenario.risk_map, self.scenario.start, self.scenario.goal,
+                                 options, self.stops)
+        return graph.network(graph.visits)
 
     def game(self, spacing: float) -> GameOptions:
         risk_map = self.scenario.risk_map
         held = HELD * max(risk_map.alpha.shape) * risk_map.resolution
-        return GameOptions(ambush_radius=self.reach * spacing, secured_radius=held)
+        return GameOptions(ambush_radius=self.reach * spacing, secured_radius=held,
+                           ambushers=self.ambushers)
 
     def strategy(self) -> StrategyOptions:
         return StrategyOptions(max_detour=self.detour)
 
 
-def draw(name: str, reach: float | None = None, detour: float | None = None) -> Problem:
+def draw(name: str, reach: float | None = None, detour: float | None = None, ambushers: int = 1,
+         stops: int = 0) -> Problem:
     """The problem ``family:nodes:seed``, or with another reach or detour than the seed's."""
     family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family)])
     scenario, own = FAMILIES[family](rng, round(CELLS_PER_NODE * math.sqrt(int(nodes))))
     drawn = float(rng.choice(REACHES)), own or float(rng.choice(DETOURS))
-    return Problem(scenario, int(nodes), *(b if a is None else a
-                                           for a, b in zip((reach, detour), drawn, strict=True)))
+    chosen = (b if a is None else a for a, b in zip((reach, detour), drawn, strict=True))
+    return Problem(scenario, int(nodes), *chosen, ambushers,
+                   _places(rng, scenario.risk_map, stops))
+
+
+def _places(rng: np.random.Generator, risk_map: RiskMap, count: int) -> tuple[Position, ...]:
+    """The centres of free cells on the largest connected ground [m]."""
+    ground, _ = label(~risk_map.obstacles)
+    free = np.argwhere(ground == np.bincount(ground[ground > 0]).argmax())[:, ::-1]
+    cells = free[rng.choice(len(free), count, replace=False)]
+    return tuple((float(x), float(y)) for x, y in risk_map.resolution * (cells + 0.5))
 
 
 Drawn = tuple[Scenario, float | None]

@@ -70,12 +70,12 @@ class Stages:
 def strategy(given: Problem, file: Path, limit: float) -> Answer:
     """The default strategy, all stages; saves its entropy problem for Clarabel."""
     try:
-        network = given.scenario.network(given.network_options())
+        network = given.network()
     except NoRoute:
         return {'failed': True, 'seconds': 0.0, 'status': 'no route', 'reach': given.reach}
     spacing = float(np.median(network.lengths))
     warm_up = draw('hills-coarse:100:0', 0.0, 1.2)
-    solve(warm_up.scenario.network(warm_up.network_options()))  # loads all libraries
+    solve(warm_up.network())  # loads all libraries
     stages, game, status = Stages(), given.game(spacing), 'solved'
     options = given.strategy()
     begin = time.process_time()
@@ -100,7 +100,7 @@ def strategy(given: Problem, file: Path, limit: float) -> Answer:
 def _same(given: Problem, file: Path) -> tuple[Network, GameOptions]:
     with np.load(file) as saved:
         spacing = float(saved['spacing'])
-    return given.scenario.network(given.network_options()), given.game(spacing)
+    return given.network(), given.game(spacing)
 
 
 def simplex(given: Problem, file: Path, limit: float) -> Answer:
@@ -141,11 +141,13 @@ def main() -> None:
     parser.add_argument('file', type=Path, help='.npz in which `strategy` saves its problem')
     parser.add_argument('--reach', type=float, help="spacings, in place of the seed's")
     parser.add_argument('--detour', type=float, help="in place of the seed's")
+    parser.add_argument('--ambushers', type=int, default=1)
+    parser.add_argument('--stops', type=int, default=0)
     parser.add_argument('--limit', type=float, default=0.0, help='seconds; 0: no limit')
     given = parser.parse_args()
     warnings.simplefilter('ignore')
     # Native code does not return to Python's handlers; SIGPROF's default ends the process.
-    problem = draw(given.problem, given.reach, given.detour)
+    problem = draw(given.problem, given.reach, given.detour, given.ambushers, given.stops)
     answer = TASKS[given.task](problem, given.file, given.limit)
     signal.setitimer(signal.ITIMER_PROF, 0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

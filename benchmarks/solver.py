@@ -174,12 +174,14 @@ def main() -> None:
     parser.add_argument('--detour', type=float, help='for all problems')
     parser.add_argument('--early', action='store_true',
                         help='solve again within a tenth of the time, on an idle machine')
+    parser.add_argument('--ambushers', type=int, help='for all problems; else one')
+    parser.add_argument('--stops', type=int, help='random ones on the way; else none')
     parser.add_argument('--peers', nargs='*', default=list(PEERS), choices=list(PEERS))
     parser.add_argument('--limit', type=float, default=300.0,
                         help='limit of each solve [s]; ours is elapsed time')
     options = parser.parse_args()
     first = options.seed or secrets.randbelow(10**9)
-    more = [f'--{key}={value}' for key in ('reach', 'detour')
+    more = [f'--{key}={value}' for key in ('reach', 'detour', 'ambushers', 'stops')
             if (value := getattr(options, key)) is not None]
     sections = []
     for nodes in options.sizes:

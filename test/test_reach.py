@@ -77,17 +77,22 @@ def routes_of(network: Network) -> list[list[int]]:
             for route in networkx.all_simple_paths(graph, network.source, network.target)]
 
 
-def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf) -> float:
-    """Least value over all mixtures of routes within a budget [m], each hit once by each site."""
+def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf,
+                    ambushers: int = 1) -> float:
+    """Least value over all mixtures of routes within a budget [m], each hit once by each site.
+
+    The sum of the k largest losses is the least k t + sum s with losses of at most t + s.
+    """
     hit = np.array([near[:, route].any(axis=1) for route in routes]).T
     losses = network.alpha[:, None] * hit
-    rows = np.hstack((losses, -np.ones((len(losses), 1))))
-    limits = np.zeros(len(rows))
+    sites = len(losses)
+    rows = np.hstack((losses, -np.ones((sites, 1)), -np.eye(sites)))
+    limits, none = np.zeros(sites), np.zeros(sites + 1)
     if np.isfinite(budget):
         lengths = [network.lengths[route].sum() for route in routes]
-        rows, limits = np.vstack((rows, [*lengths, 0.0])), np.append(limits, budget)
-    found = linprog(np.r_[np.zeros(len(routes)), 1.0], rows, limits,
-                    np.r_[np.ones(len(routes)), 0.0][None], [1.0], method='highs-ds')
+        rows, limits = np.vstack((rows, [*lengths, *none])), np.append(limits, budget)
+    found = linprog(np.r_[np.zeros(len(routes)), ambushers, np.ones(sites)], rows, limits,
+                    np.r_[np.ones(len(routes)), none][None], [1.0], method='highs-ds')
     return float(found.fun)
 
 
@@ -158,6 +163,13 @@ def test_the_optimum_never_falls_when_the_reach_grows(seed, held, detour):
         bound = max(bound, strategy.lower_bound)
 
 
+def at_nodes(game, q):
+    """The ambusher's strategy (N,) from that of the sites."""
+    found = np.zeros(game.node_count)
+    found[game.sites] = q
+    return found
+
+
 @examples(60)
 @given(st.integers(0, 10**6), st.floats(0.2, 1.5))
 def test_the_cheapest_chain_gives_the_value_over_all_routes_wherever_the_ends_are(seed, reach):
@@ -168,10 +180,10 @@ def test_the_cheapest_chain_gives_the_value_over_all_routes_wherever_the_ends_ar
     game = make_game(network, GameOptions(ambush_radius=reach))
     once = value_by_routes(network, reached(network, reach, reach), routes)
     faces = make_faces(game)
-    q = chain_ambusher(faces) if faces.touched.nnz else None
-    assert (q is None) == (once < 1e-9)
-    if q is not None:
-        assert hit_bound(game, q) == pytest.approx(once, rel=1e-6)
+    found = chain_ambusher([faces]) if faces.touched.nnz else None
+    assert (found is None) == (once < 1e-9)
+    if found is not None:
+        assert hit_bound(game, at_nodes(game, found.q)) == pytest.approx(once, rel=1e-6)
 
 
 @examples(40)
@@ -186,9 +198,10 @@ def test_level_lines_attain_the_value_over_all_routes_within_a_budget(seed, reac
     budgets = make_budgets(game, replace(options, max_detour=detour))
     once = value_by_routes(network, reached(network, reach, reach), routes, budgets[0].limit)
     faces = make_faces(game)
-    q = chain_ambusher(faces) if faces.touched.nnz else None
-    if q is None:
+    chain = chain_ambusher([faces]) if faces.touched.nnz else None
+    if chain is None:
         return
+    q = at_nodes(game, chain.q)
     program = FaceProgram(faces, budgets[0], hit_bound(game, q), 1e-6, np.inf)
     strips = [program.solve(width) for width in (1.0, 3.0, np.inf)]
     values, found = [strip.value for strip in strips], strips[-1]
@@ -198,6 +211,25 @@ def test_level_lines_attain_the_value_over_all_routes_within_a_budget(seed, reac
     assert bound <= once * (1 + 1e-6)
     assert bound == pytest.approx(once, rel=1e-4)
     assert budgets[0].mean(found.p) <= budgets[0].limit * (1 + 1e-4)
+
+
+@examples(40)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5), st.integers(2, 4))
+def test_chains_give_the_value_over_all_routes_against_several_ambushers(seed, reach, ambushers):
+    network = planar_network(seed)
+    routes = routes_of(network)
+    if not 0 < len(routes) <= 1000:
+        return
+    game = make_game(network, GameOptions(ambush_radius=reach, ambushers=ambushers))
+    once = value_by_routes(network, reached(network, reach, reach), routes, ambushers=ambushers)
+    faces = make_faces(game)
+    found = chain_ambusher([faces]) if faces.touched.nnz else None
+    assert (found is None) == (once < 1e-9)
+    if found is not None:
+        assert found.value == pytest.approx(once, rel=1e-6)
+        assert found.q.max() <= 1.0 + 1e-9 and found.q.sum() <= ambushers + 1e-9
+        worst = np.sort(found.level)[-ambushers:]
+        assert worst.sum() >= once * (1.0 - 1e-6)
 
 
 def test_links_that_cross_have_no_faces():
@@ -300,7 +332,8 @@ def test_a_ring_of_discs_that_winds_twice_beats_the_chain_that_winds_once():
     alpha[21:26] = 1.0
     network = Network(points, alpha, edges, 0, 26)
     game = make_game(network, GameOptions(ambush_radius=2.5, secured_radius=0.4))
-    assert hit_bound(game, chain_ambusher(make_faces(game))) == pytest.approx(1 / 3)
+    chain = chain_ambusher([make_faces(game)])
+    assert hit_bound(game, at_nodes(game, chain.q)) == pytest.approx(1 / 3)
     once = value_by_routes(network, reached(network, 2.5, 0.4), routes_of(network))
     assert once == pytest.approx(2 / 5)
     assert hit_bound(game, np.repeat([0.0, 0.2, 0.0], [21, 5, 1])) == pytest.approx(once)

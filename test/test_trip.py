@@ -4,6 +4,7 @@ import itertools
 import math
 from dataclasses import replace
 
+import networkx
 import numpy as np
 import pytest
 from games import examples, hit_once, least_weight
@@ -310,3 +311,54 @@ def test_a_stop_behind_a_door_that_the_lattice_misses():
 def test_invalid_stops_are_refused(risk_map, stops, order, error, words):
     with pytest.raises(error, match=words):
         plan_trip(risk_map, START, GOAL, OPTIONS, stops=stops, order=order)
+
+
+def value_of_all_trips(network, game, budget):
+    """Least value of any mixture of trips, whose legs may depend on each other, by HiGHS."""
+    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
+    trips = [[number[step] for step in itertools.pairwise(route)]
+             for route in networkx.all_simple_paths(networkx.DiGraph(list(number)),
+                                                    network.source, network.target)]
+    hits = game.hits.toarray()
+    hit = np.array([hits[:, trip].any(axis=1) for trip in trips]).T * game.loss[game.sites][:, None]
+    count, sites, k = len(trips), len(hit), game.ambushers
+    # The sum of the k largest losses is the least k t + sum s with losses of at most t + s.
+    rows = np.hstack((hit, -np.ones((sites, 1)), -np.eye(sites)))
+    lengths = np.array([network.lengths[trip].sum() for trip in trips])
+    rows = np.vstack((rows, np.concatenate((lengths, np.zeros(sites + 1)))))
+    cost = np.concatenate((np.zeros(count), [k], np.ones(sites)))
+    most = np.append(np.zeros(sites), min(budget, lengths.max()))
+    whole = np.concatenate((np.ones(count), np.zeros(sites + 1)))[None]
+    return linprog(cost, rows, most, whole, [1.0], method='highs-ds').fun
+
+
+@examples(25)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
+       detour=st.sampled_from([1.05, 1.2, math.inf]), ambushers=st.integers(1, 3))
+def test_the_bound_is_below_any_mixture_of_trips_and_above_each_leg(seed, reach, detour,
+                                                                    ambushers):
+    roads = roads_of(seed, 1, 4)
+    network, options = roads.network(roads.visits), GameOptions(reach, 0.5, ambushers=ambushers)
+    strategy = solve(network, options, StrategyOptions(max_detour=detour, risk_slack=0.001))
+    all_trips = value_of_all_trips(network, strategy.game, strategy.length_budget)
+    assert strategy.lower_bound <= all_trips * (1.0 + 1e-6) + 1e-9
+    assert strategy.value >= all_trips * (1.0 - 1e-6) - 1e-9
+    # All of the trip's budget for one leg, the others on their shortest ways.
+    for leg in strategy.game.legs():
+        margin = strategy.length_budget - strategy.shortest_length
+        alone = value_of_all_trips(leg.network, leg, least_weight(leg.network, leg.network.lengths)
+                                   + margin)
+        assert strategy.value >= alone * (1.0 - 1e-6) - 1e-9
+
+
+@examples(15)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0]),
+       detour=st.sampled_from([1.1, math.inf]))
+def test_one_more_ambusher_never_lowers_the_value(seed, reach, detour):
+    roads = roads_of(seed, seed % 2)
+    network, bound = roads.network(roads.visits), 0.0
+    for ambushers in (1, 2, 3, 5):
+        strategy = solve(network, GameOptions(reach, 0.5, ambushers=ambushers),
+                         StrategyOptions(max_detour=detour))
+        assert strategy.value >= bound * (1.0 - 1e-6)
+        bound = max(bound, strategy.lower_bound)

@@ -53,7 +53,33 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
         if price > 0.0:
             base = base + price * budget.excess
             paid += price * budget.margin
-    charge = (game.loss * q)[game.sites]
+    charge = game.loss[game.sites] * game.at_sites(q)
+    least, edges = _least_cost(game, base, charge)
+    if game.network.legs > 1:
+        least = max(least, _least_cost_of_legs(game, base, q))
+    return BestResponse(max(least - paid, 0.0), edges)
+
+
+def _least_cost_of_legs(game: Game, base: FloatArray, q: FloatArray) -> float:
+    """A lower bound of a trip's cost: each site is paid only on the leg for which it waits.
+
+    That is the leg in whose layer q (N,) has it.
+    """
+    total, layer = 0.0, game.network.tails // game.network.place_count
+    for number, (leg, own) in enumerate(zip(game.legs(), q.reshape(game.network.legs, -1),
+                                            strict=True)):
+        costs, charge = base[layer == number], (leg.loss * own)[leg.sites]
+        if leg.reach > 0.0:
+            total += _least_cost(leg, costs, charge)[0]
+        else:
+            costs = costs + leg.mean_loss_on_edges(own)
+            total += float(leg.distances_ahead(costs)[leg.network.target])
+    return total
+
+
+def _least_cost(game: Game, base: FloatArray,
+                charge: FloatArray) -> tuple[float, IndexArray | None]:
+    """A lower bound of the least base cost plus charges (S,) of a route, and a route near it."""
     rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
     labels = _Labels(game, base, rows, charge[rows])
     least, edges = labels.search(MAX_MERGED_COMPARISONS, merged=True)
@@ -63,7 +89,7 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
         if cost > least * (1.0 + _ROUNDING):
             exact, best = labels.search(MAX_COMPARISONS, merged=False)
             least, edges = max(least, exact), edges if best is None else best
-    return BestResponse(max(least - paid, 0.0), edges)
+    return least, edges
 
 
 class _Labels:

@@ -10,6 +10,8 @@ q, so the bound does not depend on any of this.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
@@ -17,6 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 from ..arrays import FloatArray, IndexArray
 from .budget import ROUNDING
 from .faces import Faces
+from .several_sites import SharedSites, share_sites
 
 # Distances that are held at once: bounds the memory of searches that run together.
 _DISTANCES = 2**22
@@ -25,20 +28,19 @@ _DISTANCES = 2**22
 _MIDDLE = 0.75
 
 
-def chain_ambusher(faces: Faces) -> FloatArray | None:
-    """q (N,) on the cheapest chain of discs; None if no chain separates the ends."""
-    game, chain = faces.game, cheapest_chain(faces)
-    if chain is None:
-        return None
-    q = np.zeros(game.node_count)
-    q[game.sites[chain]] = 1.0 / game.loss[game.sites[chain]]
-    q *= game.ambushers / q.sum()
-    return q if q.max() <= 1.0 else None
+def chain_ambusher(legs: Sequence[Faces]) -> SharedSites | None:
+    """q on the cheapest chain of discs of any leg, or on several chains; None if there is none."""
+    game = legs[0].game
+
+    def cheapest(cost: FloatArray) -> IndexArray | None:
+        chains = [c for c in (cheapest_chain(faces, cost) for faces in legs) if c is not None]
+        return min(chains, key=lambda chain: float(cost[chain].sum()), default=None)
+
+    return share_sites(game.loss[game.sites], game.ambushers, cheapest)
 
 
-def cheapest_chain(faces: Faces) -> IndexArray | None:
-    """The sites' rows of the cheapest chain of discs that separates the ends, if there is one."""
-    cost = 1.0 / faces.game.loss[faces.game.sites]
+def cheapest_chain(faces: Faces, cost: FloatArray) -> IndexArray | None:
+    """The sites' rows of the chain of discs of least cost (S,) that separates the ends, if any."""
     cover, around = _double_cover(faces, cost), np.flatnonzero(faces.lifts[1])
     least, chain = _chain_through(cover, faces.outer, faces.count)
     if len(around) and cost[around].min() < least:

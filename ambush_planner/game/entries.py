@@ -49,7 +49,7 @@ def check_ambusher(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
                    prices: tuple[float, ...]) -> None:
     """Raise SolverFailed if q (N,) is not a strategy of the ambusher, or a price is negative."""
     most = 1.0 + ROUNDING
-    if not (q >= 0.0).all() or not (q <= most).all():
+    if not (q >= 0.0).all() or not (game.at_sites(q) <= most).all() or not (q <= most).all():
         raise SolverFailed(f'q must be in [0, 1], got {q.min()} to {q.max()}')
     if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
         raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')

@@ -69,7 +69,7 @@ class FlowProgram:
         if not total > 0.0:
             raise SolverFailed('the program has no ambusher')
         price = iter(duals[sites:] / total * self.unit)
-        return capped_at_one(q / total, k), tuple(
+        return capped_at_places(self.game, q / total), tuple(
             float(next(price)) / budget.margin if budget.binds else 0.0 for budget in self.budgets
         )
 
@@ -100,6 +100,13 @@ def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
                       shape=(game.node_count, len(tail)))
     node = np.unique(tail)
     return full[node], node
+
+
+def capped_at_places(game: Game, q: FloatArray) -> FloatArray:
+    """Cap q (N,), which is 0 but in the first layer, at 1; it sums to the number of ambushers."""
+    count, capped = game.network.place_count, np.zeros(game.node_count)
+    capped[:count] = capped_at_one(q[:count], game.ambushers)
+    return capped
 
 
 def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -144,9 +145,13 @@ class Game:
         losses: FloatArray = self.loss[self.sites] * (self.hits @ p)
         return losses
 
+    def at_sites(self, q: FloatArray) -> FloatArray:
+        """q (N,) at the sites (S,); on a trip, all copies of each site added up."""
+        return np.asarray(q.reshape(self.network.legs, -1).sum(axis=0)[self.sites])
+
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
         """``D' q`` (M,): mean loss on each edge against the ambusher's strategy q (N,)."""
-        on_edges: FloatArray = self.hits.T @ (self.loss * q)[self.sites]
+        on_edges: FloatArray = self.hits.T @ (self.loss[self.sites] * self.at_sites(q))
         return on_edges
 
     def visits(self, p: FloatArray) -> FloatArray:
@@ -191,6 +196,20 @@ class Game:
     def with_one_ambusher(self) -> Game:
         """The game against an ambusher who holds one site."""
         return replace(self, options=replace(self.options, ambushers=1))
+
+    def legs(self) -> list[Game]:
+        """The games of the legs of a trip, each on its own layer, with the sites of the trip."""
+        network, count = self.network, self.network.place_count
+        at = [network.source, *network.stops.tolist(), network.target]
+        legs = []
+        for leg, (source, target) in enumerate(pairwise(at)):
+            own = network.tails // count == leg
+            layer = Network(network.points[:count], network.alpha[:count],
+                            network.edges[own] % count, source % count, target % count)
+            legs.append(replace(self, network=layer, loss=self.loss[:count],
+                                playable=frozen_array(self.playable[own], np.bool_)))
+            vars(legs[-1])['hits'] = self.hits[:, np.flatnonzero(own)]
+        return legs
 
     def without_sites(self, nodes: BoolArray) -> Game:
         """The game in which nobody can wait at ``nodes`` (N,)."""

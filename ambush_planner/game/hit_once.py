@@ -30,6 +30,8 @@ PROGRAM_GAP = 0.2
 MAX_ROUNDS, AIM = 10, 0.9
 # Limits less than this share of the slack below the best value are not worth another law.
 LEAST_GAIN = 0.2
+# A law ends the search if it gains less than this share of what was missing.
+LEAST_PROGRESS = 0.01
 # Flows below this are rounding of the program over routes.
 NEGLIGIBLE = 1e-9
 # Sites whose entries cost less than this share of the aim keep a limit of one entry per hit.
@@ -119,7 +121,9 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
         latest = replace(base, p=p, multipliers=start, iterations=stage.evaluations,
                          entropy_bound=most)
         found.append(_Valued(worst_loss(game, p), latest))
+        missing = found[-1].value - bound * (1.0 + stage.slack)
+        gained = min(each.value for each in found[:-1]) - found[-1].value if found[1:] else np.inf
         best = min(best, found[-1].value)
-        if best <= bound * (1.0 + stage.slack):
+        if gained < LEAST_PROGRESS * missing or missing <= 0.0:
             break
     return found

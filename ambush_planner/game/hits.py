@@ -69,12 +69,13 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
 
     With one ambusher this is a probability. If p has cycles, every entry counts.
     """
-    rows = np.flatnonzero(q[game.sites] > 0.0)
+    at_sites = game.at_sites(q)
+    rows = np.flatnonzero(at_sites > 0.0)
     if hits_can_differ(game) and is_acyclic(game.network, p):
         met = hit_probabilities(game, p, rows)
     else:
         met = np.asarray(game.hits[rows] @ p)
-    return float(q[game.sites[rows]] @ met)
+    return float(at_sites[rows] @ met)
 
 
 def hits_can_differ(game: Game) -> bool:

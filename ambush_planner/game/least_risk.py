@@ -16,12 +16,13 @@ from ..arrays import BoolArray, FloatArray, sums
 from ..errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .acyclic import conserved_strategy, forward_part, order_potential, rank_around, rank_by
 from .budget import Budget
-from .cut import solve_by_min_cut, uniform_ambusher
+from .cut import CutSolution, solve_by_min_cut, uniform_ambusher
 from .entries import entry_bound, entry_value, priced_edges
-from .flow_program import FlowProgram
+from .flow_program import FlowProgram, capped_at_places
 from .game import Game
 from .hits import hits_can_differ, worst_loss
 from .route_sampler import shortest_route_strategy
+from .several_sites import share_sites
 from .two_routes import strategy_within_budgets
 
 # Sites with a loss of this many times the value are avoided if possible: a strategy could use them
@@ -81,9 +82,8 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
 def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk | None:
     """The least value without budgets, by routes that avoid all sites or by a minimum cut.
 
-    If the value is 0, the strategy is within the budgets if possible. None with a reach, or if a
-    cut does not solve the game of k ambushers: it does when no k q_j exceeds 1. On a trip, the cut
-    of the costliest leg is a lower bound, attained if the other legs avoid its sites.
+    If the value is 0, the strategy is within the budgets if possible. None with a reach. On a trip,
+    the cut of the costliest leg is a lower bound, attained if the other legs avoid its sites.
     """
     safe, k = game.avoiding_all_sites(), game.ambushers
     if safe is not None:
@@ -99,12 +99,33 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
     cut = solve_by_min_cut(game.with_one_ambusher())
     q = k * sums(game.network.places, cut.q, game.node_count)
     if q.max() > 1.0:
-        return None
+        return _least_risk_by_cuts(game)
     lean, p = without_excessive_sites(game, cut.value), cut.p
     if lean is not game:
         p = solve_by_min_cut(lean.with_one_ambusher()).p
     level = np.full(len(game.sites), cut.value)
     return LeastRisk(entry_value(game, p), k * cut.value, p, q, (0.0, 0.0), level)
+
+
+def _least_risk_by_cuts(game: Game) -> LeastRisk | None:
+    """The least value against several ambushers who hold some sites for certain."""
+    sites, places = game.sites, game.network.places
+    loss, exposed = game.loss[sites], np.flatnonzero(game.loss > 0.0)
+
+    def cut(played: Game, costs: FloatArray) -> CutSolution:
+        priced = np.zeros(game.node_count)
+        priced[exposed] = 1.0 / costs[np.searchsorted(sites, places[exposed])]
+        return solve_by_min_cut(replace(played.with_one_ambusher(), loss=priced))
+
+    found = share_sites(loss, game.ambushers, lambda costs: np.unique(
+        np.searchsorted(sites, places[np.flatnonzero(cut(game, costs).q)])))
+    if found is None:
+        return None
+    q = np.zeros(game.node_count)
+    q[sites] = found.q
+    q = capped_at_places(game, q)
+    p = cut(without_excessive_sites(game, found.value), found.level / loss).p
+    return LeastRisk(entry_value(game, p), found.value, p, q, (0.0, 0.0), found.level)
 
 
 def without_forbidden_edges(game: Game, budgets: tuple[Budget, ...]) -> Game:

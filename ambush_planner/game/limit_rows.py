@@ -11,7 +11,7 @@ from ..arrays import FloatArray
 from .budget import Budget
 from .cut import uniform_ambusher
 from .entropy_search import GibbsStrategy
-from .flow_program import capped_at_one
+from .flow_program import capped_at_places
 from .game import Game
 from .gibbs import AcyclicNetwork
 
@@ -94,7 +94,7 @@ class LimitRows:
         total = float(q.sum()) / game.ambushers
         if not total > 0.0:
             return uniform_ambusher(game), (0.0,) * len(found.budgets)
-        return capped_at_one(q / total, game.ambushers), tuple(b / total for b in found.budgets)
+        return capped_at_places(game, q / total), tuple(b / total for b in found.budgets)
 
 
 def _most_hits(game: Game) -> float:

@@ -106,7 +106,8 @@ class Strategy(Shown):
     visit_probability : (N,)
         x: expected visits of each node, 1 at the source and the target.
     ambush_probability : (N,)
-        q: the ambusher's equilibrium strategy, sums to the number of ambushers.
+        q: the ambusher's equilibrium strategy, sums to the number of ambushers. On trips, a place
+        can have a share in each layer: in that of the leg for which the ambusher waits there.
     value : float
         z(p): mean loss of the best ambush. A route counts once per site, however often it comes
         back into the site's reach. If p has cycles, every entry counts: an upper bound.

@@ -11,10 +11,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,6 +38,7 @@ from .entries import entry_bound, entry_value
 from .entropy_search import GibbsStrategy, maximize_entropy
 from .face_program import FaceProgram, LevelLines
 from .faces import Faces, make_faces
+from .flow_program import capped_at_places
 from .game import Game
 from .gibbs import AcyclicNetwork
 from .hits import worst_loss
@@ -51,6 +54,7 @@ from .least_risk import (
 )
 from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
 from .route_sampler import shortest_route_strategy
+from .separate_legs import join_faces, once_at_each_place, separate_legs
 from .two_routes import strategy_within_budgets
 
 # Smallest risk slack of the search, relative to the value.
@@ -121,6 +125,8 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         # If they were cut short, the better of the two is chosen later.
         return first if first and time.monotonic() > stage.deadline else found
     try:
+        if found := stage.along_separate_legs():
+            return found
         part = initial_part(game, stage.budgets, stage.potential)
         risk = least_risk(game, part, stage.budgets, PROGRAM_GAP * stage.slack,
                           stage.program_deadline())
@@ -147,6 +153,14 @@ def _with_forbidden_edges_priced(
     ]
     best = max(tried, key=lambda prices: entry_bound(game, found.q, budgets, prices))
     return replace(found, prices=best)
+
+
+class Chain(NamedTuple):
+    """A lower bound, its q (N,), and the mean loss (S,) that each site causes at this value."""
+
+    bound: float
+    q: FloatArray
+    level: FloatArray
 
 
 class EntropyStage:
@@ -192,18 +206,28 @@ class EntropyStage:
         return self._mixed_to_fit(solution, least)
 
     @cached_property
-    def faces(self) -> Faces | None:
-        """The faces of a planar network, if there is a reach."""
-        game = self.game
-        plain = game.reach == 0.0 or game.network.legs > 1
-        faces = None if plain else make_faces(game)
-        return faces if faces and faces.touched.nnz else None
+    def faces(self) -> list[Faces]:
+        """The faces of a planar network, leg by leg, if there is a reach."""
+        found: list[Faces] = []
+        for leg in self.game.legs() if self.game.reach > 0.0 else ():
+            faces = make_faces(leg)
+            if faces is None:
+                return []
+            found.append(faces)
+        return found
 
     @cached_property
-    def chain(self) -> tuple[float, FloatArray] | None:
-        """The value without budgets and q (N,) by the cheapest chain of discs."""
-        q = chain_ambusher(self.faces) if self.faces else None
-        return None if q is None else (self.hit_bound(q, (0.0,) * len(self.budgets)), q)
+    def chain(self) -> Chain | None:
+        """The cheapest chain of discs, if there is one; on a trip, of the costliest leg."""
+        hit = [faces for faces in self.faces if faces.touched.nnz]
+        found = chain_ambusher(hit) if hit else None
+        if found is None:
+            return None
+        q = np.zeros(self.game.node_count)
+        q[self.game.sites] = found.q
+        q = capped_at_places(self.game, q)
+        bound = self.hit_bound(q, (0.0,) * len(self.budgets))
+        return Chain(bound, q, found.level * (bound / found.value))
 
     def hit_bound(self, q: FloatArray, prices: tuple[float, ...]) -> float:
         """The certificate's bound by an ambusher's strategy q (N,); the last one is remembered."""
@@ -219,7 +243,7 @@ class EntropyStage:
         game, binding = self.game, [b for b in self.budgets if b.binds and b.limit > 0.0]
         if not self.chain or game.ambushers > 1 or len(binding) != 1:
             return None
-        bound, q = self.chain
+        bound, q, _ = self.chain
         try:
             found = self._least_on_faces(binding[0], bound)
         except SolverFailed:
@@ -229,7 +253,7 @@ class EntropyStage:
                                                self.within_budgets)
         if short is None:
             return None
-        self.level_lines = without_cycles(game.network, short)
+        self.level_lines = self._or_by_entries(without_cycles(game.network, short))
         prices = self._priced(binding[0], found.price)
         if found.q is None or self.hit_bound(found.q, prices) < bound:
             prices = self._priced(binding[0], 0.0)
@@ -243,8 +267,11 @@ class EntropyStage:
         Entries show that well enough, and a strip that is too narrow proves next to nothing.
         """
         game = self.game
-        assert self.faces is not None  # it has a chain
-        program = FaceProgram(self.faces, budget, bound, FACES_GAP * self.slack,
+        faces = self.faces[0]
+        if game.network.legs > 1:
+            game = separate_legs(game)
+            faces = join_faces(game, self.faces)
+        program = FaceProgram(faces, budget, bound, FACES_GAP * self.slack,
                               self.program_deadline())
         for width in STRIPS:
             found = program.solve(width)
@@ -258,6 +285,30 @@ class EntropyStage:
         """The price of one budget, and 0 for the others."""
         return tuple(price if b is budget else 0.0 for b in self.budgets)
 
+    def along_separate_legs(self) -> Solution | None:
+        """A trip without a reach: the ambusher who waits for single legs, and a strategy."""
+        game = self.game
+        if game.network.legs == 1 or game.reach > 0.0:
+            return None
+        separate = separate_legs(game)
+        found = self._by_entries(separate, tuple(replace(b, game=separate) for b in self.budgets))
+        self.level_lines = self._or_by_entries(found.p)
+        q = once_at_each_place(game, found.q)
+        return Solution(self.level_lines, q, found.prices, self.evaluations)
+
+    def _or_by_entries(self, p: FloatArray) -> FloatArray:
+        """On a trip, p (M,) or the strategy of least value by entries, whichever is better."""
+        if self.game.network.legs == 1:
+            return p
+        with contextlib.suppress(TimeLimit, SolverFailed):
+            other = self._by_entries(self.game, self.budgets).p
+            return min(p, other, key=lambda each: worst_loss(self.game, each))
+        return p
+
+    def _by_entries(self, game: Game, budgets: tuple[Budget, ...]) -> LeastRisk:
+        part = initial_part(game, budgets, self.potential)
+        return least_risk(game, part, budgets, FACES_GAP * self.slack, self.program_deadline())
+
     def along_chain(self) -> Solution | None:
         """The strategy of greatest entropy at the value of the cheapest chain of discs.
 
@@ -265,12 +316,11 @@ class EntropyStage:
         """
         if self.chain is None:
             return None
-        (bound, q), prices = self.chain, (0.0,) * len(self.budgets)
+        (bound, q, level), prices = self.chain, (0.0,) * len(self.budgets)
         game, rank = without_excessive_sites(self.game, bound), rank_by(self.potential)
         part = forward_part(game, rank)
         if part is None:
             return None
-        level = np.full(len(self.game.sites), bound / self.game.ambushers)
         kept = (self._kept_margins(bound, prices),)
         found = self._law(AcyclicNetwork(part, rank), level, kept, q, prices)
         value = worst_loss(self.game, found.p)
@@ -348,7 +398,8 @@ class EntropyStage:
         if first is None:
             return None
         none = (0.0,) * len(self.budgets)
-        bound, q = (loose.bound, loose.q) if loose else self.chain or self._ambusher_at_nodes()
+        chain = self.chain and self.chain[:2]
+        bound, q = (loose.bound, loose.q) if loose else chain or self._ambusher_at_nodes()
         best, reached = Solution(first, q, none, 0), bound
         for law in self.laws:
             best, reached = self._best_of_both(best, reached, law, first)

@@ -1,0 +1,67 @@
+"""A trip whose legs pay separately: a lower bound for the trip, as easy to find as for one leg.
+
+Let a copy of each site wait for each leg, so that a site pays once per leg. The best ambusher of
+that game, all copies of a site added up, causes every trip at least the same loss: a site that he
+holds for one leg may only hit the others as well (docs/theory.md, Proposition 13.1). The game has a
+planar network for each leg, one budget, and no other connection between the legs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags, vstack
+
+from ..arrays import FloatArray
+from ..network.network import Network
+from .faces import Faces
+from .flow_program import capped_at_one
+from .game import Game
+
+
+def separate_legs(game: Game) -> Game:
+    """The game in which each node of each layer is a site of its own."""
+    given = game.network
+    network = Network(given.points, given.alpha, given.edges, given.source, given.target,
+                      seconds=given.seconds)
+    separate = replace(game, network=network)
+    if game.reach > 0.0:
+        layer = given.tails // given.place_count
+        vars(separate)['hits'] = csr_matrix(vstack([
+            game.hits @ diags((layer == leg).astype(np.float64)) for leg in range(given.legs)
+        ]))
+        vars(separate)['hits'].eliminate_zeros()
+    return separate
+
+
+def once_at_each_place(game: Game, q: FloatArray) -> FloatArray:
+    """An ambusher of separate legs, q (N,), with at most one ambusher at all copies of a place."""
+    copies = q.reshape(game.network.legs, -1)
+    total = copies.sum(axis=0)
+    capped = capped_at_one(total, game.ambushers)
+    found = copies * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
+    found[0] += np.where(total > 0.0, 0.0, capped)
+    return np.asarray(found.ravel())
+
+
+def join_faces(game: Game, legs: Sequence[Faces]) -> Faces:
+    """The faces of all legs; ``game`` is that of ``separate_legs``."""
+    network, count = game.network, legs[0].game.node_count
+    links = np.cumsum([0, *(len(leg.left) for leg in legs)])
+    faces = np.cumsum([0, *(leg.count for leg in legs)])
+    link = np.full(len(network.edges), -1)
+    turned = np.zeros(links[-1], dtype=bool)
+    for number, leg in enumerate(legs):
+        own = np.flatnonzero(network.tails // count == number)
+        edge = own[leg.link >= 0]
+        link[edge] = leg.link[leg.link >= 0] + links[number]
+        # The last edge of a leg leads to the stop's copy in the next layer, a higher node.
+        tail, head = network.edges[edge].T
+        turned[link[edge]] = (tail < head) != (tail % count < head % count)
+    left = np.concatenate([leg.left + first for leg, first in zip(legs, faces, strict=False)])
+    right = np.concatenate([leg.right + first for leg, first in zip(legs, faces, strict=False)])
+    crossed = np.concatenate([leg.crossed for leg in legs])
+    return Faces(game, int(faces[-1]), link, np.where(turned, right, left),
+                 np.where(turned, left, right), np.where(turned, -crossed, crossed), legs[0].outer)
