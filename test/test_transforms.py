@@ -248,13 +248,20 @@ def located(running):
 
 
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):
-    """On the plan, within its region, or else where it was when asked: one solve each time."""
+    """On the plan, within its region, or else where it was when asked: one solve each time.
+
+    After a departure that joined a plan, the next plan is solved ahead, from where the robot is.
+    """
     solves, solve, places = [], WorkerProcess.solve, [(1.6, 5.5), (3.2, 2.9), (5.0, 8.5)]
+    ahead = []
     with stage(tmp_path, parameters=ROBOT) as running:
         client = running.client
         robot = Robot(client.node)
 
         def drive(worker, request):
+            if request.start_xy in places:
+                ahead.append(request.start_xy)
+                return solve(worker, request)
             plan = solve(worker, request)
             solves.append(request.start_xy)
             place = places[len(solves) - 1]
@@ -278,8 +285,11 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
             assert path[0, :2] == pytest.approx(begins), answer.message
             assert words in answer.message
             assert len(solves) == number
+            if number == 2:
+                wait_until(lambda: ahead, 'the solve ahead')
             report = client.diagnostics(departures=answer.message.split()[1])
             assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
+        assert set(ahead) == {places[1]}  # again after a solve that overtook it
         assert report['message'].startswith('ready; the path begins where')
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == int(report['departures']),
                    'the recordings')

@@ -265,6 +265,10 @@ class Dispatcher:
             self._leave_once_recorded(later, publish, pending.departure)
         else:
             pending.departure.set_result(departure(*publish()))
+        if fit.joined:
+            # The convoy drives: it needs a plan from here before it is too far from the old start.
+            with suppress(SolveCancelled):
+                self._plans.solve(trip, parameters, background=True)
 
     def _leave_once_recorded(self, departure: Departure, publish: Callable[[], object],
                              result: Future[Departure]) -> None:
