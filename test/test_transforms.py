@@ -290,7 +290,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
             report = client.diagnostics(departures=answer.message.split()[1])
             assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
         assert set(ahead) == {places[1]}  # again after a solve that overtook it
-        assert report['message'].startswith('ready; the path begins where')
+        assert 'the path begins where' in report['message']
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == int(report['departures']),
                    'the recordings')
     verdicts = [Verifier().verify(file) for file in tmp_path.rglob('*.mcap')]
