@@ -64,8 +64,8 @@ CODES = {getattr(ComputePathToPose.Result, name): name
 MEDIAN, WORST, ACCEPTED = 0.3, 3.0, 20.0
 LATE = {4000: 0.01}  # else 0.001
 NAV2 = {'map.preset': 'costmap', 'robot_base_frame': 'base_link', 'route.path_spacing': 0.05,
-        'max_planning_time': 10.0, 'game.ambush_radius': 1.0, 'route.tracking_error': 0.25,
-        'recording.enabled': False, 'diagnostics.error_hold': 1.0}
+        'max_planning_time': 10.0, 'game.ambush_radius': 1.0, 'game.secured_radius': 2.0,
+        'route.tracking_error': 0.25, 'recording.enabled': False, 'diagnostics.error_hold': 1.0}
 
 
 class Robot:
