@@ -61,15 +61,20 @@ def entering_edges(network: Network, centres: FloatArray, reach: float, held: fl
     tails = network.tails[parts.edge]
     from_exposed = exposed[tails]
     at_tail = from_exposed & (parts.begin == network.points[tails]).all(axis=1)
+    length = np.hypot(*(parts.end - parts.begin).T)
+    begins = _begins(parts, length, at_tail)
     shape = (len(centres), len(network.edges))
     rows = [csr_matrix((0, shape[1]))]
     for first in range(0, len(centres), _CENTRES_AT_ONCE):
         some = centres[first : first + _CENTRES_AT_ONCE]
-        part, site = _close_pairs(parts, some, reach, at_tail)
+        part, site = _close_pairs(begins, some, reach, length, at_tail)
         begin, end = parts.begin[part] - some[site], parts.end[part] - some[site]
         before = from_exposed[part]
         before &= inside(network.points[tails[part]] - some[site], reach)
-        enters = ~before & (inside(begin, reach) | inside(end, reach) | _crosses(begin, end, reach))
+        enters = inside(begin, reach) | inside(end, reach)
+        others = np.flatnonzero(~enters)
+        enters[others] = _crosses(begin[others], end[others], reach)
+        enters &= ~before
         ones = np.ones(int(enters.sum()))
         places = site[enters], parts.edge[part[enters]]
         rows.append(csr_matrix((ones, places), (len(some), shape[1])))
@@ -115,22 +120,55 @@ def _inside_interval(tail: FloatArray, head: FloatArray,
     return np.where(met, middle - half, 1.0), np.where(met, middle + half, 1.0)
 
 
-def _close_pairs(parts: _Parts, centres: FloatArray, reach: float,
+class _Begins(NamedTuple):
+    """Where parts begin: ``points`` (P, 2), each with its parts ``order[first : first + count]``.
+
+    ``longest`` is the length of its longest part [m]; ``at_tails``: all of them begin at an exposed
+    node.
+    """
+
+    points: FloatArray
+    order: IndexArray
+    first: IndexArray
+    count: IndexArray
+    longest: FloatArray
+    at_tails: BoolArray
+
+
+def _begins(parts: _Parts, length: FloatArray, at_tail: BoolArray) -> _Begins:
+    """Group the parts (K,), of which there are about six for each place, by where they begin."""
+    points, place = np.unique(parts.begin, axis=0, return_inverse=True)
+    place = place.ravel()
+    count = np.bincount(place, minlength=len(points))
+    longest = np.zeros(len(points))
+    np.maximum.at(longest, place, length)
+    others = np.bincount(place, weights=~at_tail, minlength=len(points))
+    return _Begins(points, np.argsort(place, kind='stable'), np.cumsum(count) - count, count,
+                   longest, others == 0.0)
+
+
+def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: FloatArray,
                  at_tail: BoolArray) -> tuple[IndexArray, IndexArray]:
     """(part, centre) pairs that may meet; without parts that begin at an exposed node in the disc.
 
     The edge before such a part has brought the route there.
     """
-    length = np.hypot(*(parts.end - parts.begin).T)
-    far = (reach + length.max(initial=0.0)) * (1.0 + _ROUNDING)
     if not len(length):
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    pairs = cKDTree(parts.begin).sparse_distance_matrix(cKDTree(centres), far,
-                                                        output_type='ndarray')
-    part, distance = pairs['i'], pairs['v']
+    far = (reach + float(length.max())) * (1.0 + _ROUNDING)
+    pairs = cKDTree(begins.points).sparse_distance_matrix(cKDTree(centres), far,
+                                                          output_type='ndarray')
+    place, centre, distance = pairs['i'], pairs['j'], pairs['v']
+    near = distance <= (reach + begins.longest[place]) * (1.0 + _ROUNDING)
+    near &= ~(begins.at_tails[place] & (distance < reach * (1.0 - _ROUNDING)))
+    place, centre, distance = place[near], centre[near], distance[near]
+    count = begins.count[place]
+    each = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+    part = begins.order[np.repeat(begins.first[place], count) + each]
+    centre, distance = np.repeat(centre, count), np.repeat(distance, count)
     near = distance <= (reach + length[part]) * (1.0 + _ROUNDING)
     near &= ~(at_tail[part] & (distance < reach * (1.0 - _ROUNDING)))
-    return part[near], pairs['j'][near]
+    return part[near], centre[near]
 
 
 def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:
