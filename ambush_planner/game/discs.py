@@ -121,7 +121,7 @@ def _inside_interval(tail: FloatArray, head: FloatArray,
 
 
 class _Begins(NamedTuple):
-    """Where parts begin: ``points`` (P, 2), each with its parts ``order[first : first + count]``.
+    """Where parts begin: ``points`` (P, 2), each with its parts ``order[first : first + parts]``.
 
     ``longest`` is the length of its longest part [m]; ``at_tails``: all of them begin at an exposed
     node.
@@ -130,7 +130,7 @@ class _Begins(NamedTuple):
     points: FloatArray
     order: IndexArray
     first: IndexArray
-    count: IndexArray
+    parts: IndexArray
     longest: FloatArray
     at_tails: BoolArray
 
@@ -162,7 +162,7 @@ def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: Flo
     near = distance <= (reach + begins.longest[place]) * (1.0 + _ROUNDING)
     near &= ~(begins.at_tails[place] & (distance < reach * (1.0 - _ROUNDING)))
     place, centre, distance = place[near], centre[near], distance[near]
-    count = begins.count[place]
+    count = begins.parts[place]
     each = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     part = begins.order[np.repeat(begins.first[place], count) + each]
     centre, distance = np.repeat(centre, count), np.repeat(distance, count)
