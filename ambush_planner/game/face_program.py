@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # Most programs that are solved for one strip.
 MAX_ROUNDS = 100
+# A strip without routes of the value tried is left when fewer faces than this share join.
+FEW_JOINED = 0.02
 
 
 class LevelLines(NamedTuple):
@@ -100,7 +102,10 @@ class FaceProgram:
             # Only the first step may go down: from the value on a narrower strip.
             self.value = least = newer
             self.found = self._level_lines(potential, ambush)
-            if not self._join(potential[faces.touched.indices] + self.lift) and closed:
+            new = self._join(potential[faces.touched.indices] + self.lift)
+            full = bool((result.upper.residual[len(links) :] <= 0.0).any())
+            narrow = full and width < np.inf and new < FEW_JOINED * len(self.entry)
+            if narrow or closed and not new:
                 break
         assert self.found is not None  # else it raised
         return self.found
@@ -132,8 +137,8 @@ class FaceProgram:
                        b_eq=np.zeros(rows - 1), bounds=bounds, method='highs-ds',
                        options={'time_limit': left})
 
-    def _join(self, height: FloatArray) -> bool:
-        """Join faces to the discs that exceed their shares of the value; False if none does.
+    def _join(self, height: FloatArray) -> int:
+        """Join faces to the discs that exceed their shares of the value; return their number.
 
         They are the highest face, the lowest, and those that exceed the share by least.
         """
@@ -148,7 +153,7 @@ class FaceProgram:
             lower += [order[0], order[ordered.searchsorted(ordered[-1] - most) - 1]]
         self.entry = np.concatenate((self.entry, np.array(higher + lower, dtype=np.int64)))
         self.higher = np.concatenate((self.higher, np.repeat([True, False], len(higher))))
-        return len(sites) > 0
+        return 2 * len(higher)
 
     def _level_lines(self, potential: FloatArray, ambush: FloatArray) -> LevelLines:
         """p of a potential (F,); q and price of the flow through the pairs, per unit of loss."""

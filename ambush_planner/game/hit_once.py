@@ -30,7 +30,7 @@ PROGRAM_GAP = 0.2
 MAX_ROUNDS, AIM = 10, 0.9
 # Limits less than this share of the slack below the best value are not worth another law.
 LEAST_GAIN = 0.2
-# A law ends the search if it gains less than this share of what was missing.
+# From the fourth law on, one that gains less than this share of what was missing is the last.
 LEAST_PROGRESS = 0.01
 # Flows below this are rounding of the program over routes.
 NEGLIGIBLE = 1e-9
@@ -122,7 +122,7 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
                          entropy_bound=most)
         found.append(_Valued(worst_loss(game, p), latest))
         missing = found[-1].value - bound * (1.0 + stage.slack)
-        gained = min(each.value for each in found[:-1]) - found[-1].value if found[1:] else np.inf
+        gained = min(each.value for each in found[:-1]) - found[-1].value if found[3:] else np.inf
         best = min(best, found[-1].value)
         if gained < LEAST_PROGRESS * missing or missing <= 0.0:
             break
