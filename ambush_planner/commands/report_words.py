@@ -88,7 +88,7 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
 def quantities(strategy: Strategy) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
     network, budget = strategy.network, strategy.length_budget
-    sites = int((strategy.ambush_probability > 1e-6).sum()) if strategy.value > 0.0 else 0
+    sites = int((strategy.ambush_at_places > 1e-6).sum()) if strategy.value > 0.0 else 0
     return [
         ('value z', f'{strategy.value:.9g}'),
         ('lower bound', f'{strategy.lower_bound:.9g}'),

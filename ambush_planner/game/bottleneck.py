@@ -44,10 +44,10 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     The secured value keeps the strategy's budgets. At ``deadline`` (``time.monotonic``) the best
     lower bound so far takes its place.
     """
-    game, q = strategy.game, strategy.ambush_probability
+    game, q = strategy.game, strategy.ambush_at_places
     network = game.network
-    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss > 0.0) & (strategy.value > 0.0)
-    sites = np.flatnonzero(decisive)
+    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[: len(q)] > 0.0)
+    sites = np.flatnonzero(decisive & (strategy.value > 0.0))
     distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
     near = near_ends(network, distance)
     secured = strategy.value

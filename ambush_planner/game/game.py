@@ -145,9 +145,13 @@ class Game:
         losses: FloatArray = self.loss[self.sites] * (self.hits @ p)
         return losses
 
+    def at_places(self, q: FloatArray) -> FloatArray:
+        """q (N,) at the places (K,); on a trip, all copies of each place added up."""
+        return np.asarray(q.reshape(self.network.legs, -1).sum(axis=0))
+
     def at_sites(self, q: FloatArray) -> FloatArray:
         """q (N,) at the sites (S,); on a trip, all copies of each site added up."""
-        return np.asarray(q.reshape(self.network.legs, -1).sum(axis=0)[self.sites])
+        return self.at_places(q)[self.sites]
 
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
         """``D' q`` (M,): mean loss on each edge against the ambusher's strategy q (N,)."""

@@ -108,6 +108,8 @@ class Strategy(Shown):
     ambush_probability : (N,)
         q: the ambusher's equilibrium strategy, sums to the number of ambushers. On trips, a place
         can have a share in each layer: in that of the leg for which the ambusher waits there.
+    ambush_at_places : (K,)
+        q by place, K = ``network.place_count``: the shares of all layers added up.
     value : float
         z(p): mean loss of the best ambush. A route counts once per site, however often it comes
         back into the site's reach. If p has cycles, every entry counts: an upper bound.
@@ -178,6 +180,11 @@ class Strategy(Shown):
     def network(self) -> Network:
         """The network that the strategy is for."""
         return self.game.network
+
+    @property
+    def ambush_at_places(self) -> FloatArray:
+        """How likely an ambusher waits at each place (K,): q summed over the layers of a trip."""
+        return self.game.at_places(self.ambush_probability)
 
     @cached_property
     def _sampler(self) -> RouteSampler:

@@ -64,7 +64,7 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     Discs have the ambush radius, if it is not 0. If no ambush causes a loss, the list is empty and
     deletes an earlier one.
     """
-    network, q = strategy.network, strategy.ambush_probability
+    network, q = strategy.network, strategy.ambush_at_places
     often = float(q.max())
     shown = np.flatnonzero((q >= _LEAST_SHOWN * often) & (strategy.value > 0.0))
     length = _edge_length(network)

@@ -1,0 +1,72 @@
+"""A trip out and back over the same ground: a site of both legs is shown once, with its total."""
+
+import numpy as np
+import pytest
+from audit_samples import GOAL, SECURED, SPACING, START, occupancy
+from rclpy.serialization import deserialize_message
+from ros_harness import header
+from visualization_msgs.msg import MarkerArray
+
+from ambush_planner.commands.report_words import quantities
+from ambush_planner.game.game import GameOptions
+from ambush_planner.maps.occupancy import risk_map_from_occupancy
+from ambush_planner.network.construction import NetworkOptions
+from ambush_planner.planning.options import PlanningOptions
+from ambush_planner.planning.route_layers import strategy_tables
+from ambush_planner.planning.trip import plan_trip
+from ambush_planner.recordings import report_data
+from ambush_planner.ros.markers import ambush_sites
+
+
+@pytest.fixture(scope='module', params=[1, 2], ids='{} ambushers'.format)
+def plan(request):
+    """Without a reach, the best ambusher waits at the same places for both legs."""
+    options = PlanningOptions(NetworkOptions(spacing=SPACING),
+                              GameOptions(secured_radius=SECURED, ambushers=request.param))
+    risk_map = risk_map_from_occupancy(occupancy(), 5.0)
+    return plan_trip(risk_map, START, START, options, stops=[GOAL])
+
+
+@pytest.fixture
+def total(plan):
+    """Each place's share of both layers (K,); some places have one in each."""
+    out, back = plan.strategy.ambush_probability.reshape(2, -1)
+    assert ((out > 1e-6) & (back > 1e-6)).sum() > 10
+    return out + back
+
+
+def test_shares_of_places_add_up_to_the_number_of_ambushers(plan, total):
+    np.testing.assert_array_equal(plan.strategy.ambush_at_places, total)
+    assert total.sum() == pytest.approx(plan.strategy.game.ambushers)
+
+
+def test_markers_and_report_show_each_site_once(plan, total):
+    strategy = plan.strategy
+    points = strategy.network.points[: len(total)]
+    (marker,) = deserialize_message(ambush_sites(strategy, header()), MarkerArray).markers
+    np.testing.assert_array_equal([(point.x, point.y) for point in marker.points],
+                                  points[total >= 1e-4 * total.max()])
+    reported, often = report_data._sites(strategy), total > 1e-3 * total.max()
+    np.testing.assert_array_equal(reported[:, :2], points[often])
+    np.testing.assert_allclose(reported[:, 2], total[often] / total.max())
+    words = dict(quantities(strategy))['sites of the best ambusher']
+    assert int(words) == len(plan.bottleneck.sites) == (total > 1e-6).sum()
+
+
+def test_the_layer_of_sites_has_each_once(plan, total):
+    pytest.importorskip('geopandas', reason='routes in files take the extra "gis"')
+    sites = strategy_tables(plan.strategy, plan.risk_map)['sites']
+    assert sites['probability'].sum() == pytest.approx(plan.strategy.game.ambushers)
+    assert len(sites) == (total > 1e-6).sum() and sites.geometry.is_unique
+
+
+def test_pictures_show_each_site_once(plan, total):
+    pytest.importorskip('matplotlib', reason='pictures need matplotlib')
+    from matplotlib.figure import Figure
+
+    from ambush_planner.figures import draw_sites
+
+    axes = Figure().subplots()
+    draw_sites(axes, plan.strategy)
+    places = np.asarray(axes.collections[0].get_offsets())
+    assert len(np.unique(places, axis=0)) == len(places) > 10
