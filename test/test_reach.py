@@ -31,6 +31,7 @@ from ambush_planner.game.entries import entry_value
 from ambush_planner.game.face_program import FaceProgram
 from ambush_planner.game.faces import make_faces
 from ambush_planner.game.game import make_game
+from ambush_planner.game.route_program import solve_on_routes
 from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
 
@@ -230,6 +231,16 @@ def test_chains_give_the_value_over_all_routes_against_several_ambushers(seed, r
         assert found.q.max() <= 1.0 + 1e-9 and found.q.sum() <= ambushers + 1e-9
         worst = np.sort(found.level)[-ambushers:]
         assert worst.sum() >= once * (1.0 - 1e-6)
+
+
+def test_an_ambusher_whom_no_known_route_meets_is_not_counted_elsewhere():
+    """Two ambushers, two sites, and a road past one of them."""
+    network = Network([[0, 0], [2, 0], [4, 0], [2, 9]], [0, 3, 0, 1], [(0, 1), (1, 2)], 0, 2)
+    game = make_game(network, GameOptions(ambush_radius=0.5, ambushers=2))
+    found = solve_on_routes(game, [np.array([0, 1])], (), np.array([0.0, 0.5, 0.5, 1.0]), (),
+                            1e-3, np.inf)
+    assert found.q.tolist() == [0.0, 1.0, 0.0, 1.0]
+    assert found.bound == found.value == pytest.approx(3.0)
 
 
 def test_links_that_cross_have_no_faces():

@@ -103,9 +103,14 @@ def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
 
 
 def capped_at_places(game: Game, q: FloatArray) -> FloatArray:
-    """Cap q (N,), which is 0 but in the first layer, at 1; it sums to the number of ambushers."""
-    count, capped = game.network.place_count, np.zeros(game.node_count)
-    capped[:count] = capped_at_one(q[:count], game.ambushers)
+    """Cap q (N,), which is 0 but at the sites, at 1; it sums to the number of ambushers.
+
+    If there are fewer sites than ambushers, the others are spread over all places.
+    """
+    few = len(game.sites) < game.ambushers
+    among = np.arange(game.network.place_count) if few else game.sites
+    capped = np.zeros(game.node_count)
+    capped[among] = capped_at_one(q[among], game.ambushers)
     return capped
 
 

@@ -19,6 +19,7 @@ from ..arrays import FloatArray, IndexArray
 from ..errors import SolverFailed
 from .best_response import best_response
 from .budget import Budget
+from .flow_program import capped_at_places
 from .game import Game
 
 # Most programs that are solved for one game, and in a row without a better bound.
@@ -124,7 +125,7 @@ def _solve_program(
     duals = np.maximum(-found.ineqlin.marginals, 0.0)
     q = np.zeros(game.node_count)
     q[game.sites[rows]] = np.minimum(duals[: len(rows)], 1.0)
-    q *= k / q.sum()
+    q = capped_at_places(game, q * (k / q.sum()))
     price = iter(duals[len(rows) :])
     prices = tuple(float(next(price)) * unit / b.margin if b.binds else 0.0 for b in budgets)
     return float(found.fun) * unit, found.x[:count], q, prices
