@@ -15,8 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..arrays import FloatArray
 from .acyclic import conserved_strategy
-from .hits import hit_probabilities, hits_can_differ, worst_loss
+from .game import Game
+from .hits import hit_probabilities, hits_can_differ, largest_losses, worst_loss
 from .limit_rows import LimitRows
 from .route_program import solve_on_routes
 from .route_sampler import RouteSampler, route_edges, route_entropy, shortest_route
@@ -36,6 +38,8 @@ LEAST_PROGRESS = 0.01
 NEGLIGIBLE = 1e-9
 # Sites whose entries cost less than this share of the aim keep a limit of one entry per hit.
 NEAR_LIMIT = 0.7
+# Least share of the value that one of several ambushers may cause at a site.
+LEAST_SHARE = 1e-3
 # Hit probabilities below this have no reliable ratio to entries.
 LEAST_HIT = 1e-6
 
@@ -89,24 +93,26 @@ class _Valued(NamedTuple):
 def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Valued]:
     """Repeat the law with limits on entries that follow from the hits of the law before.
 
-    The limits aim at the ``bound``; each time that no law can keep them, half way from there to the
-    least value so far. Ends at a law whose value is within the slack of the bound.
+    The limits aim at the ``bound``, of which each of several ambushers' sites gets a share; each
+    time that no law can keep them, half way from there to the least value so far. Ends at a law
+    whose value is within the slack of the bound.
     """
     game = stage.game
     network = stage.acyclic_part(game, base.p)
     loss, aim = game.loss[game.sites], bound * (1.0 + AIM * stage.slack)
+    share = _shares(game, base.p)
     eased, latest, start = np.ones(len(loss)), base, None
     best = worst_loss(game, base.p)
     found: list[_Valued] = []
     for _ in range(MAX_ROUNDS):
-        entries = game.hits @ latest.p
-        hit, near = entries.copy(), np.flatnonzero(loss * entries > NEAR_LIMIT * aim)
+        entries, level = game.hits @ latest.p, aim * share
+        hit, near = entries.copy(), np.flatnonzero(loss * entries > NEAR_LIMIT * level)
         hit[near] = hit_probabilities(game, latest.p, near)
         ratio = entries / np.maximum(hit, LEAST_HIT)
         ratio[hit <= LEAST_HIT] = 1.0
         if found:
-            eased *= np.minimum(aim / np.maximum(loss * hit, aim), 1.0)
-        limits = LimitRows(game, network, aim * ratio * eased, stage.budgets)
+            eased *= np.minimum(level / np.maximum(loss * hit, level), 1.0)
+        limits = LimitRows(game, network, level * ratio * eased, stage.budgets)
         drawn, law = stage.gibbs_strategy(network, limits, limits.start(start))
         p = None if law.infeasible else mixture(drawn, base.p, stage.within_budgets)
         if time.monotonic() > stage.deadline:
@@ -127,3 +133,15 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
         if gained < LEAST_PROGRESS * missing or missing <= 0.0:
             break
     return found
+
+
+def _shares(game: Game, p: FloatArray) -> FloatArray:
+    """The share (S,) of the value that each site may cause; 1 if there is one ambusher.
+
+    With k ambushers, the k costliest sites keep their shares of the value of p (M,), and all others
+    have the least of these, so that no k sites cause more than the whole.
+    """
+    losses, rows = largest_losses(game, p)
+    share = np.full(len(game.sites), losses[-1])
+    share[rows] = losses
+    return np.asarray(np.maximum(share / losses.sum(), LEAST_SHARE))
