@@ -8,7 +8,7 @@ losses by site and edge: row j of ``D p`` is the mean loss of an ambush at site 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -87,13 +87,19 @@ class Game:
 
     ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
     alpha where an ambush is possible, else 0. On a trip of several legs each place is one site,
-    and its hits add up over the layers.
+    and its hits add up over the layers. ``known_hits`` are the ``hits`` if another game's give
+    them: with a reach, they are slow to find.
     """
 
     network: Network
     options: GameOptions
     playable: BoolArray
     loss: FloatArray
+    known_hits: InitVar[csr_matrix | None] = None
+
+    def __post_init__(self, known_hits: csr_matrix | None) -> None:
+        if known_hits is not None:
+            vars(self)['hits'] = known_hits  # where the cached property looks first
 
     @property
     def reach(self) -> float:
@@ -188,10 +194,8 @@ class Game:
         if not useful[network.source]:
             return None
         kept = usable & useful[network.tails] & useful[network.heads]
-        part = replace(self, playable=frozen_array(kept, np.bool_))
-        if 'hits' in vars(self):  # they are the same, and slow to find with a reach
-            vars(part)['hits'] = self.hits
-        return part
+        return replace(self, playable=frozen_array(kept, np.bool_),
+                       known_hits=vars(self).get('hits'))
 
     def avoiding_all_sites(self) -> Game | None:
         """The game on the edges that no ambush hits; None if no route avoids all ambushes."""
@@ -211,8 +215,8 @@ class Game:
             layer = Network(network.points[:count], network.alpha[:count],
                             network.edges[own] % count, source % count, target % count)
             legs.append(replace(self, network=layer, loss=self.loss[:count],
-                                playable=frozen_array(self.playable[own], np.bool_)))
-            vars(legs[-1])['hits'] = self.hits[:, np.flatnonzero(own)]
+                                playable=frozen_array(self.playable[own], np.bool_),
+                                known_hits=self.hits[:, np.flatnonzero(own)]))
         return legs
 
     def without_sites(self, nodes: BoolArray) -> Game:

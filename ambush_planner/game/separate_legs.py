@@ -26,14 +26,14 @@ def separate_legs(game: Game) -> Game:
     given = game.network
     network = Network(given.points, given.alpha, given.edges, given.source, given.target,
                       seconds=given.seconds)
-    separate = replace(game, network=network)
-    if game.reach > 0.0:
-        layer = given.tails // given.place_count
-        vars(separate)['hits'] = csr_matrix(vstack([
-            game.hits @ diags((layer == leg).astype(np.float64)) for leg in range(given.legs)
-        ]))
-        vars(separate)['hits'].eliminate_zeros()
-    return separate
+    if game.reach == 0.0:
+        return replace(game, network=network)
+    layer = given.tails // given.place_count
+    hits = csr_matrix(vstack([
+        game.hits @ diags((layer == leg).astype(np.float64)) for leg in range(given.legs)
+    ]))
+    hits.eliminate_zeros()
+    return replace(game, network=network, known_hits=hits)
 
 
 def once_at_each_place(game: Game, q: FloatArray) -> FloatArray:
