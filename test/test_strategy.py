@@ -40,8 +40,8 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.cut import uniform_ambusher
+from ambush_planner.game.entropy_stage import Solution
 from ambush_planner.game.route_sampler import route_strategy, shortest_route
-from ambush_planner.game.strategy_solver import Solution
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 DETOURS = (1.0, 1 + 1e-9, 1 + 5e-8, 1.000001, 1.01, 1.05, 1.2, 1.5, 1e4, 1e6, np.inf)

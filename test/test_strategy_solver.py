@@ -29,6 +29,7 @@ from ambush_planner import GameOptions, SolverFailed, StrategyOptions, TimeLimit
 from ambush_planner.game import strategy_solver
 from ambush_planner.game.certificate import certify
 from ambush_planner.game.entries import entry_value
+from ambush_planner.game.entropy_stage import EntropyStage
 from ambush_planner.game.game import make_game
 from ambush_planner.game.limit_rows import LimitRows
 from ambush_planner.game.route_sampler import shortest_route_strategy
@@ -166,7 +167,7 @@ def test_the_certificate_of_the_soft_search_holds(failing_program):
     game = make_game(network, GameOptions(ambush_radius=2.0))
     budgets = make_budgets(game, StrategyOptions())
     least = program_value(network, geometric_hits(network, 2.0), budgets[0].limit)
-    stage = strategy_solver.EntropyStage(game, budgets, 0.01, math.inf, None)
+    stage = EntropyStage(game, budgets, 0.01, math.inf, None)
     solution = max_entropy_strategy(stage)
     found = certify(game, solution.p, solution.q, budgets, solution.prices)
     assert 0.0 < found.bound <= found.value
@@ -181,7 +182,7 @@ def test_without_time_there_is_a_strategy_within_both_budgets(reach):
     game = make_game(network, GameOptions(ambush_radius=reach))
     budgets = make_budgets(game, StrategyOptions(max_detour=1.5, max_exposure=1.02))
     assert not all(budget.keeps(shortest_route_strategy(game)) for budget in budgets)
-    stage = strategy_solver.EntropyStage(game, budgets, 0.01, -math.inf, None)
+    stage = EntropyStage(game, budgets, 0.01, -math.inf, None)
     solution = max_entropy_strategy(stage)
     found = certify(game, solution.p, solution.q, budgets, solution.prices)
     assert 0.0 < found.bound <= found.value
@@ -194,7 +195,7 @@ def test_soft_limits_are_exceeded_by_the_softness_and_the_others_kept(seed, soft
     network = terrain_network(seed, cells=12)
     game = make_game(network, GameOptions(ambush_radius=2.0))
     budgets = make_budgets(game, StrategyOptions(max_detour=1.1))
-    stage = strategy_solver.EntropyStage(game, budgets, 0.01, math.inf, None)
+    stage = EntropyStage(game, budgets, 0.01, math.inf, None)
     part = stage.acyclic_part(game, shortest_route_strategy(game))
     level = np.full(len(game.sites), entry_value(game, shortest_route_strategy(game)) / 2)
     limits = LimitRows(game, part, level, budgets)

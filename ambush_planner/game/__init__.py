@@ -2,6 +2,6 @@
 
 ``game`` has the ambush sites and losses, ``discs`` the edges that enter an ambush's reach.
 ``certificate`` bounds the value from both sides. ``cut`` and ``least_risk`` find the value,
-``gibbs``, ``entropy_search`` and ``strategy_solver`` the most unpredictable strategy that attains
+``gibbs``, ``entropy_search`` and ``entropy_stage`` the most unpredictable strategy that attains
 it. Use ``strategy`` from outside: the record ``Strategy``, its options, and ``solve``.
 """

@@ -17,12 +17,12 @@ import numpy as np
 
 from ..arrays import FloatArray
 from .acyclic import conserved_strategy
+from .entropy_stage import EntropyStage, Solution, mixture
 from .game import Game
 from .hits import hit_probabilities, hits_can_differ, largest_losses, worst_loss
 from .limit_rows import LimitRows
 from .route_program import solve_on_routes
 from .route_sampler import RouteSampler, route_edges, route_entropy, shortest_route
-from .strategy_solver import EntropyStage, Solution, mixture
 
 # Routes drawn from the law that the program over routes begins with.
 SAMPLED_ROUTES = 60

@@ -15,11 +15,11 @@ from . import highs
 from .budget import Budget
 from .cut import solve_by_min_cut, uniform_ambusher
 from .entries import entry_bound, entry_value
+from .entropy_stage import Solution
 from .flow_program import conservation
 from .game import Game
 from .least_risk import PRICES, shortest_route_loss
 from .route_sampler import shortest_route_strategy
-from .strategy_solver import Solution
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult

@@ -3,11 +3,13 @@
 Let a copy of each site wait for each leg, so that a site pays once per leg. The best ambusher of
 that game, all copies of a site added up, causes every trip at least the same loss: a site that he
 holds for one leg may only hit the others as well (docs/theory.md, Proposition 13.1). The game has a
-planar network for each leg, one budget, and no other connection between the legs.
+planar network for each leg, one budget, and no other connection between the legs: without a reach a
+linear program solves it, with one the faces of all legs together.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -15,10 +17,45 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
 from ..arrays import FloatArray
+from ..errors import SolverFailed, TimeLimit
 from ..network.network import Network
+from .budget import Budget
+from .entropy_stage import EntropyStage, Solution
 from .faces import Faces
 from .flow_program import capped_at_one
 from .game import Game
+from .hits import worst_loss
+from .least_risk import LeastRisk, initial_part, least_risk
+
+# Relative gap of the programs here, as a share of the slack.
+GAP = 0.1
+
+
+def along_separate_legs(stage: EntropyStage) -> Solution | None:
+    """A trip without a reach: the ambusher who waits for single legs, and a strategy."""
+    game = stage.game
+    if game.network.legs == 1 or game.reach > 0.0:
+        return None
+    separate = separate_legs(game)
+    found = _by_entries(stage, separate, tuple(replace(b, game=separate) for b in stage.budgets))
+    stage.level_lines = or_by_entries(stage, found.p)
+    q = once_at_each_place(game, found.q)
+    return Solution(stage.level_lines, q, found.prices, stage.evaluations)
+
+
+def or_by_entries(stage: EntropyStage, p: FloatArray) -> FloatArray:
+    """On a trip, p (M,) or the strategy of least value by entries, whichever is better."""
+    if stage.game.network.legs == 1:
+        return p
+    with contextlib.suppress(TimeLimit, SolverFailed):
+        other = _by_entries(stage, stage.game, stage.budgets).p
+        return min(p, other, key=lambda each: worst_loss(stage.game, each))
+    return p
+
+
+def _by_entries(stage: EntropyStage, game: Game, budgets: tuple[Budget, ...]) -> LeastRisk:
+    part = initial_part(game, budgets, stage.potential)
+    return least_risk(game, part, budgets, GAP * stage.slack, stage.program_deadline())
 
 
 def separate_legs(game: Game) -> Game:

@@ -20,13 +20,14 @@ from ..option_checks import check_at_least
 from .budget import Budget
 from .certificate import certify
 from .entries import entry_bound, entry_value
+from .entropy_stage import EntropyStage, Solution
 from .game import Game, GameOptions, make_game
 from .hit_once import count_routes_once
 from .hits import hits_can_differ
 from .limit_rows import Multipliers
 from .linear_program import linear_program_strategy
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .strategy_solver import EntropyStage, Solution, max_entropy_strategy
+from .strategy_solver import max_entropy_strategy
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.

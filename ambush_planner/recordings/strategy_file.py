@@ -11,9 +11,9 @@ import numpy as np
 
 from ..arrays import frozen_array
 from ..game.budget import Budget
+from ..game.entropy_stage import Solution
 from ..game.game import GameOptions, make_game
 from ..game.strategy import Strategy, strategy_from_solution
-from ..game.strategy_solver import Solution
 from ..network.network import Network
 
 STRATEGY_FILE = 'strategy.npz'
