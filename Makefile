@@ -54,7 +54,7 @@ benchmark: $(VENV)/.test
 	$(BIN)/python benchmarks/routes.py
 	$(BIN)/python benchmarks/markers.py
 	$(BIN)/python benchmarks/many.py
-	$(BIN)/python benchmarks/trips.py
+	$(BIN)/python benchmarks/stop_order.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_map_changes.py
 	-$(BIN)/python benchmarks/node_motion.py

@@ -21,7 +21,7 @@ SCRIPTS = {
     'random_games': '--first 57 --count 2',
     'routes': '--maps maze --departures 4 --nodes 1000',
     'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60 --early',
-    'trips': '--spacing 1500',
+    'stop_order': '--nodes 300 --families rough --each 1',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',
