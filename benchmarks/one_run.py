@@ -23,7 +23,13 @@ from families import Problem, draw
 from peers import EntropyProblem, clarabel_entropy, highs
 
 from ambush_planner import GameOptions, Network, NoRoute, TimeLimit, solve
-from ambush_planner.game import entropy_stage, separate_legs, soft_search, strategy_solver
+from ambush_planner.game import (
+    entropy_stage,
+    face_program,
+    separate_legs,
+    soft_search,
+    strategy_solver,
+)
 from ambush_planner.game import strategy as whole_solve
 
 Answer = dict[str, Any]
@@ -31,6 +37,8 @@ Answer = dict[str, Any]
 STAGES = (
     (strategy_solver, 'least_risk_by_cut', 'cut'),
     (soft_search, 'least_risk_by_cut', 'cut'),
+    (entropy_stage, 'chain_ambusher', 'chain'),
+    (face_program.FaceProgram, 'solve', 'faces'),
     (strategy_solver, 'least_risk', 'program'),
     (separate_legs, 'least_risk', 'program'),
     (entropy_stage, 'maximize_entropy', 'law'),

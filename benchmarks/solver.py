@@ -35,7 +35,7 @@ SHIFT = 1.0  # s, of the geometric means
 SAME_VALUE, SAME_ENTROPY = 1e-5, 1e-2
 # The first usable strategy: time limit as a share of the whole solve's time, least limit [s], gap.
 EARLY, LEAST_EARLY, USABLE = 0.1, 0.2, 0.1
-STAGES = ('cut', 'program', 'law', 'once', 'certificate')
+STAGES = ('cut', 'chain', 'faces', 'program', 'law', 'once', 'certificate')
 
 Answer = dict[str, Any]
 
