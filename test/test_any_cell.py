@@ -107,6 +107,35 @@ def test_on_a_changed_map_no_cell_costs_more_than_the_value():
     assert 0 < raised < 12
 
 
+def test_on_a_changed_map_ambushers_in_obstacles_cost_what_the_nearest_free_cell_does():
+    """Also those in obstacles that were there before, have appeared or have gone."""
+    rng, occupancy = np.random.default_rng(4), OccupancyOptions()
+    values = rng.integers(0, 60, (20, 26), dtype=np.int8)
+    values[rng.random(values.shape) < 0.06] = 100
+    values[8:13, [1, 2, 3, 4, -5, -4, -3, -2]] = 0
+    game = GameOptions(2.0, ambush_in_obstacles=True)
+    plan = plan_trip(risk_map_from_occupancy(values, 1.0), (3.5, 10.5), (22.5, 10.5),
+                     replace(OPTIONS, game=game))
+    ground = ChangedGround(plan, OccupancyMap(values, 1.0), occupancy)
+    strategy, compared = plan.strategy, 0
+    for _ in range(60):
+        now = values.copy()
+        where = rng.integers(0, 20, 2), rng.integers(6, 20, 2)
+        now[where] = rng.choice([100, 99, 30], 2)
+        assessment = ground.assess(OccupancyMap(now, 1.0))
+        if assessment.clear_share < 1.0:
+            continue
+        risk_map = risk_map_from_occupancy(now, 1.0)
+        hidden = RiskMap(risk_map.nearest_free_alpha(), np.zeros(now.shape, bool), 1.0)
+        worst = losses_at_cells(hidden, strategy, strategy.game.options.held_radius).max()
+        assert assessment.lower_bound <= worst * (1.0 + 1e-9)
+        assert worst <= assessment.value * (1.0 + 1e-9)
+        # A node may be at a worse place than the centre of its cell.
+        assert assessment.value == strategy.value or assessment.value < 1.02 * worst
+        compared += 1
+    assert compared > 10
+
+
 @pytest.mark.parametrize('changes', [0, 1, 30, 400])
 def test_losses_follow_the_changes_of_a_map(changes):
     rng, options, latest = np.random.default_rng(changes), OccupancyOptions(), LatestLosses()

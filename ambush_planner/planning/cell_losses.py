@@ -54,6 +54,10 @@ class CellLosses:
         column, row = np.clip(np.floor(uv).astype(np.int64), 0, np.array(shape) - 1).T
         return np.where(inside, loss[row, column], 0.0)
 
+    def in_cells(self, cells: IndexArray) -> FloatArray:
+        """The losses (K,) at cells (K, 2) = (row, column)."""
+        return np.asarray(self._largest[1][tuple(cells.T)])
+
     def change(self, cells: IndexArray, alpha: FloatArray) -> None:
         """Set the losses (K,) of some cells (K, 2) = (row, column)."""
         self._largest[1][tuple(cells.T)] = alpha
@@ -142,26 +146,27 @@ class LatestLosses:
     """The losses at the cells of the latest map: those of the one before with the changes since."""
 
     def __init__(self) -> None:
-        self._latest: tuple[OccupancyMap, OccupancyOptions, CellLosses] | None = None
+        self._latest: tuple[OccupancyMap, tuple[OccupancyOptions, bool], CellLosses] | None = None
 
     def on(self, grid: OccupancyMap, options: OccupancyOptions, in_obstacles: bool) -> CellLosses:
         """Return the losses on a map, which hold until the next call."""
-        if in_obstacles:  # a change of one cell can change many
-            return CellLosses(_risk(grid, options), True)
+        read = options, in_obstacles
+        # With ambushers in obstacles, a change of one cell can change the losses of many.
+        most = 0.0 if in_obstacles else _MOST_CHANGED * grid.values.size
         if self._latest is not None:
             last, read_by, losses = self._latest
-            at = _changed(last, grid) if options == read_by else None
-            if at is not None and len(at) <= _MOST_CHANGED * grid.values.size:
+            at = _changed(last, grid) if read == read_by else None
+            if at is not None and len(at) <= most:
                 if len(at):
                     rows, columns = np.divmod(at, grid.values.shape[1])
                     some = replace(grid, values=grid.values[rows, columns][None, :])
                     risk = _risk(some, options)
                     losses.change(np.stack((rows, columns), axis=1),
                                   np.where(risk.obstacles, 0.0, risk.alpha)[0])
-                self._latest = grid, options, losses
+                self._latest = grid, read, losses
                 return losses
-        losses = CellLosses(_risk(grid, options), False)
-        self._latest = grid, options, losses
+        losses = CellLosses(_risk(grid, options), in_obstacles)
+        self._latest = grid, read, losses
         return losses
 
 

@@ -105,6 +105,8 @@ class ChangedGround:
         self._uv = _map_axes(planned_on, network.points)
         self._used = np.flatnonzero(plan.strategy.edge_probability > 0.0)
         self._segments = _Segments(*(self._uv[network.edges[:, k]] for k in (0, 1)))
+        # Whether an ambusher can hide in an obstacle, at the loss of the nearest free cell.
+        self._hiding = plan.strategy.game.reach > 0.0 and plan.options.game.ambush_in_obstacles
         self._cells = self._cells_of_nodes()
         self._latest: Comparison | None = None
 
@@ -245,15 +247,16 @@ class ChangedGround:
             return at_sites
         now, before = newest.values.ravel(), planned_on.values.ravel()
         changed = np.flatnonzero(now != before)
-        # An ambusher in a cell that has become an obstacle still counts.
-        changed = changed[~_obstacles(now[changed], self._occupancy)]
+        if not self._hiding:
+            # An ambusher in a cell that has become an obstacle still counts.
+            changed = changed[~_obstacles(now[changed], self._occupancy)]
         other = len(changed) > 0
         if on_others and not other:
             return at_sites
         cells = self._cell_losses.on(newest if other else planned_on, self._occupancy,
-                                     options.game.ambush_in_obstacles)
+                                     self._hiding)
         among = None
-        if on_others and not options.game.ambush_in_obstacles:
+        if on_others and not self._hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
         worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution,
                             among)
@@ -283,11 +286,14 @@ class ChangedGround:
 
     def _losses(self, grid: OccupancyMap, cells: _Cells) -> FloatArray:
         """Return alpha (N,) of nodes that lie in these ``cells`` of a map."""
-        values = grid.values[cells[:, 1], cells[:, 0]][None, :]
-        risk_map = risk_map_from_occupancy(values, 1.0, options=self._occupancy)
-        alpha: FloatArray = risk_map.alpha[0].copy()
-        network = self.plan.network
-        alpha[network.ends] = 0.0
+        if self._hiding:
+            losses = self._cell_losses.on(grid, self._occupancy, True)
+            alpha = losses.in_cells(cells[:, ::-1])
+        else:
+            values = grid.values[cells[:, 1], cells[:, 0]][None, :]
+            risk_map = risk_map_from_occupancy(values, 1.0, options=self._occupancy)
+            alpha = risk_map.alpha[0].copy()
+        alpha[self.plan.network.ends] = 0.0
         return alpha
 
     def _cells_of_nodes(self) -> _Cells:
