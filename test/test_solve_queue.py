@@ -154,6 +154,16 @@ def test_a_request_overtakes_a_running_background_solve(queue):
     assert queue.cancel() == 2 and later.exception(TIMEOUT) and newer.exception(TIMEOUT)
 
 
+def test_a_request_that_shares_a_waiting_background_solve_overtakes_the_running_one(queue):
+    background = submit(queue, 'background', slow_request(), background=True)
+    begun(queue)
+    newer = submit(queue, 'newer', request(), background=True)
+    asked = submit(queue, 'newer', request())
+    assert asked is newer and asked.result(TIMEOUT), 'long before the other one'
+    with pytest.raises(SolveCancelled, match='a newer map'):
+        background.result(TIMEOUT)
+
+
 def test_a_spare_worker_takes_the_place_of_one_that_is_killed(queue):
     submit(queue, 'first', request()).result(TIMEOUT)
     wait_until(lambda: queue._spare, 'the spare worker')

@@ -95,6 +95,8 @@ class SolveQueue(Generic[_Result]):
             if solve is not None:
                 solve.lasting = solve.lasting or background
                 solve.waiters += not background
+                if not background:
+                    self._overtake_background()
                 return solve.outcome
             superseded = self._drop_background() if background else []
             waiting = sum(not each.background for each in self._waiting.values())
@@ -230,7 +232,7 @@ class SolveQueue(Generic[_Result]):
         with self._condition:
             self._running = None
             if solve.overtaken and result is None and not solve.cancelled:
-                newer = any(each.background for each in self._waiting.values())
+                newer = any(each.lasting for each in self._waiting.values())
                 if not (solve.background and newer):
                     solve.overtaken, self._waiting[solve.key] = False, solve
                     return
