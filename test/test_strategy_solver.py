@@ -26,11 +26,12 @@ from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, SolverFailed, StrategyOptions, TimeLimit, solve
-from ambush_planner.game import strategy_solver
+from ambush_planner.game import face_program, strategy_solver
 from ambush_planner.game.certificate import certify
 from ambush_planner.game.entries import entry_value
 from ambush_planner.game.entropy_stage import EntropyStage
 from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.limit_rows import LimitRows
 from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.game.strategy import make_budgets
@@ -186,6 +187,22 @@ def test_without_time_there_is_a_strategy_within_both_budgets(reach):
     solution = max_entropy_strategy(stage)
     found = certify(game, solution.p, solution.q, budgets, solution.prices)
     assert 0.0 < found.bound <= found.value
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_a_program_that_is_cut_short_does_not_replace_a_better_first_strategy(seed, monkeypatch):
+    network = terrain_network(seed, cells=20)
+    game = make_game(network, GameOptions(ambush_radius=2.0))
+    budgets = make_budgets(game, StrategyOptions(max_detour=1.05))
+    monkeypatch.setattr(strategy_solver.EntropyStage, 'in_a_hurry', True)
+    monkeypatch.setattr(strategy_solver, 'STRIPS', (1.0,))
+    monkeypatch.setattr(face_program, 'MAX_ROUNDS', 1)
+    stage = strategy_solver.EntropyStage(game, budgets, 0.01, math.inf, None)
+    solution = max_entropy_strategy(stage)
+    assert stage.level_lines is not None
+    first = stage.laws[-1]
+    assert worst_loss(game, solution.p) <= worst_loss(game, first.p)
+    assert stage.hit_bound(solution.q, solution.prices) >= stage.hit_bound(first.q, first.prices)
 
 
 @examples(6)

@@ -26,6 +26,7 @@ from .faces import Faces, make_faces
 from .flow_program import capped_at_places
 from .game import Game
 from .gibbs import AcyclicNetwork
+from .hits import worst_loss
 from .least_risk import LeastRisk, without_excessive_sites
 from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
 
@@ -83,8 +84,8 @@ class EntropyStage:
         self.evaluations = 0
         # Searched so far, whether or not they keep the limits.
         self.laws: list[Solution] = []
-        # The last ambusher that hit_bound judged, and the bound.
-        self._judged: tuple[FloatArray, tuple[float, ...], float] | None = None
+        # The ambushers that hit_bound judged, and the bounds.
+        self._judged: list[tuple[FloatArray, tuple[float, ...], float]] = []
         # An optimal flow (M,) that one law of its edges may not attain, see ``least_on_faces``.
         self.level_lines: FloatArray | None = None
 
@@ -137,10 +138,18 @@ class EntropyStage:
         return Chain(bound, q, found.level * (bound / found.value))
 
     def hit_bound(self, q: FloatArray, prices: tuple[float, ...]) -> float:
-        """The certificate's bound by an ambusher's strategy q (N,); the last one is remembered."""
-        if not self._judged or self._judged[0] is not q or self._judged[1] != prices:
-            self._judged = q, prices, hit_bound(self.game, q, self.budgets, prices)
-        return self._judged[2]
+        """The certificate's bound by an ambusher's strategy q (N,); it is remembered."""
+        for judged, at, bound in self._judged:
+            if judged is q and at == prices:
+                return bound
+        self._judged.append((q, prices, hit_bound(self.game, q, self.budgets, prices)))
+        return self._judged[-1][2]
+
+    def best_of(self, *found: Solution) -> Solution:
+        """The strategy of least value, with the ambusher of the greatest bound."""
+        best = min(found, key=lambda each: worst_loss(self.game, each.p))
+        proof = max(found, key=lambda each: self.hit_bound(each.q, each.prices))
+        return replace(best, q=proof.q, prices=proof.prices)
 
     def law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],
             q: FloatArray, prices: tuple[float, ...]) -> Solution:

@@ -57,8 +57,7 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     if first and time.monotonic() > stage.deadline:
         return first
     if not loose and (found := along_level_lines(stage)):
-        # If they were cut short, the better of the two is chosen later.
-        return first if first and time.monotonic() > stage.deadline else found
+        return stage.best_of(found, first) if first else found
     try:
         if found := along_separate_legs(stage):
             return found
