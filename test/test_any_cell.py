@@ -6,10 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from games import ground, hit_once, may_wait, meets
+from games import ground, hit_once, may_wait, meets, terrain_network
 from scipy.optimize import linprog
 
-from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    StrategyOptions,
+    solve,
+)
 from ambush_planner.game.certificate import certify
 from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
@@ -21,6 +28,7 @@ from ambush_planner.maps.occupancy import (
 from ambush_planner.planning.cell_losses import CellLosses, LatestLosses
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
+from ambush_planner.planning.solving import _proved_by
 from ambush_planner.planning.trip import plan_trip
 
 SPACING = 1.3
@@ -174,3 +182,19 @@ def test_value_and_bound_of_different_rounds_make_one_certificate(door):
     assert strategy.value == certified.value == pytest.approx(1.0)
     assert strategy.lower_bound == certified.bound == pytest.approx(1.0)
     assert strategy.gap == strategy.value - strategy.lower_bound
+
+
+def test_a_bound_from_another_round_allows_for_how_far_rounding_puts_the_strategy_over_its_budget():
+    network, game = terrain_network(3, cells=14), GameOptions(2.0)
+    short, long = (solve(network, game, StrategyOptions(max_detour=detour))
+                   for detour in (1.05, np.inf))
+    budget, p = short.length_budget, short.edge_probability
+    over = budget * (1.0 + 4e-7) - short.expected_length
+    p = p + over / (long.expected_length - short.expected_length) * (long.edge_probability - p)
+    options = replace(OPTIONS, game=game, strategy=StrategyOptions(max_detour=1.05))
+    proved = _proved_by(replace(short, edge_probability=p), short, options)
+    certified = certify(proved.game, p, proved.ambush_probability,
+                        make_budgets(proved.game, options.strategy),
+                        (proved.length_price, proved.exposure_price))
+    assert (proved.value, proved.lower_bound) == (certified.value, certified.bound)
+    assert 0.0 < proved.lower_bound < short.lower_bound

@@ -10,11 +10,18 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
+from ..game.certificate import certify
 from ..game.game import Game, GameOptions, make_game
 from ..game.hits import worst_loss
 from ..game.limit_rows import Multipliers
 from ..game.revaluation import open_gap
-from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, StrategyOptions, solve
+from ..game.strategy import (
+    CERTIFICATE_TOLERANCE,
+    Strategy,
+    StrategyOptions,
+    make_budgets,
+    solve,
+)
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import on_places, with_hiding_places, with_places
 from ..network.network import Network
@@ -92,7 +99,9 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
             late = error
     best = min(found, key=lambda each: each.value)
     proof = max(found, key=lambda each: each.lower_bound)
-    return _within_max_gap(_proved_by(best, proof, options), late, options)
+    if proof is not best:
+        best = _proved_by(best, proof, options)
+    return _within_max_gap(best, late, options)
 
 
 def holds_anywhere(game: Game | GameOptions, options: PlanningOptions) -> bool:
@@ -159,13 +168,17 @@ def _proved_by(strategy: Strategy, proof: Strategy, options: PlanningOptions) ->
     legs, p = strategy.network.legs, strategy.edge_probability
     larger = proof if count > 0 else strategy
     none = np.zeros(max(-count, 0) // legs)
+    q, prices = (on_places(proof.network, proof.ambush_probability, none),
+                 (proof.length_price, proof.exposure_price))
+    # The bound also depends on how far rounding puts p over its budgets.
+    budgets = make_budgets(larger.game, options.strategy)
+    certificate = certify(larger.game, p, q, budgets, prices)
     proved = replace(
-        strategy, game=larger.game, lower_bound=proof.lower_bound,
-        gap=strategy.value - proof.lower_bound, length_price=proof.length_price,
-        exposure_price=proof.exposure_price,
+        strategy, game=larger.game, value=certificate.value, lower_bound=certificate.bound,
+        gap=certificate.value - certificate.bound, length_price=prices[0],
+        exposure_price=prices[1],
         visit_probability=frozen_array(larger.game.visits(p), np.float64),
-        ambush_probability=frozen_array(
-            on_places(proof.network, proof.ambush_probability, none), np.float64),
+        ambush_probability=frozen_array(q, np.float64),
         multipliers=_extended(strategy, max(count, 0) // legs),
     )
     return replace(proved, counting_gap=proved.counting_gap
