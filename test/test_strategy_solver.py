@@ -26,7 +26,7 @@ from route_entropy import most_route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, SolverFailed, StrategyOptions, TimeLimit, solve
-from ambush_planner.game import face_program, strategy_solver
+from ambush_planner.game import face_program, least_on_faces, strategy_solver
 from ambush_planner.game.certificate import certify
 from ambush_planner.game.entries import entry_value
 from ambush_planner.game.entropy_stage import EntropyStage
@@ -194,10 +194,10 @@ def test_a_program_that_is_cut_short_does_not_replace_a_better_first_strategy(se
     network = terrain_network(seed, cells=20)
     game = make_game(network, GameOptions(ambush_radius=2.0))
     budgets = make_budgets(game, StrategyOptions(max_detour=1.05))
-    monkeypatch.setattr(strategy_solver.EntropyStage, 'in_a_hurry', True)
-    monkeypatch.setattr(strategy_solver, 'STRIPS', (1.0,))
+    monkeypatch.setattr(EntropyStage, 'in_a_hurry', True)
+    monkeypatch.setattr(least_on_faces, 'STRIPS', (1.0,))
     monkeypatch.setattr(face_program, 'MAX_ROUNDS', 1)
-    stage = strategy_solver.EntropyStage(game, budgets, 0.01, math.inf, None)
+    stage = EntropyStage(game, budgets, 0.01, math.inf, None)
     solution = max_entropy_strategy(stage)
     assert stage.level_lines is not None
     first = stage.laws[-1]
