@@ -135,7 +135,7 @@ def draw_ends(axes: Axes, strategy: Strategy) -> None:
     for node, marker, size, name in marks:
         x, y = network.points[node]
         axes.scatter(x, y, s=size, marker=marker, color=colours.ENDS, edgecolors='black', zorder=7)
-        axes.annotate(name, (x, y), xytext=(0, -10), textcoords='offset points', ha='center',
+        axes.annotate(name, (x, y), xytext=(-4, -8), textcoords='offset points', ha='left',
                       va='top', weight='bold', path_effects=HALO, zorder=8)
         if radius > 0.0:
             axes.add_patch(Circle((x, y), radius, fill=False, edgecolor='black', linewidth=1.2,

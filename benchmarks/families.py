@@ -1,6 +1,6 @@
 """Families of random problems, each drawn from a seed: map, start, goal, reach and detour.
 
-A problem's name is ``family:nodes:seed``. A family leaves no choice to whoever measures: losses,
+A problem's name is ``family:nodes:seed``. Nothing in a family is chosen by hand: losses,
 obstacles, reach, detour and places are drawn, and held ground is 3 % of the map's width. On trips,
 each stop adds a layer to the network, and all layers together have about ``nodes`` nodes.
 """

@@ -120,7 +120,7 @@ def test_the_numbers_are_those_of_the_strategy(made, a_plan):
     strategy = a_plan.strategy
     assert f'mean loss of more than {strategy.value:.4f} per departure' in page.text
     assert f'guarantee less than {strategy.lower_bound:.4f} on this network' in page.text
-    assert 'No ambusher who waits more than 40 m from start and goal' in page.text
+    assert 'No ambusher more than 40 m from start and goal' in page.text
     assert 'Nobody can wait within 40 m of start and goal: if that ground is not' in page.text
     assert f'{strategy.route_entropy:.4g} nats' in page.text
     for row, cells in zip(evaluate(strategy).values(),

@@ -1,4 +1,4 @@
-"""Trips by way of stops: laws, a trip solved by hand, a program over all legs, all orders."""
+"""Trips with stops: laws, a trip solved by hand, a program over all legs, all orders."""
 
 import itertools
 import math

@@ -35,7 +35,7 @@ def certificate(section: Section) -> list[str]:
     strategy = section.strategy
     held = strategy.game.options.held_radius
     ends = 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
-    outside = f' who waits more than {distance(held)} from {ends}' if held > 0.0 else ''
+    outside = f' more than {distance(held)} from {ends}' if held > 0.0 else ''
     length = ('' if strategy.length_budget == math.inf else
               f' with an expected length of at most {travel(strategy, strategy.length_budget)}')
     gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0

@@ -148,15 +148,10 @@ class _Labels:
 
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
         """Whether another label costs no more even if it pays for the sites that it lacks."""
-        known, loss = self._losses, self._loss
         for least, theirs in others:
-            lacking = met & ~theirs
-            if not lacking:
-                if least <= cost:
-                    return True
-            elif least <= cost:
-                more = known.get(lacking)
-                if least + (loss(lacking) if more is None else more) <= cost:
+            if least <= cost:
+                lacking = met & ~theirs
+                if not lacking or least + self._loss(lacking) <= cost:
                     return True
         return False
 

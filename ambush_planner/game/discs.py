@@ -1,7 +1,7 @@
 """Ambushes with a reach: held ground, and the edges that bring a route into a site's disc.
 
-Held ground protects who drives in it: only the exposed part of an edge, outside held ground, can be
-hit.
+Held ground protects convoys inside it: only the exposed part of an edge, outside held ground, can
+be hit.
 """
 
 from __future__ import annotations

@@ -156,7 +156,7 @@ class FaceProgram:
         return 2 * len(higher)
 
     def _level_lines(self, potential: FloatArray, ambush: FloatArray) -> LevelLines:
-        """p of a potential (F,); q and price of the flow through the pairs, per unit of loss."""
+        """p of a potential (F,); q and price from what flows through each entry over its loss."""
         game, total = self.faces.game, float(ambush.sum())
         p = _flow(self.faces, potential)
         if self.value <= self.least or not total > 0.0:

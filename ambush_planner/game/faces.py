@@ -29,7 +29,7 @@ class Faces:
     link : (M,)
         The link of each edge; -1 where it is not playable.
     left, right : (K,)
-        Faces beside each link, seen from its lower node.
+        Faces on either side of each link, seen from its lower node.
     crossed : (K,)
         1 or -1 where the reference route drives the link from or to its lower node, else 0.
     outer : int
@@ -57,8 +57,8 @@ class Faces:
         """(S, F) bool: the faces on the rim of each site's reach."""
         links = len(self.left)
         places = np.tile(np.arange(links), 2), np.concatenate((self.left, self.right))
-        beside = csr_matrix((np.ones(2 * links, bool), places), (links, self.count))
-        touched = csr_matrix(self.rims @ beside)
+        sides = csr_matrix((np.ones(2 * links, bool), places), (links, self.count))
+        touched = csr_matrix(self.rims @ sides)
         touched.sort_indices()
         return touched
 

@@ -32,7 +32,7 @@ GAP = 0.1
 
 
 def along_separate_legs(stage: EntropyStage) -> Solution | None:
-    """A trip without a reach: the ambusher who waits for single legs, and a strategy."""
+    """On a trip without a reach: the best ambusher of the separate legs, and a strategy."""
     game = stage.game
     if game.network.legs == 1 or game.reach > 0.0:
         return None

@@ -109,8 +109,8 @@ def viewshed(elevation: Elevation, options: ViewOptions | None = None,
 
     ``progress`` is called with the completed share of the work.
 
-    Raises InvalidTerrain if the weapon range is shorter than a cell, or so many cells long
-    that the grid, widened by it, would not fit in memory.
+    Raises InvalidTerrain if the weapon range is shorter than a cell, or if the grid, widened by
+    the weapon range, would not fit in memory.
     """
     options = options or ViewOptions()
     rays = make_rays(options.weapon_range / elevation.resolution, options.rays)

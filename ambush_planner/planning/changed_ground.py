@@ -248,7 +248,8 @@ class ChangedGround:
         now, before = newest.values.ravel(), planned_on.values.ravel()
         changed = np.flatnonzero(now != before)
         if not self._hiding:
-            # An ambusher in a cell that has become an obstacle still counts.
+            # Cells that have become obstacles hide nobody. If only such cells have changed, all
+            # ambushers of the planned map count, so that its losses need not be computed again.
             changed = changed[~_obstacles(now[changed], self._occupancy)]
         other = len(changed) > 0
         if on_others and not other:
