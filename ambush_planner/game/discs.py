@@ -41,46 +41,53 @@ def _ends(network: Network) -> FloatArray:
     return network.points[np.unique(network.ends % network.place_count)]
 
 
-def entering_edges(network: Network, centres: FloatArray, reach: float, held: float,
-                   edges: IndexArray | None = None) -> csr_matrix:
-    """(K, M) 0/1: edges that bring a route into the discs of radius ``reach`` round the centres.
+class ExposedEdges:
+    """Edges, by default all, where a convoy is exposed, to be compared with discs.
 
     Routes are exposed further than ``held`` [m] from source, stops and target; everywhere if it is
-    not positive. An edge counts if its exposed part meets the disc, unless the edge before it has
-    brought the route there. A route is hit exactly if it uses one of the row's edges; the sum of
-    the row along the route is the number of times that the route enters the disc. ``edges``
-    restricts the columns that are filled.
+    not positive.
     """
-    edges = np.arange(len(network.edges)) if edges is None else edges
-    parts = _exposed_parts(network, edges, held)
-    # By a margin, so that the edge before an exposed node certainly has an exposed part there.
-    exposed = np.ones(len(network.points), bool)
-    if held > 0.0:
-        exposed = ~near_ends(network, held * (1.0 + _ROUNDING))
-    exposed[network.source] = False  # no edge before it
-    tails = network.tails[parts.edge]
-    from_exposed = exposed[tails]
-    at_tail = from_exposed & (parts.begin == network.points[tails]).all(axis=1)
-    length = np.hypot(*(parts.end - parts.begin).T)
-    begins = _begins(parts, length, at_tail)
-    shape = (len(centres), len(network.edges))
-    rows = [csr_matrix((0, shape[1]))]
-    for first in range(0, len(centres), _CENTRES_AT_ONCE):
-        some = centres[first : first + _CENTRES_AT_ONCE]
-        part, site = _close_pairs(begins, some, reach, length, at_tail)
-        begin, end = parts.begin[part] - some[site], parts.end[part] - some[site]
-        before = from_exposed[part]
-        before &= inside(network.points[tails[part]] - some[site], reach)
-        enters = inside(begin, reach) | inside(end, reach)
-        others = np.flatnonzero(~enters)
-        enters[others] = _crosses(begin[others], end[others], reach)
-        enters &= ~before
-        ones = np.ones(int(enters.sum()))
-        places = site[enters], parts.edge[part[enters]]
-        rows.append(csr_matrix((ones, places), (len(some), shape[1])))
-    found = csr_matrix(vstack(rows))
-    found.data[:] = 1.0  # several exposed parts of one edge
-    return found
+
+    def __init__(self, network: Network, held: float, edges: IndexArray | None = None) -> None:
+        edges = np.arange(len(network.edges)) if edges is None else edges
+        self._count = len(network.edges)
+        self._parts = parts = _exposed_parts(network, edges, held)
+        # By a margin, so that the edge before an exposed node certainly has an exposed part there.
+        exposed = np.ones(len(network.points), bool)
+        if held > 0.0:
+            exposed = ~near_ends(network, held * (1.0 + _ROUNDING))
+        exposed[network.source] = False  # no edge before it
+        tails = network.tails[parts.edge]
+        self._tails, self._from_exposed = network.points[tails], exposed[tails]
+        self._at_tail = self._from_exposed & (parts.begin == self._tails).all(axis=1)
+        self._length = np.hypot(*(parts.end - parts.begin).T)
+        self._begins = _begins(parts, self._length, self._at_tail)
+
+    def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
+        """(K, M) 0/1: edges that bring a route into the discs of radius ``reach`` [m].
+
+        An edge counts if its exposed part meets the disc, unless the edge before it has brought the
+        route there. A route is hit exactly if it uses one of the row's edges; the sum of the row
+        along the route is the number of times that the route enters the disc.
+        """
+        parts = self._parts
+        rows = [csr_matrix((0, self._count))]
+        for first in range(0, len(centres), _CENTRES_AT_ONCE):
+            some = centres[first : first + _CENTRES_AT_ONCE]
+            part, site = _close_pairs(self._begins, some, reach, self._length, self._at_tail)
+            begin, end = parts.begin[part] - some[site], parts.end[part] - some[site]
+            before = self._from_exposed[part]
+            before &= inside(self._tails[part] - some[site], reach)
+            enters = inside(begin, reach) | inside(end, reach)
+            others = np.flatnonzero(~enters)
+            enters[others] = _crosses(begin[others], end[others], reach)
+            enters &= ~before
+            ones = np.ones(int(enters.sum()))
+            places = site[enters], parts.edge[part[enters]]
+            rows.append(csr_matrix((ones, places), (len(some), self._count)))
+        found = csr_matrix(vstack(rows))
+        found.data[:] = 1.0  # several exposed parts of one edge
+        return found
 
 
 class _Parts(NamedTuple):

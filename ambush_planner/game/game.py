@@ -20,7 +20,7 @@ from ..errors import InvalidOption, NoRoute
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole
-from .discs import entering_edges, near_ends
+from .discs import ExposedEdges, near_ends
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class Game:
         These are the edges into the node if the radius is 0, else those that enter the disc.
         """
         if self.reach > 0.0:
-            return self.hits_from(self.network.points[self.sites])
+            return self.exposed().entering(self.network.points[self.sites], self.reach)
         site_of = np.full(self.network.place_count, -1)
         site_of[self.sites] = np.arange(len(self.sites))
         site = site_of[self.network.places[self.network.heads]]
@@ -137,14 +137,9 @@ class Game:
         shape = (len(self.sites), len(self.network.edges))
         return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
 
-    def hits_from(self, centres: FloatArray, edges: IndexArray | None = None,
-                  wider: float = 0.0) -> csr_matrix:
-        """(K, M) 0/1: the edges, default all, that bring a route into reach of the centres.
-
-        The reach can be ``wider`` by some metres.
-        """
-        held = self.options.held_radius - self.options.tube
-        return entering_edges(self.network, centres, self.reach + wider, held, edges)
+    def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
+        """The parts of edges, by default all, outside held ground."""
+        return ExposedEdges(self.network, self.options.held_radius - self.options.tube, edges)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""

@@ -8,6 +8,7 @@ of them is hit. A block whose largest loss, times these entries, is not above th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
 from typing import NamedTuple
@@ -15,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from ..game.discs import near_ends
+from ..game.discs import ExposedEdges, near_ends
 from ..game.game import Game
 from ..game.hits import RouteHits
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
@@ -74,51 +75,55 @@ class CellLosses:
         The first one is the worst of all cells. Of each square of side ``apart`` [m], at most one
         cell is returned, the one with the largest bound. Without ``among`` (K, 2) all cells count.
         """
+        used = game.exposed(np.flatnonzero(p > 0.0))
         side = 1
         while among is None and side * _DIVISION * self._resolution <= game.reach:
             side *= _DIVISION
         losses = self._loss_of_blocks(side)
         blocks = np.argwhere(losses > above) if among is None else among[
             losses[tuple(among.T)] > above]
-        bound = self._entries(game, p, blocks, side)
+        bound = self._bounds(game, used, p, blocks, side)
         while side > 1:
             blocks = self._divided(blocks[bound > above], side)
             side //= _DIVISION
-            bound = self._entries(game, p, blocks, side)
+            bound = self._bounds(game, used, p, blocks, side)
         points = self._centres(blocks, 1)
         bound[near_ends(game.network, game.options.held_radius, points)] = 0.0
         order = np.argsort(-bound, kind='stable')[: np.count_nonzero(bound > above)]
-        return self._exact(game, p, blocks[order], bound[order], above, apart)
+        routes = RouteHits(game.network, p)
 
-    def _exact(self, game: Game, p: FloatArray, cells: IndexArray, bound: FloatArray,
+        def hit(points: FloatArray) -> FloatArray:
+            return routes.probability(used.entering(points, game.reach))
+
+        return self._exact(hit, blocks[order], bound[order], above, apart)
+
+    def _exact(self, hit: Callable[[FloatArray], FloatArray], cells: IndexArray, bound: FloatArray,
                above: float, apart: float) -> Places:
         """Mean losses, each route counted once, of cells (K, 2) ordered by their bounds (K,)."""
         points, alpha = self._centres(cells, 1), self._loss_of_blocks(1)[tuple(cells.T)]
         if not len(cells):
             return Places(points, alpha, np.zeros(0))
-        used = np.flatnonzero(p > 0.0)
-        hits, losses = RouteHits(game.network, p), np.zeros(len(cells))
+        losses = np.zeros(len(cells))
         squares = np.floor(cells * self._resolution / apart).astype(np.int64)
         _, first = np.unique(squares, axis=0, return_index=True)
         chosen = np.sort(first)
-        losses[chosen] = alpha[chosen] * hits.probability(game.hits_from(points[chosen], used))
+        losses[chosen] = alpha[chosen] * hit(points[chosen])
         done, best = 0, max(above, losses.max(initial=0.0))
         while done < len(cells) and bound[done] > best:
             rows = np.arange(done, min(done + _AT_ONCE, len(cells)))
-            losses[rows] = alpha[rows] * hits.probability(game.hits_from(points[rows], used))
+            losses[rows] = alpha[rows] * hit(points[rows])
             done, best = done + _AT_ONCE, max(best, losses[rows].max())
         found = np.union1d(chosen, np.argmax(losses)) if len(cells) else chosen
         found = found[losses[found] > above]
         found = found[np.argsort(-losses[found], kind='stable')]
         return Places(points[found], alpha[found], losses[found])
 
-    def _entries(self, game: Game, p: FloatArray, blocks: IndexArray, side: int) -> FloatArray:
+    def _bounds(self, game: Game, used: ExposedEdges, p: FloatArray, blocks: IndexArray,
+                side: int) -> FloatArray:
         """Upper bounds (K,) of the mean losses at all cells of the blocks (K, 2)."""
-        used = np.flatnonzero(p > 0.0)
-        wider = (side - 1) * self._resolution / np.sqrt(2.0)
-        rows = game.hits_from(self._centres(blocks, side), used, wider)
-        hit = np.minimum(rows @ p, 1.0)
-        return np.asarray(self._loss_of_blocks(side)[tuple(blocks.T)] * hit)
+        reach = game.reach + (side - 1) * self._resolution / np.sqrt(2.0)
+        entries = used.entering(self._centres(blocks, side), reach) @ p
+        return np.asarray(self._loss_of_blocks(side)[tuple(blocks.T)] * np.minimum(entries, 1.0))
 
     def _centres(self, blocks: IndexArray, side: int) -> FloatArray:
         return to_world(self._origin, (blocks[:, ::-1] + 0.5) * side * self._resolution)
