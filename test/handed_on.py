@@ -1,28 +1,11 @@
 """Worker processes that serve one node of a test after the other."""
 
-import multiprocessing
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 
-from ambush_planner.worker import child
-from ambush_planner.worker.process import WorkerProcess
-
-# Forks a process that has imported what a worker needs: that takes longer than most tests.
-_TEMPLATE = multiprocessing.get_context('forkserver')
-_TEMPLATE.set_forkserver_preload([child.__name__, 'scipy.optimize'])
-
-
-class Forked(_TEMPLATE.Process):
-    """What a worker process needs of ``subprocess.Popen``."""
-
-    def poll(self):
-        return self.exitcode
-
-    def wait(self):
-        self.join()
-        return self.exitcode
+from ambush_planner.worker.process import WorkerParent, WorkerProcess
 
 
 class HandedOn(WorkerProcess):
@@ -30,13 +13,13 @@ class HandedOn(WorkerProcess):
 
     idle: list[WorkerProcess] = []
     at_work: list[WorkerProcess] = []
-    # The template is started by a thread that no node ends.
-    _starter = ThreadPoolExecutor(1)
+    # The workers' parent is started by a thread that no node ends.
+    _parent, _starter = WorkerParent(), ThreadPoolExecutor(1)
 
     @classmethod
-    def take(cls):
-        """A worker of another node, or else a new one."""
-        cls.at_work.append(cls._idle() or cls._starter.submit(cls).result())
+    def take(cls, _):
+        """A worker of another node, or else a new one, which is not forked from the node's own."""
+        cls.at_work.append(cls._idle() or cls._starter.submit(cls, cls._parent).result())
         return cls.at_work[-1]
 
     @classmethod
@@ -46,15 +29,9 @@ class HandedOn(WorkerProcess):
                 return worker
         return None
 
-    def _start(self, connection):
-        process = Forked(target=child.serve, args=(connection,), daemon=True)
-        process.start()
-        return process
-
     def solve(self, request):
         """Solve, also if the worker was halted while it had nothing to do."""
-        if self.alive:
-            os.kill(self._process.pid, signal.SIGCONT)
+        self._continue()
         return super().solve(request)
 
     def close(self):
@@ -62,16 +39,20 @@ class HandedOn(WorkerProcess):
         self.at_work.remove(self)
         if self.alive:
             # It may have been halted before the solve got to it.
-            with suppress(ProcessLookupError):
-                os.kill(self._process.pid, signal.SIGCONT)
+            self._continue()
             self.idle.append(self)
         else:
             super().close()
 
+    def _continue(self):
+        if self.alive and self._pidfd is not None:
+            with suppress(ProcessLookupError):
+                os.kill(self.pid, signal.SIGCONT)
+
 
 def workers():
     """Process ids of the workers that nodes of this process have."""
-    return [worker._process.pid for worker in HandedOn.at_work]
+    return [worker.pid for worker in HandedOn.at_work if worker._pidfd is not None]
 
 
 def halt_workers():

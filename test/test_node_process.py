@@ -126,7 +126,8 @@ def test_sigterm_during_a_solve_ends_node_and_worker_at_once(tmp_path):
             # The node answers requests in order, so these answers come after the node has those.
             for _ in futures:
                 assert not client.get_plan(pose(0.0, 0.0, frame=''), pose(0.0, 0.0)).poses
-            (worker,) = wait_until(lambda: _children(process.pid), 'a worker')
+            (parent,) = wait_until(lambda: _children(process.pid), "the workers' parent")
+            (worker,) = wait_until(lambda: _children(parent), 'a worker')
             assert exit_code(process, signal.SIGTERM) == 0
             # A client that is slower than the node's shutdown may miss its answer.
             answers = {each.result().message for each in futures if each.done()}

@@ -59,7 +59,7 @@ def queue(monkeypatch):
 
 def begun(queue):
     """Wait until a ready worker has been given a solve, and halt it."""
-    wait_until(lambda: queue._running and queue._worker and queue._worker._ready, 'a solve')
+    wait_until(lambda: queue._running and queue._worker and queue._worker._pidfd, 'a solve')
     halt_workers()
 
 
@@ -130,7 +130,7 @@ def test_background_solves_run_last(queue):
     asked = submit(queue, 'asked', request(), size=1)
     for name, each in (('last', last), ('asked', asked)):
         each.add_done_callback(lambda done, name=name: outcomes.append(name))
-    os.kill(queue._worker._process.pid, signal.SIGKILL)
+    os.kill(queue._worker.pid, signal.SIGKILL)
     assert asked.result(TIMEOUT) and last.result(TIMEOUT)
     # A future has its result before its callbacks are called.
     wait_until(lambda: len(outcomes) == 2, 'both')
@@ -164,17 +164,6 @@ def test_a_request_that_shares_a_waiting_background_solve_overtakes_the_running_
         background.result(TIMEOUT)
 
 
-def test_a_spare_worker_takes_the_place_of_one_that_is_killed(queue):
-    submit(queue, 'first', request()).result(TIMEOUT)
-    wait_until(lambda: queue._spare, 'the spare worker')
-    used, spare = queue._worker, queue._spare
-    submit(queue, 'slow', slow_request())
-    begun(queue)
-    assert queue.cancel() == 1
-    assert submit(queue, 'next', request()).result(TIMEOUT)
-    assert (queue._worker, used.alive) == (spare, False)
-
-
 def test_a_withdrawn_request_leaves_the_background_solve(queue):
     submit(queue, 'slow', slow_request())
     begun(queue)
@@ -194,7 +183,7 @@ def test_close_ends_everything_at_once():
     queue = SolveQueue()
     running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
     begun(queue)
-    worker = Path(f'/proc/{queue._worker._process.pid}')
+    worker = Path(f'/proc/{queue._worker.pid}')
     assert worker.exists()
     queue.close()
     for future in (running, waiting):
@@ -213,7 +202,7 @@ from ambush_planner.worker.solve_queue import SolveQueue
 queue = SolveQueue()
 submit(queue, 'slow', slow_request())
 begun(queue)
-print(queue._worker._process.pid, flush=True)
+print(queue._worker.pid, flush=True)
 sys.stdin.read()
 """
 

@@ -1,4 +1,4 @@
-"""The worker process: it reads requests and sends back their plans, as pickles.
+"""Worker processes, which read requests and send back their plans as pickles, and their parent.
 
 Protocol 5 keeps read-only arrays read-only.
 """
@@ -21,22 +21,35 @@ from ..planning.trip import plan_from_request
 from .solve_errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
-READY = 'ready'
 _PR_SET_PDEATHSIG = 1  # from Linux' prctl.h
 _NICENESS = 5  # lower priority than the node's callbacks
 _OOM_SCORE = '500'  # the kernel kills the worker before the node when memory runs out
 
 
 def main() -> None:
-    """Serve the socket whose file descriptor is the first argument."""
-    serve(socket.socket(fileno=int(sys.argv[1])))
+    """Fork a worker for each socket that arrives at the one with the given file descriptor.
+
+    This process has imported what a solve needs, so a worker starts in milliseconds.
+    """
+    _follow_parent()
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # leaves no zombies
+    with socket.socket(fileno=int(sys.argv[1])) as requests:
+        while True:
+            _, descriptors, _, _ = socket.recv_fds(requests, 1, 1)
+            if not descriptors:
+                return  # the node has closed the socket
+            with socket.socket(fileno=descriptors[0]) as connection:
+                if os.fork() == 0:
+                    requests.close()
+                    return serve(connection)
 
 
 def serve(connection: socket.socket) -> None:
     """Answer requests until the other side closes the socket, perhaps in the middle of one."""
+    _follow_parent()
     _lower_priority()
-    with suppress(EOFError, ConnectionError), connection, connection.makefile('rwb') as stream:
-        _send(READY, stream)
+    with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
+        _send(os.getpid(), stream)
         while True:
             _send(_answer(pickle.load(stream)), stream)
 
@@ -61,10 +74,14 @@ def _send(answer: object, stream: BufferedRWPair) -> None:
     stream.flush()
 
 
+def _follow_parent() -> None:
+    """Die with the thread that started this process, also in the middle of a solve."""
+    if sys.platform == 'linux':
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def _lower_priority() -> None:
     os.nice(_NICENESS)
     if sys.platform == 'linux':
-        # The worker dies with the node, also in the middle of a solve.
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         with suppress(OSError):
             Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)

@@ -1,15 +1,17 @@
-"""The owner's side of the worker process: start it, have it solve, kill it."""
+"""The owner's side of worker processes: start them, have them solve, kill them."""
 
 from __future__ import annotations
 
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from threading import TIMEOUT_MAX, Timer
+from multiprocessing.connection import wait
+from threading import TIMEOUT_MAX, Lock, Timer
 
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
@@ -24,37 +26,63 @@ _GRACE, _MARGIN = 1.2, 2.0
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
 
 
+class WorkerParent:
+    """The process that workers are forked from; it is started when it is first needed.
+
+    It and its workers die with the thread that started it.
+    """
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def fork(self, connection: socket.socket) -> None:
+        """Have a worker serve a socket; raises OSError if that is impossible."""
+        if self._process is None or self._process.poll() is not None:
+            self.close()
+            self._process = self._started()
+        socket.send_fds(self._requests, [b'.'], [connection.fileno()])
+
+    def close(self) -> None:
+        """End the process and its workers."""
+        if self._process is not None:
+            self._requests.close()
+            self._process.kill()
+            self._process.wait()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        self._requests, theirs = socket.socketpair()
+        # It imports the same modules as this process.
+        start = (f'import sys; sys.path[:] = {sys.path!r}; '
+                 'from ambush_planner.worker.child import main; main()')
+        with theirs:
+            return subprocess.Popen(
+                [sys.executable, '-c', start, str(theirs.fileno())],
+                pass_fds=[theirs.fileno()],
+                stdin=subprocess.DEVNULL,
+                env={**_ONE_THREAD, **os.environ},
+                start_new_session=True,  # Ctrl-C reaches only the node, which then ends the worker
+            )
+
+
 class WorkerProcess:
-    """A process that solves one request at a time; it dies with the thread that made it.
+    """A process that solves one request at a time.
 
     Call ``solve`` from one thread only; ``kill`` is safe from any. Raises OSError if the process
     cannot be started.
     """
 
-    def __init__(self) -> None:
-        ours, theirs = socket.socketpair()
+    def __init__(self, parent: WorkerParent) -> None:
+        self._socket, theirs = socket.socketpair()
         with theirs:
-            self._process = self._start(theirs)
-        self._socket = ours
-        self._stream = ours.makefile('rwb')
-        self._ready = self._killed = False
-
-    def _start(self, connection: socket.socket) -> subprocess.Popen[bytes]:
-        # The worker imports the same modules as this process.
-        start = (f'import sys; sys.path[:] = {sys.path!r}; '
-                 'from ambush_planner.worker.child import main; main()')
-        return subprocess.Popen(
-            [sys.executable, '-c', start, str(connection.fileno())],
-            pass_fds=[connection.fileno()],
-            stdin=subprocess.DEVNULL,
-            env={**_ONE_THREAD, **os.environ},
-            start_new_session=True,  # Ctrl-C reaches only the node, which then ends the worker
-        )
+            parent.fork(theirs)
+        self._stream = self._socket.makefile('rwb')
+        self._killed, self._lock = False, Lock()
+        self._pidfd: int | None = None  # known when the process has started
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs and was not killed."""
-        return not self._killed and self._process.poll() is None
+        """Whether the process runs, or is about to, and was not killed."""
+        return not self._killed and not (self._pidfd and wait([self._pidfd], 0.0))
 
     def solve(self, request: PlanRequest) -> Plan:
         """Solve a request, in little more than the strategy's ``time_limit``.
@@ -64,11 +92,11 @@ class WorkerProcess:
         """
         limit = request.options.strategy.time_limit
         late = no_plan_in(limit)
-        if not self._ready:
+        if self._pidfd is None:
             slow = WorkerFailed(f'the worker process did not start in {_START_LIMIT:g} s')
             with self._killed_after(_START_LIMIT, slow):
-                pickle.load(self._stream)
-            self._ready = True
+                self.pid: int = pickle.load(self._stream)
+                self._pidfd = os.pidfd_open(self.pid)
         with self._killed_after(_GRACE * limit + _MARGIN, late):
             pickle.dump(request, self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
@@ -79,16 +107,23 @@ class WorkerProcess:
 
     def kill(self) -> None:
         """Kill the process; a waiting ``solve`` raises WorkerFailed."""
-        self._killed = True
-        self._process.kill()
+        with self._lock, suppress(OSError):  # it has ended
+            self._killed = True
+            if self._pidfd is not None:
+                signal.pidfd_send_signal(self._pidfd, signal.SIGKILL)
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Kill the process and wait for its end."""
         self.kill()
-        self._process.wait()
         with suppress(OSError):  # from flushing unsent bytes
             self._stream.close()
         self._socket.close()
+        with self._lock:
+            if self._pidfd is not None:
+                wait([self._pidfd])
+                os.close(self._pidfd)
+                self._pidfd = None
 
     @contextmanager
     def _killed_after(self, seconds: float, late: AmbushPlannerError) -> Iterator[None]:
@@ -105,15 +140,13 @@ class WorkerProcess:
         try:
             yield
         except (OSError, EOFError, pickle.UnpicklingError) as error:
-            raise (late if expired else WorkerFailed(self._last_words())) from error
+            self.kill()
+            raise (late if expired else _ended()) from error
         finally:
             timer.cancel()
             timer.join()  # an expiring timer must not kill the next solve
 
-    def _last_words(self) -> str:
-        code = self._process.wait()
-        how = f'by signal {-code}' if code < 0 else f'with exit code {code}'
-        return (
-            f'the worker process ended {how}; a new one is started. If memory ran out, choose a '
-            'larger network.spacing'
-        )
+
+def _ended() -> WorkerFailed:
+    return WorkerFailed('the worker process was killed; a new one is started. If memory ran out, '
+                        'choose a larger network.spacing')

@@ -12,7 +12,7 @@ from typing import Generic, TypeVar
 
 from ..errors import AmbushPlannerError
 from ..planning.plan import Plan, PlanRequest
-from .process import WorkerProcess
+from .process import WorkerParent, WorkerProcess
 from .solve_errors import QueueFull, SolveCancelled, WorkerFailed, forget_frames, unexpected
 
 _CANCELLED = 'the solve was cancelled'
@@ -47,10 +47,7 @@ class _Solve(Generic[_Result]):
 
 
 class SolveQueue(Generic[_Result]):
-    """Passes solves to one worker process, which it replaces if it died.
-
-    After the first solve a spare worker is ready: a start takes as long as many solves.
-    """
+    """Passes solves to one worker process, which it replaces if it died."""
 
     def __init__(self) -> None:
         self._condition = Condition()
@@ -58,8 +55,8 @@ class SolveQueue(Generic[_Result]):
         self._running: _Solve[_Result] | None = None
         # The solve whose outcome is being set: it can still be shared but not cancelled.
         self._finished: _Solve[_Result] | None = None
+        self._parent = WorkerParent()
         self._worker: WorkerProcess | None = None
-        self._spare: WorkerProcess | None = None
         self._closed = False
         self._thread = Thread(target=self._work, name='solves', daemon=True)
         self._thread.start()
@@ -183,25 +180,18 @@ class SolveQueue(Generic[_Result]):
                 self._worker.kill()
 
     def _work(self) -> None:
-        # Only this thread starts the worker, which dies with the thread that started it.
+        # Only this thread starts workers, which die with it.
         try:
-            self._warm_up()
+            if not self._closed:
+                with suppress(WorkerFailed):  # the first solve reports it
+                    self._living_worker()
             while (solve := self._next()) is not None:
                 self._answer(solve)
                 del solve  # frees its map
-                self._warm_up(spare=True)
         finally:
-            for worker in self._worker, self._spare:
-                if worker is not None:
-                    worker.close()
-
-    def _warm_up(self, spare: bool = False) -> None:
-        """Start workers before they are needed; the next solve reports if that fails."""
-        if not self._closed:
-            with suppress(WorkerFailed):
-                self._living_worker()
-                if spare:
-                    self._spare = _living(self._spare)
+            if self._worker is not None:
+                self._worker.close()
+            self._parent.close()
 
     def _next(self) -> _Solve[_Result] | None:
         with self._condition:
@@ -251,22 +241,13 @@ class SolveQueue(Generic[_Result]):
         if self._worker is None or not self._worker.alive:
             if self._worker is not None:
                 self._worker.close()
-            worker, self._spare = _living(self._spare), None
+            try:
+                worker = WorkerProcess(self._parent)
+            except OSError as error:
+                raise WorkerFailed(f'the worker process cannot be started: {error}') from error
             with self._condition:
                 self._worker = worker
         return self._worker
-
-
-def _living(worker: WorkerProcess | None) -> WorkerProcess:
-    """Return a worker, or a new one in its place if it has died; raises WorkerFailed."""
-    if worker is not None:
-        if worker.alive:
-            return worker
-        worker.close()
-    try:
-        return WorkerProcess()
-    except OSError as error:
-        raise WorkerFailed(f'the worker process cannot be started: {error}') from error
 
 
 def _end(solves: list[_Solve[_Result]], why: str) -> None:
