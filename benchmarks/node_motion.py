@@ -257,7 +257,7 @@ def main() -> int:
     parser.add_argument('--speed', type=float, default=2.0, help='of the robot [m/s]')
     parser.add_argument('--cells', type=int, nargs='+', default=[400, 2000], metavar='N',
                         help="of the map's sides")
-    parser.add_argument('--nodes', type=int, default=500, help='of the network')
+    parser.add_argument('--nodes', type=int, default=400, help='of the network')
     options = parser.parse_args()
     return run_and_publish(lambda: measure(options), 'node_motion', options.results)
 

@@ -20,7 +20,9 @@ from waiting import wait_until
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
+from ambush_planner.ros import dispatcher
 from ambush_planner.ros.error_codes import FrameMismatch
+from ambush_planner.ros.plan_cache import PlanCache
 from ambush_planner.ros.qos import TF, TF_STATIC
 from ambush_planner.ros.transforms import FrameTransforms
 from ambush_planner.worker.process import WorkerProcess
@@ -250,16 +252,16 @@ def located(running):
 def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path, monkeypatch):
     """On the plan, within its region, or else where it was when asked: one solve each time.
 
-    After a departure that joined a plan, the next plan is solved ahead, from where the robot is.
+    When it has driven on, the next plan is solved ahead, from a place on its new path.
     """
-    solves, solve, places = [], WorkerProcess.solve, [(1.6, 5.5), (3.2, 2.9), (5.0, 8.5)]
-    ahead = []
+    solves, solve, places = [], WorkerProcess.solve, [(1.6, 5.5), (3.2, 2.9), (6.9, 2.0)]
+    ahead, asked_at = [], [(1.5, 5.5), (1.5, 2.5), (1.5, 8.5)]
     with stage(tmp_path, parameters=ROBOT) as running:
         client = running.client
         robot = Robot(client.node)
 
         def drive(worker, request):
-            if request.start_xy in places:
+            if request.start_xy not in asked_at:
                 ahead.append(request.start_xy)
                 return solve(worker, request)
             plan = solve(worker, request)
@@ -271,11 +273,12 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
 
         monkeypatch.setattr(WorkerProcess, 'solve', drive)
         client.publish('alpha_map', risk_grid(np.full((20, 20), 5)))
-        for number, asked, begins, words in (
-            (1, (1.5, 5.5), places[0], 'published on /path'),
-            (2, (1.5, 2.5), places[1], 'joins the route of an earlier start: value'),
-            (3, (1.5, 8.5), (1.5, 8.5), 'begins where the convoy was at the request'),
+        for number, begins, words in (
+            (1, places[0], 'published on /path'),
+            (2, places[1], 'joins the route of an earlier start: value'),
+            (3, asked_at[2], 'begins where the convoy was at the request'),
         ):
+            asked = asked_at[number - 1]
             robot.is_at(*asked)
             wait_until(lambda asked=asked: located(running) == pytest.approx(asked), 'the place')
             client.publish('goal_pose', pose(8.5, 4.5 + number))
@@ -287,11 +290,39 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
             assert len(solves) == number
             if number == 2:
                 wait_until(lambda: ahead, 'the solve ahead')
+                step = math.dist(places[0], places[1])
+                assert min(np.hypot(*(path[:, :2] - ahead[0]).T)) < 1e-9
+                assert 0.5 * step < math.dist(ahead[0], places[1]) < 1.5 * step
             report = client.diagnostics(departures=answer.message.split()[1])
             assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
-        assert set(ahead) == {places[1]}  # again after a solve that overtook it
         assert 'the path begins where' in report['message']
         wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == int(report['departures']),
                    'the recordings')
     verdicts = [Verifier().verify(file) for file in tmp_path.rglob('*.mcap')]
     assert [each.problems for each in verdicts] == [[]] * len(verdicts)
+
+
+def test_a_robot_under_way_does_not_wait_for_a_better_plan(monkeypatch):
+    """Beside one of two doors it joins its plan at twice the value; later it waits for a solve."""
+    solves, solve = [], WorkerProcess.solve
+    doors = np.full((20, 20), 5)
+    doors[:, 10], doors[[3, 4, 15, 16], 10] = 100, 5
+    with stage(parameters={**ROBOT, 'game.ambush_radius': 1.0}) as running:
+        client = running.client
+        robot = Robot(client.node)
+        client.publish('alpha_map', risk_grid(doors))
+        client.publish('goal_pose', pose(8.5, 5.0))
+        monkeypatch.setattr(WorkerProcess, 'solve', lambda worker, request: (
+            solves.append(request.start_xy), solve(worker, request))[1])
+        monkeypatch.setattr(PlanCache, 'solve', lambda *given, **options: None)  # ahead
+        values = []
+        for under_way, place, count in ((5.0, (1.5, 5.0), 1), (5.0, (4.3, 2.2), 1),
+                                        (0.0, (4.3, 2.2), 2)):
+            monkeypatch.setattr(dispatcher, '_UNDER_WAY', under_way)
+            robot.is_at(*place)
+            wait_until(lambda place=place: located(running) == pytest.approx(place), 'the place')
+            answer = client.call_until('new_route', lambda answer: answer.success)
+            report = client.diagnostics(departures=answer.message.split()[1])
+            values.append(float(report['departure_value']))
+            assert len(solves) == count
+        assert values[1] > 1.5 * values[0]

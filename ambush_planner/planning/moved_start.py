@@ -29,7 +29,7 @@ from .changed_ground import LEAST_CLEAR, Assessment, ChangedGround
 from .plan import Plan
 
 # Radius of the region around a plan's start within which its routes are joined [node spacings].
-REGION = 3.0
+REGION = 5.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,14 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan
@@ -40,6 +42,8 @@ from .serial_executor import SerialExecutor
 # Time from the start of the shutdown to the end of the last recording [s]; half of the time in
 # which the node has to end.
 _SHUTDOWN_TIME = 1.0
+# A convoy that asks again within this time of its last departure cannot wait for a solve [s].
+_UNDER_WAY = 5.0
 # Maximum number of solves for one departure while the map or the robot moves.
 _MOST_SOLVES = 4
 
@@ -80,6 +84,9 @@ class Dispatcher:
                                         self._departures)
         self._waiting: list[_Pending] = []
         self._count = 0
+        # Where and when (time.monotonic) the latest departure began, and whether the convoy had
+        # driven there since the one before.
+        self._start, self._left, self._drives = (math.nan, math.nan), -math.inf, False
         self._shutdown_began: float | None = None
         self._paused = True
         self._review_queued = False
@@ -121,8 +128,13 @@ class Dispatcher:
             )
 
     def map_changed(self) -> None:
-        """Assess the displayed plan on the current map, and solve it again if it is stale."""
-        if not self._review_queued:  # one review covers many updates
+        """Assess the displayed plan on the current map, and solve it again if it is stale.
+
+        Not for a convoy that drives: each of its departures is assessed, and its next plan is
+        solved from where it will be.
+        """
+        drives = self._drives and time.monotonic() - self._left < _UNDER_WAY
+        if not (self._review_queued or drives):  # one review covers many updates
             self._review_queued = True
             self._departures.submit(self._review)
 
@@ -190,11 +202,16 @@ class Dispatcher:
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        fit = solved and _fit(solved, trip, pending) or self._plans.find(trip, parameters)
-        if fit is not None:
-            self._leave(fit, pending)
+        found = solved and _fit(solved, trip, pending) or self._plans.fit_or_solve(
+            trip, parameters, under_way=self._under_way(trip))
+        if isinstance(found, Fit):
+            self._leave(found, pending)
         else:
-            self._try_after(self._plans.plan_for(trip, parameters), trip, pending)
+            self._try_after(found, trip, pending)
+
+    def _under_way(self, trip: Trip) -> bool:
+        """Whether the trip is that of a convoy which departed a moment ago, and drives on."""
+        return trip.moves and time.monotonic() - self._left < _UNDER_WAY
 
     def _try_after(self, solve: Future[CachedPlan], trip: Trip, pending: _Pending) -> None:
         pending.solves, pending.asked = pending.solves + 1, trip
@@ -265,10 +282,22 @@ class Dispatcher:
             self._leave_once_recorded(later, publish, pending.departure)
         else:
             pending.departure.set_result(departure(*publish()))
-        if fit.joined:
-            # The convoy drives: it needs a plan from here before it is too far from the old start.
+        self._solve_ahead(fit, rows[:, :2], parameters)
+
+    def _solve_ahead(self, fit: Fit, path: FloatArray, parameters: NodeParameters) -> None:
+        """Solve in the background from where a convoy under way will be at its next request.
+
+        By then it will be as far along its path (L, 2) [m] as it has come since the last request.
+        """
+        trip = fit.trip
+        step = math.dist(self._start, trip.start_xy) if self._under_way(trip) else 0.0
+        self._drives = step > fit.cached.plan.start_tolerance
+        self._start, self._left = trip.start_xy, time.monotonic()
+        along = np.cumsum(np.hypot(*np.diff(path, axis=0).T))
+        if self._drives and step < along[-1]:
+            x, y = path[1 + np.searchsorted(along, step)].tolist()
             with suppress(SolveCancelled):
-                self._plans.solve(trip, parameters, background=True)
+                self._plans.solve(replace(trip, start_xy=(x, y)), parameters, background=True)
 
     def _leave_once_recorded(self, departure: Departure, publish: Callable[[], object],
                              result: Future[Departure]) -> None:

@@ -67,8 +67,9 @@ class DisplayedPlan:
             return
         assessment = cached.ground.assess(newest)
         if not assessment.is_stale(cached.plan.strategy.value, tolerance):
-            self._latest_resolve = None
-            self._plans.withdraw_background()
+            if self._latest_resolve is not None:
+                self._latest_resolve = None
+                self._plans.withdraw_background()
             self._reporter.set(assessment=assessment, stale='')
             return
         why = 'the map has changed: ' + (

@@ -21,7 +21,6 @@ from ..planning.solving import WarmStart
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
-from .serial_executor import completed
 
 # Number of plans kept: there and back, and a detour each.
 _CAPACITY = 4
@@ -169,39 +168,35 @@ class PlanCache:
         """Whether a solve runs or waits."""
         return self._queue.busy
 
-    def find(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
-        """Return the nearest plan that suits the trip, or one whose routes can be joined, if any.
+    def fit_or_solve(self, trip: Trip, parameters: NodeParameters, *,
+                     under_way: bool = False) -> Fit | Future[CachedPlan]:
+        """Return the nearest plan that suits the trip, or can be joined at little cost, or a solve.
 
-        Joining must not raise its value by more than ``strategy.max_gap``.
-        """
-        with self._lock:
-            all_fits = [each.fit(trip, parameters) for each in reversed(self._plans)]
-            fits = [each for each in all_fits if each and (
-                not each.joined or each.assessment.value
-                <= (1.0 + parameters.max_gap) * each.cached.plan.strategy.value)]
-            if not fits:
-                return None
-            nearest = min(fits, key=lambda each: _distance(each.cached.trip, trip))
-            self._keep(nearest.cached)
-            return nearest
-
-    def plan_for(self, trip: Trip, parameters: NodeParameters) -> Future[CachedPlan]:
-        """Return the future of a plan for the trip: a kept one, or one that is being solved.
-
+        Joining is to raise the value by at most ``strategy.max_gap``. For a convoy that is
+        ``under_way``, any plan that can be joined will do, and the one of least value is returned.
         A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
         Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
         with self._lock:
-            if (found := self.find(trip, parameters)) is not None:
-                return completed(found.cached)
-            for each in self._pending:
-                if not each.solve.done() and _will_suit(each, trip, parameters):
-                    return self._submit(each.trip, each.parameters, background=False)
+            dear = []
+            for each in sorted(self._plans, key=lambda one: _distance(one.trip, trip)):
+                if (fit := each.fit(trip, parameters)) is None:
+                    continue
+                most = (1.0 + parameters.max_gap) * each.plan.strategy.value
+                if not fit.joined or fit.assessment.value <= most:
+                    self._keep(each)
+                    return fit
+                dear.append(fit)
+            if dear and under_way:
+                return min(dear, key=lambda fit: fit.assessment.value)
+            for pending in self._pending:
+                if not pending.solve.done() and _will_suit(pending, trip, parameters):
+                    return self._submit(pending.trip, pending.parameters, background=False)
             return self._submit(trip, parameters, background=False)
 
     def solve(self, trip: Trip, parameters: NodeParameters, *,
               background: bool = False) -> Future[CachedPlan]:
-        """Solve for exactly this trip; raises as ``plan_for`` does.
+        """Solve for exactly this trip; raises as ``fit_or_solve`` does.
 
         A ``background`` solve gives way to solves that somebody waits for, and to the next
         background solve.
