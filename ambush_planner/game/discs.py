@@ -16,7 +16,7 @@ from ..arrays import BoolArray, FloatArray, IndexArray
 from ..network.network import Network
 
 # Discs that are handled together: bounds the memory, pairs of a disc and an edge nearby.
-_CENTRES_AT_ONCE = 2000
+_CENTRES_AT_ONCE = 500
 # Relative rounding of distances, so that only candidates are chosen by it.
 _ROUNDING = 1e-9
 
