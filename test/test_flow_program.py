@@ -29,7 +29,7 @@ def test_flow_duals_and_prices_by_hand(solver, detour, straight, price):
     game = make_game(two_ways(), GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
     program = FlowProgram(game, budgets, 2.0)
-    size, flow, duals = program.solve(solver, math.inf)
+    size, flow, duals = program.solve(solver, 1e-9, math.inf)
     assert 2.0 / size == pytest.approx(4.0 * straight, rel=1e-6)
     assert flow / size == pytest.approx(
         [straight, 1.0 - straight, straight, 1.0 - straight], abs=1e-6
@@ -43,7 +43,7 @@ def test_several_ambushers_share_the_sum():
     """Both sites held: all drive by the cheap one."""
     game = make_game(two_ways(), GameOptions(ambushers=2))
     program = FlowProgram(game, make_budgets(game, StrategyOptions(max_detour=np.inf)), 1.0)
-    size, _, duals = program.solve('simplex', math.inf)
+    size, _, duals = program.solve('simplex', 1e-9, math.inf)
     assert 1.0 / size == pytest.approx(1.0)
     q, _ = program.ambusher(duals)
     assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0 + 1e-12 and q[2] == pytest.approx(1.0)

@@ -153,15 +153,16 @@ class _DualSearch:
         return value, self.gradient
 
     def run(self, start: FloatArray) -> None:
-        """Minimise by turns with L-BFGS and Newton's method until neither gains."""
+        """Minimise by turns with L-BFGS and a Newton method until neither gains."""
         self.quasi_newton(start, FIRST_EVALUATIONS)
         limits = NodeLimits(self.network, self.rows)
-        if limits.fits:
-            self.interior(limits)
         before = np.inf
         while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
             before = self.least
-            self.newton()
+            if limits.fits:
+                self.interior(limits)
+            else:
+                self.newton()
             self.quasi_newton(self.found.multipliers, NEXT_EVALUATIONS)
 
     def quasi_newton(self, start: FloatArray, evaluations: int) -> None:

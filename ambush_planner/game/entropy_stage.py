@@ -156,12 +156,14 @@ class EntropyStage:
         """Search at the level (S,), with the first kept margins that are not infeasible."""
         if not self.laws:
             self.extend_law_deadline()
+        warm = self.warm
         for margins in kept:
             limits = LimitRows(self.game, network, level * (1.0 + LEVEL_AIM * self.slack),
                                self.budgets, margins)
-            p, found = self.gibbs_strategy(network, limits, limits.start(self.warm))
+            p, found = self.gibbs_strategy(network, limits, limits.start(warm))
             if not found.infeasible or limits.entropy_bound(found, 1.0) < 0.0:
                 break
+            warm = limits.unscaled(found.multipliers)
         multipliers = None if found.infeasible else limits.unscaled(found.multipliers)
         most = limits.entropy_bound(found, (1.0 + self.slack) / (1.0 + LEVEL_AIM * self.slack))
         self.laws.append(Solution(p, q, prices, self.evaluations, multipliers, most))

@@ -18,7 +18,7 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
-# Values of ipm_optimality_tolerance to try in turn; HiGHS' default is 1e-8.
+# Values of ipm_optimality_tolerance to try in turn, from the one asked for; HiGHS' default is 1e-8.
 OPTIMALITY = (1e-11, 1e-8, 1e-7)
 # HiGHS' primal and dual feasibility tolerances.
 TOLERANCE = 1e-9
@@ -35,11 +35,12 @@ class Program:
     rhs: FloatArray
 
 
-def run(program: Program, solver: str, deadline: float, presolve: bool = True) -> OptimizeResult:
+def run(program: Program, solver: str, deadline: float, presolve: bool = True,
+        precision: float = OPTIMALITY[0]) -> OptimizeResult:
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
     ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an
-    unknown state less often on flow programs. Returns scipy's result, with status ``OPTIMAL`` or
+    unknown state less often on flow programs. ``precision`` is its relative gap. Returns scipy's result, with status ``OPTIMAL`` or
     ``INFEASIBLE``; raises TimeLimit or SolverFailed.
     """
     options: dict[str, Any] = {'primal_feasibility_tolerance': TOLERANCE,
@@ -50,7 +51,7 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True) -
     if np.isfinite(left):
         options['time_limit'] = left
     if solver == 'interior_point':
-        result = _interior_point(program, options, presolve)
+        result = _interior_point(program, options, presolve, precision)
     else:
         result = _linprog(program, 'highs-ds', options)
     if result.status == LIMIT_REACHED:
@@ -60,15 +61,15 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True) -
     return result
 
 
-def _interior_point(program: Program, options: dict[str, Any],
-                    presolve_first: bool) -> OptimizeResult:
+def _interior_point(program: Program, options: dict[str, Any], presolve_first: bool,
+                    precision: float) -> OptimizeResult:
     """Run without crossover; if HiGHS ends in an unknown state, try other tolerances.
 
     HiGHS 1.2 (scipy 1.11) also ends so when its presolve removes everything.
     """
     options = {**options, 'run_crossover': _no_crossover()}
     for presolve in (presolve_first, not presolve_first):
-        for tolerance in OPTIMALITY:
+        for tolerance in sorted({max(precision, each) for each in OPTIMALITY}):
             tried = {'presolve': presolve, 'ipm_optimality_tolerance': tolerance}
             result = _linprog(program, 'highs-ipm', options | tried)
             if result.status != NUMERICAL_TROUBLE:

@@ -185,7 +185,8 @@ def least_risk(game: Game, part: Game, budgets: tuple[Budget, ...], closed: floa
         restricted = game.restricted_to(chosen)
         assert restricted is not None  # it contains the previous strategy's routes
         try:
-            found, unit = _solve(game, restricted, budgets, unit, solver, deadline)
+            found, unit = _solve(game, restricted, budgets, unit, solver, closed,
+                                 deadline)
         except (SolverFailed, BudgetInfeasible):
             if chosen.sum() == game.playable.sum():
                 raise
@@ -256,11 +257,11 @@ def shortest_route_loss(game: Game) -> float:
 
 
 def _solve(game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str,
-           deadline: float) -> tuple[LeastRisk, float]:
+           closed: float, deadline: float) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``; also returns the unit of loss, adjusted to the value."""
     for _ in range(6):
         program = FlowProgram(part, budgets, unit)
-        size, f, duals = program.solve(solver, deadline)
+        size, f, duals = program.solve(solver, closed, deadline)
         if 1.0 / MOST_RESCALED < size < MOST_RESCALED:
             break
         unit = unit / max(size, 1e-9)
