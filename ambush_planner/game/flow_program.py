@@ -22,7 +22,7 @@ from .game import Game
 # Cap on an edge's excess in units of the budget's margin; no strategy notices it.
 MOST_EXCESS = 1e7
 # Precision of the interior point method, as a share of the gap. A finer one costs more than its
-# iterations: prices that are 0 to the last digit do not tell which edges the program lacks.
+# iterations: at a price of 0, all edges on routes that avoid the ambusher tie to join the program.
 PRECISION = 0.05
 
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
 
 OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
-# Values of ipm_optimality_tolerance to try in turn, from the one asked for; HiGHS' default is 1e-8.
+# Values of ipm_optimality_tolerance to try in turn, if not below the one asked for; HiGHS' default
+# is 1e-8.
 OPTIMALITY = (1e-11, 1e-8, 1e-7)
 # HiGHS' primal and dual feasibility tolerances.
 TOLERANCE = 1e-9
@@ -40,8 +41,9 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True,
     """Solve by 'interior_point' (without crossover) or 'simplex' until ``deadline``.
 
     ``presolve`` is the first choice of the interior point method; without it HiGHS ends in an
-    unknown state less often on flow programs. ``precision`` is its relative gap. Returns scipy's result, with status ``OPTIMAL`` or
-    ``INFEASIBLE``; raises TimeLimit or SolverFailed.
+    unknown state less often on flow programs. ``precision`` is the relative gap at which it ends.
+    Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or
+    SolverFailed.
     """
     options: dict[str, Any] = {'primal_feasibility_tolerance': TOLERANCE,
                                'dual_feasibility_tolerance': TOLERANCE}
