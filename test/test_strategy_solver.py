@@ -205,6 +205,14 @@ def test_a_program_that_is_cut_short_does_not_replace_a_better_first_strategy(se
     assert stage.hit_bound(solution.q, solution.prices) >= stage.hit_bound(first.q, first.prices)
 
 
+@pytest.mark.parametrize('detour', [1.0, 1.0 + 1e-9])
+def test_with_a_reach_a_budget_without_room_leaves_no_gap(detour):
+    for seed in (0, 1, 2):
+        found = solve(terrain_network(seed, cells=16), GameOptions(ambush_radius=1.5),
+                      StrategyOptions(max_detour=detour))
+        assert found.gap <= 1e-4 * found.value
+
+
 @examples(6)
 @given(st.integers(0, 10**6), st.sampled_from((0.01, 0.1)))
 def test_soft_limits_are_exceeded_by_the_softness_and_the_others_kept(seed, softness):

@@ -145,11 +145,17 @@ class EntropyStage:
         self._judged.append((q, prices, hit_bound(self.game, q, self.budgets, prices)))
         return self._judged[-1][2]
 
+    def best_proof(self, *found: Solution) -> tuple[FloatArray, tuple[float, ...], float]:
+        """The q (N,) and prices of the greatest bound so far, with those found, and the bound."""
+        for each in found:
+            self.hit_bound(each.q, each.prices)
+        return max(self._judged, key=lambda judged: judged[2])
+
     def best_of(self, *found: Solution) -> Solution:
         """The strategy of least value, with the ambusher of the greatest bound."""
+        q, prices, _ = self.best_proof(*found)
         best = min(found, key=lambda each: worst_loss(self.game, each.p))
-        proof = max(found, key=lambda each: self.hit_bound(each.q, each.prices))
-        return replace(best, q=proof.q, prices=proof.prices)
+        return replace(best, q=q, prices=prices)
 
     def law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],
             q: FloatArray, prices: tuple[float, ...]) -> Solution:

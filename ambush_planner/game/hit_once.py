@@ -54,7 +54,8 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     if not hits_can_differ(game):
         return solution
     value = worst_loss(game, solution.p)
-    bound = stage.hit_bound(solution.q, solution.prices)
+    q, prices, bound = stage.best_proof(solution)
+    solution = replace(solution, q=q, prices=prices)
     network, base = game.network, stage.level_lines
     if base is None:
         if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:

@@ -49,26 +49,28 @@ def along_chain(stage: EntropyStage) -> Solution | None:
 def along_level_lines(stage: EntropyStage) -> Solution | None:
     """Level lines of the potential of the faces that has the least value within a budget.
 
-    None if that does not apply: it takes one ambusher, and one budget.
+    None if that does not apply, since it takes one ambusher and one budget, or if nothing proves
+    their value: where routes can be spirals, or a budget has next to no room, entries do better.
     """
     game, binding = stage.game, [b for b in stage.budgets if b.binds and b.limit > 0.0]
     if not stage.chain or game.ambushers > 1 or len(binding) != 1:
         return None
-    bound, q, _ = stage.chain
     try:
-        found = _least_on_faces(stage, binding[0], bound)
+        found = _least_on_faces(stage, binding[0], stage.chain.bound)
     except SolverFailed:
         return None
     p = conserved_strategy(game, found.p, NEGLIGIBLE)
     short = None if p is None else mixture(p, shortest_route_strategy(game), stage.within_budgets)
     if short is None:
         return None
-    stage.level_lines = or_by_entries(stage, without_cycles(game.network, short))
-    prices = _priced(stage, binding[0], found.price)
-    if found.q is None or stage.hit_bound(found.q, prices) < bound:
-        prices = _priced(stage, binding[0], 0.0)
-    else:
-        q = found.q
+    if found.q is not None:
+        stage.hit_bound(found.q, _priced(stage, binding[0], found.price))
+    q, prices, bound = stage.best_proof()
+    p = without_cycles(game.network, short)
+    if found.value > bound * (1.0 + stage.slack) and not stage.in_a_hurry:
+        stage.laws.append(Solution(p, q, prices, stage.evaluations))
+        return None
+    stage.level_lines = or_by_entries(stage, p)
     return Solution(stage.level_lines, q, prices, stage.evaluations)
 
 
