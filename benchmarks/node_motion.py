@@ -53,6 +53,7 @@ AWAY = 1.0  # m that goals keep from obstacles
 ARRIVED = 3.0  # m from the goal, where the next one comes
 # Time from a change of the map to its arrival in the node at the latest [s].
 ARRIVAL = 1.0
+TF_DELAY = 5  # periods of TF after which the node knows the robot's place at the latest
 FIRST_CHANGE = 3.0  # s after the publisher's start, which takes one
 # Each tenth request is for a goal that cannot be reached.
 UNREACHABLE = 10
@@ -160,8 +161,8 @@ class Run:
 
     def _ask(self, goal: np.ndarray, expected: str = '') -> None:
         """Ask for a departure from where the robot is, and follow it; or for the expected code."""
-        begin, place = time.monotonic(), self._robot.place
-        self._robot.track = [place]
+        begin = time.monotonic()
+        self._robot.track = [*self._robot.track[-TF_DELAY:], self._robot.place]
         sent = self._action.send_goal_async(ComputePathToPose.Goal(goal=pose(*goal)))
         self._caller.wait(sent.done, 'acceptance')
         answer = sent.result().get_result_async()
@@ -177,7 +178,7 @@ class Run:
             return
         code = CODES[result.error_code]
         right = {expected} if expected else set()
-        if self._covered(place, begin, end) or self._covered(self._robot.place, begin, end):
+        if any(self._covered(at, begin, end) for at in self._robot.track):
             right.add('START_OCCUPIED')
         if self._covered(goal, begin, end):
             right.add('GOAL_OCCUPIED')

@@ -112,7 +112,10 @@ class ChangedGround:
 
     def assess(self, newest: OccupancyMap) -> Assessment:
         """Return the value of the strategy on the newest map, which is of the same ground."""
-        return self.compare(newest).assessment
+        look = self.compare(newest)
+        if look.assessment is None:
+            look.assessment = self._assess(look)
+        return look.assessment
 
     def is_clear(self, nodes: IndexArray, newest: OccupancyMap) -> bool:
         """Whether a route is clear on the newest map."""
@@ -212,29 +215,34 @@ class ChangedGround:
         return self._latest
 
     def _comparison(self, newest: OccupancyMap) -> Comparison:
-        network, strategy = self.plan.network, self.plan.strategy
+        network = self.plan.network
         lost = np.zeros(len(network.edges), dtype=bool)
         if newest is self._planned_on:
-            own = Certificate(strategy.value, strategy.lower_bound)
-            same = self._assessment(own, 1.0, strategy.edge_probability)
-            return Comparison(newest, same, np.empty((0, 2)), lost, frozenset(), network.alpha)
+            return Comparison(newest, np.empty((0, 2)), lost, frozenset(), network.alpha)
         cells, alpha = self._new_obstacles(newest), self._losses(newest, self._cells)
         centres = np.multiply(cells[:_MOST_CELLS] + 0.5, newest.resolution)
         if len(cells) > _MOST_CELLS:
-            worthless = Assessment(math.inf, 0.0, 0.0)
-            return Comparison(newest, worthless, centres, lost, frozenset(), alpha)
+            return Comparison(newest, centres, ~lost, frozenset(), alpha)
         lost[self._segments.met(centres, self._reach(newest))] = True
         lost |= (alpha > self.plan.options.game.alpha_threshold)[network.heads]
-        clear_share, p = 1.0, strategy.edge_probability
-        if lost[self._used].any():
-            clear_share, p = self.conditioned.avoiding(lost)
-        unchanged = p is strategy.edge_probability and np.array_equal(alpha, network.alpha)
-        known = (Certificate(strategy.value, strategy.lower_bound) if unchanged
-                 else revalue(strategy, alpha, p))
-        known = self.at_any_cell(known, newest, strategy.game, p, unchanged)
-        assessment = self._assessment(known, clear_share, p)
         pairs = frozenset(map(tuple, network.edges[lost].tolist()))
-        return Comparison(newest, assessment, centres, lost, pairs, alpha)
+        return Comparison(newest, centres, lost, pairs, alpha)
+
+    def _assess(self, look: Comparison) -> Assessment:
+        """Return the value of the strategy on the compared map, without the lost edges."""
+        network, strategy = self.plan.network, self.plan.strategy
+        own = Certificate(strategy.value, strategy.lower_bound)
+        clear_share, p = 1.0, strategy.edge_probability
+        if look.newest is self._planned_on:
+            return self._assessment(own, clear_share, p)
+        if look.lost.all():
+            return Assessment(math.inf, 0.0, 0.0)
+        if look.lost[self._used].any():
+            clear_share, p = self.conditioned.avoiding(look.lost)
+        unchanged = p is strategy.edge_probability and np.array_equal(look.alpha, network.alpha)
+        known = own if unchanged else revalue(strategy, look.alpha, p)
+        known = self.at_any_cell(known, look.newest, strategy.game, p, unchanged)
+        return self._assessment(known, clear_share, p)
 
     def at_any_cell(self, at_sites: Certificate, newest: OccupancyMap, game: Game, p: FloatArray,
                     on_others: bool = False) -> Certificate:
@@ -316,19 +324,19 @@ class ChangedGround:
 
 @dataclass(eq=False)
 class Comparison:
-    """The newest map compared with the one planned on.
+    """The newest map compared with the one planned on, and the plan's assessment there.
 
     ``new_obstacles`` (K, 2) are centres of cells [m] in map axes; the lost edges are a mask (M,)
     and pairs (tail, head); ``alpha`` (N,) are the nodes' losses now.
     """
 
     newest: OccupancyMap
-    assessment: Assessment
     new_obstacles: FloatArray
     lost: npt.NDArray[np.bool_]
     lost_pairs: frozenset[tuple[int, ...]]
     alpha: FloatArray
     corridors: Corridors | None = None
+    assessment: Assessment | None = None
 
 
 class _Segments:

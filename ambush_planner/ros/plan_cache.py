@@ -13,7 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
-from ..planning.moved_start import REGION, JoinedPlan, joined_plan
+from ..planning.moved_start import JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
 from ..planning.options import start_tolerance
 from ..planning.plan import Plan, PlanRequest
@@ -24,6 +24,8 @@ from .inputs import Trip
 
 # Number of plans kept: there and back, and a detour each.
 _CAPACITY = 4
+# Number of plans that raise the value, of which a convoy under way takes the best: more take time.
+_MOST_DEAR = 2
 _Position = tuple[float, float]
 
 
@@ -69,8 +71,6 @@ class CachedPlan:
         """Return the plan from where a convoy that moves is now, if its routes can be joined."""
         if not (trip.moves and trip.map.same_ground(self.trip.map)
                 and self._is_for(trip, parameters) and _goal(self.trip) == _goal(trip)):
-            return None
-        if not self._allows_departure(trip, parameters):
             return None
         return joined_plan(self.ground, trip.map, self.ends(trip))
 
@@ -173,7 +173,7 @@ class PlanCache:
         """Return the nearest plan that suits the trip, or can be joined at little cost, or a solve.
 
         Joining is to raise the value by at most ``strategy.max_gap``. For a convoy that is
-        ``under_way``, any plan that can be joined will do, and the one of least value is returned.
+        ``under_way``, any plan that can be joined will do: the better one of the two nearest.
         A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
         Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
@@ -187,6 +187,8 @@ class PlanCache:
                     self._keep(each)
                     return fit
                 dear.append(fit)
+                if under_way and len(dear) == _MOST_DEAR:
+                    break
             if dear and under_way:
                 return min(dear, key=lambda fit: fit.assessment.value)
             for pending in self._pending:
@@ -276,8 +278,6 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
     near = _distance(other, trip) <= start_tolerance(parameters.planning, spacing)
-    if trip.moves and _goal(other) == _goal(trip):
-        near = near or math.dist(other.start_xy, trip.start_xy) <= REGION * spacing
     return (trip.map.same_ground(other.map)
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
