@@ -130,8 +130,10 @@ class FaceProgram:
         bounds = np.zeros((len(each), 2))
         bounds[: len(links), 0], bounds[: len(links), 1] = -self.most[links], self.most[links]
         # A strip may have no routes of the value tried. This limit, at which a disc exceeds its
-        # share by less than ``closed``, keeps the program bounded all the same.
-        bounds[len(links) :, 1] = 1.0 / (share * self.closed)
+        # share by less than ``closed``, keeps the program bounded all the same,
+        # unless the value is 0.
+        with np.errstate(divide='ignore'):
+            bounds[len(links) :, 1] = 1.0 / (share * self.closed)
         left = max(self.deadline - time.monotonic(), 1e-3)
         return linprog(np.concatenate((-faces.crossed[links], lifted)), A_eq=conserved[1:],
                        b_eq=np.zeros(rows - 1), bounds=bounds, method='highs-ds',
