@@ -4,6 +4,7 @@ import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from pathlib import Path
 
 from ambush_planner.worker.process import WorkerParent, WorkerProcess
 
@@ -47,12 +48,19 @@ class HandedOn(WorkerProcess):
     def _continue(self):
         if self.alive and self._pidfd is not None:
             with suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGCONT)
+                signal.pidfd_send_signal(self._pidfd, signal.SIGCONT)
+
+
+def process_id(worker):
+    """The process id of a worker that has started."""
+    (line,) = [line for line in Path(f'/proc/self/fdinfo/{worker._pidfd}').read_text().splitlines()
+               if line.startswith('Pid:')]
+    return int(line.split()[1])
 
 
 def workers():
     """Process ids of the workers that nodes of this process have."""
-    return [worker.pid for worker in HandedOn.at_work if worker._pidfd is not None]
+    return [process_id(worker) for worker in HandedOn.at_work if worker._pidfd is not None]
 
 
 def halt_workers():

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from handed_on import HandedOn, halt_workers
+from handed_on import HandedOn, halt_workers, process_id
 from waiting import TIMEOUT, wait_until
 
 from ambush_planner.errors import GoalBlocked
@@ -130,7 +130,7 @@ def test_background_solves_run_last(queue):
     asked = submit(queue, 'asked', request(), size=1)
     for name, each in (('last', last), ('asked', asked)):
         each.add_done_callback(lambda done, name=name: outcomes.append(name))
-    os.kill(queue._worker.pid, signal.SIGKILL)
+    os.kill(process_id(queue._worker), signal.SIGKILL)
     assert asked.result(TIMEOUT) and last.result(TIMEOUT)
     # A future has its result before its callbacks are called.
     wait_until(lambda: len(outcomes) == 2, 'both')
@@ -179,11 +179,20 @@ def test_a_withdrawn_request_leaves_the_background_solve(queue):
         kept.result(0.0)
 
 
+def test_an_idle_worker_that_dies_is_replaced_before_the_next_solve(queue):
+    submit(queue, 'first', request()).result(TIMEOUT)
+    used = queue._worker
+    os.kill(process_id(used), signal.SIGKILL)
+    wait_until(lambda: not used.alive, 'the end of the worker')
+    assert submit(queue, 'next', request()).result(TIMEOUT)
+    assert queue._worker is not used
+
+
 def test_close_ends_everything_at_once():
     queue = SolveQueue()
     running, waiting = submit(queue, 'slow', slow_request()), submit(queue, 'key', request())
     begun(queue)
-    worker = Path(f'/proc/{queue._worker.pid}')
+    worker = Path(f'/proc/{process_id(queue._worker)}')
     assert worker.exists()
     queue.close()
     for future in (running, waiting):
@@ -196,13 +205,14 @@ def test_close_ends_everything_at_once():
 
 ORPHAN = """
 import sys
+from handed_on import process_id
 from test_solve_queue import begun, slow_request, submit
 from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 queue = SolveQueue()
 submit(queue, 'slow', slow_request())
 begun(queue)
-print(queue._worker.pid, flush=True)
+print(process_id(queue._worker), flush=True)
 sys.stdin.read()
 """
 

@@ -20,7 +20,7 @@ from waiting import wait_until
 from ambush_planner.errors import InvalidPose
 from ambush_planner.maps.ros_messages import path_from_ros, pose_from_ros
 from ambush_planner.recordings.verify import Verifier
-from ambush_planner.ros import dispatcher
+from ambush_planner.ros import course
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.plan_cache import PlanCache
 from ambush_planner.ros.qos import TF, TF_STATIC
@@ -291,8 +291,9 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
             if number == 2:
                 wait_until(lambda: ahead, 'the solve ahead')
                 step = math.dist(places[0], places[1])
-                assert min(np.hypot(*(path[:, :2] - ahead[0]).T)) < 1e-9
-                assert 0.5 * step < math.dist(ahead[0], places[1]) < 1.5 * step
+                to_goal = math.dist(ahead[0], path[-1, :2])
+                assert 0.5 * step < math.dist(ahead[0], places[1]) < step + 1e-9
+                assert to_goal < math.dist(places[1], path[-1, :2])
             report = client.diagnostics(departures=answer.message.split()[1])
             assert float(report['departure_value']) >= float(report['departure_gap']) >= 0.0
         assert 'the path begins where' in report['message']
@@ -303,7 +304,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
 
 
 def test_a_robot_under_way_does_not_wait_for_a_better_plan(monkeypatch):
-    """Beside one of two doors it joins its plan at twice the value; later it waits for a solve."""
+    """Beside one of two doors it joins its plan at twice the value, but only while it drives."""
     solves, solve = [], WorkerProcess.solve
     doors = np.full((20, 20), 5)
     doors[:, 10], doors[[3, 4, 15, 16], 10] = 100, 5
@@ -317,8 +318,8 @@ def test_a_robot_under_way_does_not_wait_for_a_better_plan(monkeypatch):
         monkeypatch.setattr(PlanCache, 'solve', lambda *given, **options: None)  # ahead
         values = []
         for under_way, place, count in ((5.0, (1.5, 5.0), 1), (5.0, (4.3, 2.2), 1),
-                                        (0.0, (4.3, 2.2), 2)):
-            monkeypatch.setattr(dispatcher, '_UNDER_WAY', under_way)
+                                        (5.0, (4.3, 2.2), 2), (0.0, (4.3, 2.9), 3)):
+            monkeypatch.setattr(course, '_UNDER_WAY', under_way)
             robot.is_at(*place)
             wait_until(lambda place=place: located(running) == pytest.approx(place), 'the place')
             answer = client.call_until('new_route', lambda answer: answer.success)

@@ -49,8 +49,8 @@ def along_chain(stage: EntropyStage) -> Solution | None:
 def along_level_lines(stage: EntropyStage) -> Solution | None:
     """Level lines of the potential of the faces that has the least value within a budget.
 
-    None if that does not apply, since it takes one ambusher and one budget, or if nothing proves
-    their value: where routes can be spirals, or a budget has next to no room, entries do better.
+    None if there are several ambushers or budgets, or if nothing proves the value found. That
+    happens if routes can be spirals, or if a budget leaves next to no room; entries then do better.
     """
     game, binding = stage.game, [b for b in stage.budgets if b.binds and b.limit > 0.0]
     if not stage.chain or game.ambushers > 1 or len(binding) != 1:

@@ -11,14 +11,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 from uuid import uuid4
 
-import numpy as np
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan
@@ -27,6 +25,7 @@ from ..routes.driven_path import tight_turns
 from ..worker.solve_errors import SolveCancelled, for_the_log
 from .cdr import path_bytes
 from .conversions import path_to_ros
+from .course import Course
 from .departure_path import draw_path, route_entropy_source
 from .departure_record import Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
@@ -42,8 +41,6 @@ from .serial_executor import SerialExecutor
 # Time from the start of the shutdown to the end of the last recording [s]; half of the time in
 # which the node has to end.
 _SHUTDOWN_TIME = 1.0
-# A convoy that asks again within this time of its last departure cannot wait for a solve [s].
-_UNDER_WAY = 5.0
 # Maximum number of solves for one departure while the map or the robot moves.
 _MOST_SOLVES = 4
 
@@ -84,12 +81,10 @@ class Dispatcher:
                                         self._departures)
         self._waiting: list[_Pending] = []
         self._count = 0
-        # Where and when (time.monotonic) the latest departure began, and whether the convoy had
-        # driven there since the one before.
-        self._start, self._left, self._drives = (math.nan, math.nan), -math.inf, False
+        self._course = Course()
         self._shutdown_began: float | None = None
         self._paused = True
-        self._review_queued = False
+        self._map_is_new = False
         self._recordings = Recordings(settings.current.recording, self._recorded, logger.warning)
 
     @property
@@ -130,12 +125,16 @@ class Dispatcher:
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale.
 
-        Not for a convoy that drives: each of its departures is assessed, and its next plan is
-        solved from where it will be.
+        While the convoy is driving, this is left to ``review``.
         """
-        drives = self._drives and time.monotonic() - self._left < _UNDER_WAY
-        if not (self._review_queued or drives):  # one review covers many updates
-            self._review_queued = True
+        self._map_is_new = True
+        if not self._course.drives:
+            self.review()
+
+    def review(self) -> None:
+        """Assess the displayed plan if the map has changed since; called every second."""
+        if self._map_is_new:  # one review covers many updates
+            self._map_is_new = False
             self._departures.submit(self._review)
 
     def depart(self, call: ServiceCall, trip_request: TripRequest,
@@ -202,16 +201,13 @@ class Dispatcher:
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        found = solved and _fit(solved, trip, pending) or self._plans.fit_or_solve(
-            trip, parameters, under_way=self._under_way(trip))
+        under_way = self._course.under_way(trip)
+        found = solved and _fit(solved, trip, pending, under_way) or self._plans.fit_or_solve(
+            trip, parameters, under_way)
         if isinstance(found, Fit):
             self._leave(found, pending)
         else:
             self._try_after(found, trip, pending)
-
-    def _under_way(self, trip: Trip) -> bool:
-        """Whether the trip is that of a convoy which departed a moment ago, and drives on."""
-        return trip.moves and time.monotonic() - self._left < _UNDER_WAY
 
     def _try_after(self, solve: Future[CachedPlan], trip: Trip, pending: _Pending) -> None:
         pending.solves, pending.asked = pending.solves + 1, trip
@@ -237,8 +233,8 @@ class Dispatcher:
         cached, trip = fit.cached, fit.trip
         self._recordings.wait_for_room()
         self._refuse_unless_active()
-        if cached is not self._displayed.cached:
-            self._displayed.show(cached)
+        if fit.plan is not self._displayed.plan:
+            self._displayed.show(cached, fit.plan)
             if cached.trip.map is not trip.map:
                 self._review()
         parameters = pending.parameters
@@ -264,6 +260,7 @@ class Dispatcher:
         def publish() -> tuple[RecordedMessage, str]:
             if parameters.publish_path:
                 self._publishers.publish('path', published.data)
+            self._solve_ahead(trip, self._course.depart(trip, rows[:, :2]), cached, parameters)
             return self._reporter.departed(number, departure_id, tight, fit.assessment,
                                            late_start)
 
@@ -282,22 +279,16 @@ class Dispatcher:
             self._leave_once_recorded(later, publish, pending.departure)
         else:
             pending.departure.set_result(departure(*publish()))
-        self._solve_ahead(fit, rows[:, :2], parameters)
 
-    def _solve_ahead(self, fit: Fit, path: FloatArray, parameters: NodeParameters) -> None:
-        """Solve in the background from where a convoy under way will be at its next request.
+    def _solve_ahead(self, trip: Trip, place: tuple[float, float] | None, cached: CachedPlan,
+                     parameters: NodeParameters) -> None:
+        """Solve in the background from the place where the convoy will ask again, if it drives.
 
-        By then it will be as far along its path (L, 2) [m] as it has come since the last request.
+        Not on roads, where plans cannot be joined, nor before stops, which may lie behind by then.
         """
-        trip = fit.trip
-        step = math.dist(self._start, trip.start_xy) if self._under_way(trip) else 0.0
-        self._drives = step > fit.cached.plan.start_tolerance
-        self._start, self._left = trip.start_xy, time.monotonic()
-        along = np.cumsum(np.hypot(*np.diff(path, axis=0).T))
-        if self._drives and step < along[-1]:
-            x, y = path[1 + np.searchsorted(along, step)].tolist()
+        if place and not trip.stops_xy and not cached.plan.options.network.roads:
             with suppress(SolveCancelled):
-                self._plans.solve(replace(trip, start_xy=(x, y)), parameters, background=True)
+                self._plans.solve(replace(trip, start_xy=place), parameters, background=True)
 
     def _leave_once_recorded(self, departure: Departure, publish: Callable[[], object],
                              result: Future[Departure]) -> None:
@@ -326,9 +317,11 @@ class Dispatcher:
             raise NotActive(INACTIVE)
 
     def _review(self) -> None:
-        """Assess the displayed plan; solve it again if it is stale and the node is active."""
-        self._review_queued = False
-        after_resolve = None if self._paused else self._review
+        """Assess the displayed plan; solve it again if it is stale and the node is active.
+
+        Not while the convoy is driving: its next plan is solved from where it will be.
+        """
+        after_resolve = None if self._paused or self._course.drives else self._review
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _now(self) -> int:
@@ -342,17 +335,17 @@ class Dispatcher:
         self._reporter.recording(True, error)
 
 
-def _fit(solved: CachedPlan, trip: Trip, pending: _Pending) -> Fit | None:
+def _fit(solved: CachedPlan, trip: Trip, pending: _Pending, under_way: bool) -> Fit | None:
     """Return how to depart on a plan that was solved for a request, if that is possible.
 
     From where the convoy is now or, without a clear way onto the routes, where it was when asked.
     """
-    if fit := solved.fit(trip, pending.parameters):
+    if fit := solved.fit(trip, pending.parameters, under_way):
         return fit
     asked = pending.asked
     if asked is None or not trip.moves or asked.map.frame != trip.map.frame:
         return None
-    fit = solved.fit(replace(asked, map=trip.map), pending.parameters)
+    fit = solved.fit(replace(asked, map=trip.map), pending.parameters, under_way)
     return fit and replace(fit, late_by=math.dist(asked.start_xy, trip.start_xy))
 
 

@@ -10,6 +10,7 @@ from rclpy.clock import Clock
 from std_msgs.msg import Header
 
 from ..errors import AmbushPlannerError
+from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..worker.solve_errors import SolveCancelled
 from . import markers
@@ -24,7 +25,7 @@ class DisplayedPlan:
     """Shows a plan, assesses it on the newest map, and has it solved again when it is stale.
 
     Call all methods on the departures thread, which is that of ``departures``. The plan is
-    ``cached``, None before the first one; ``markers`` are those published for it.
+    ``cached``, None before the first one; ``markers`` are those of ``plan``, which may join it.
     """
 
     def __init__(self, plans: PlanCache, inputs: Inputs, publishers: Publishers, reporter: Reporter,
@@ -32,12 +33,14 @@ class DisplayedPlan:
         self._plans, self._inputs, self._publishers = plans, inputs, publishers
         self._reporter, self._clock, self._departures = reporter, clock, departures
         self.cached: CachedPlan | None = None
+        self.plan: Plan | None = None
         self.markers: tuple[RecordedMessage, ...] = ()
         self._latest_resolve: Future[CachedPlan] | None = None
 
-    def show(self, cached: CachedPlan) -> None:
-        """Display a plan: publish its markers and report its numbers."""
-        plan, strategy = cached.plan, cached.plan.strategy
+    def show(self, cached: CachedPlan, plan: Plan | None = None) -> None:
+        """Display a plan, perhaps one that joins it: publish markers and report its numbers."""
+        plan = plan or cached.plan
+        strategy = plan.strategy
         header = Header(frame_id=cached.trip.map.frame, stamp=self._clock.now().to_msg())
         messages = {
             '~/network': markers.network_lines(plan.network, header),
@@ -48,11 +51,11 @@ class DisplayedPlan:
         }
         self.markers = tuple(self._publishers.publish(topic, message)
                              for topic, message in messages.items())
-        self.cached = cached
+        self.cached, self.plan = cached, plan
         newest = self._inputs.current_map()
         same = newest.same_ground(cached.trip.map)
         assessment = cached.ground.assess(newest) if same else None
-        self._reporter.set(plan=plan, assessment=assessment, stale='')
+        self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
 
     def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
         """Report how good the plan is on the current map.
@@ -89,6 +92,8 @@ class DisplayedPlan:
         def show_result(solve: Future[CachedPlan]) -> None:
             try:
                 self.show(solve.result())
+                if solve is self._latest_resolve:
+                    self._latest_resolve = None
             except SolveCancelled:
                 if solve is self._latest_resolve:  # not superseded by a later one
                     self._reporter.set(stale=f'{why}, and the new solve was cancelled')

@@ -13,7 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
-from ..planning.moved_start import JoinedPlan, joined_plan
+from ..planning.moved_start import REGION, JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
 from ..planning.options import start_tolerance
 from ..planning.plan import Plan, PlanRequest
@@ -24,8 +24,10 @@ from .inputs import Trip
 
 # Number of plans kept: there and back, and a detour each.
 _CAPACITY = 4
-# Number of plans that raise the value, of which a convoy under way takes the best: more take time.
-_MOST_DEAR = 2
+# How many plans that are costly to join are evaluated for a convoy that cannot wait.
+_MOST_COSTLY = 2
+# How many plans are kept of those solved ahead for a convoy that drives.
+_MOST_AHEAD = 2
 _Position = tuple[float, float]
 
 
@@ -37,6 +39,7 @@ class CachedPlan:
     trip: Trip
     parameters: NodeParameters
     ground: ChangedGround
+    background: bool = False
 
     def ends(self, trip: Trip) -> tuple[_Position, _Position]:
         """Return where a route for this trip begins and ends [m]: a blocked goal was moved."""
@@ -60,17 +63,23 @@ class CachedPlan:
             return False
         return distance == 0.0 or self._connects(trip)
 
-    def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
-        """Return how one can depart on this plan for a trip, if at all."""
+    def fit(self, trip: Trip, parameters: NodeParameters, under_way: bool = False) -> Fit | None:
+        """Return how one can depart on this plan for a trip, if at all.
+
+        For a convoy ``under_way`` the plan can be worse than ``strategy.max_gap`` allows.
+        """
         if self.suits(trip, parameters):
             return Fit(self, trip)
-        joined = self._joined(trip, parameters)
+        joined = self._joined(trip, parameters, under_way)
         return Fit(self, trip, joined) if joined else None
 
-    def _joined(self, trip: Trip, parameters: NodeParameters) -> JoinedPlan | None:
+    def _joined(self, trip: Trip, parameters: NodeParameters,
+                under_way: bool) -> JoinedPlan | None:
         """Return the plan from where a convoy that moves is now, if its routes can be joined."""
         if not (trip.moves and trip.map.same_ground(self.trip.map)
                 and self._is_for(trip, parameters) and _goal(self.trip) == _goal(trip)):
+            return None
+        if not (under_way or self._allows_departure(trip, parameters)):
             return None
         return joined_plan(self.ground, trip.map, self.ends(trip))
 
@@ -128,6 +137,11 @@ class Fit:
     late_by: float = 0.0
 
     @property
+    def plan(self) -> Plan:
+        """The plan that routes are drawn from."""
+        return self.joined.plan if self.joined else self.cached.plan
+
+    @property
     def assessment(self) -> Assessment:
         """What a departure is worth on the trip's map."""
         return self.joined.assessment if self.joined else self.cached.ground.assess(self.trip.map)
@@ -150,6 +164,7 @@ class _Pending:
     trip: Trip
     parameters: NodeParameters
     solve: Future[CachedPlan]
+    background: bool
 
 
 class PlanCache:
@@ -168,29 +183,31 @@ class PlanCache:
         """Whether a solve runs or waits."""
         return self._queue.busy
 
-    def fit_or_solve(self, trip: Trip, parameters: NodeParameters, *,
+    def fit_or_solve(self, trip: Trip, parameters: NodeParameters,
                      under_way: bool = False) -> Fit | Future[CachedPlan]:
         """Return the nearest plan that suits the trip, or can be joined at little cost, or a solve.
 
-        Joining is to raise the value by at most ``strategy.max_gap``. For a convoy that is
-        ``under_way``, any plan that can be joined will do: the better one of the two nearest.
+        Joining must not raise the value by more than ``strategy.max_gap``. A convoy ``under_way``
+        takes the cheaper of the two nearest plans that it can join, however high the value.
         A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
         Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
         with self._lock:
-            dear = []
+            costly = []
             for each in sorted(self._plans, key=lambda one: _distance(one.trip, trip)):
-                if (fit := each.fit(trip, parameters)) is None:
+                if (fit := each.fit(trip, parameters, under_way)) is None:
                     continue
                 most = (1.0 + parameters.max_gap) * each.plan.strategy.value
                 if not fit.joined or fit.assessment.value <= most:
                     self._keep(each)
                     return fit
-                dear.append(fit)
-                if under_way and len(dear) == _MOST_DEAR:
+                costly.append(fit)
+                if under_way and len(costly) == _MOST_COSTLY:
                     break
-            if dear and under_way:
-                return min(dear, key=lambda fit: fit.assessment.value)
+            if costly and under_way:
+                best = min(costly, key=lambda fit: fit.assessment.value)
+                self._keep(best.cached)
+                return best
             for pending in self._pending:
                 if not pending.solve.done() and _will_suit(pending, trip, parameters):
                     return self._submit(pending.trip, pending.parameters, background=False)
@@ -231,10 +248,10 @@ class PlanCache:
                 background: bool) -> Future[CachedPlan]:
         request = _request(trip, parameters, self._warm_start(trip, parameters))
         solve = self._queue.submit(_key(trip, parameters), request,
-                                   partial(self._solved, trip, parameters), parameters.queue_size,
-                                   background)
+                                   partial(self._solved, trip, parameters, background),
+                                   parameters.queue_size, background)
         if all(each.solve is not solve for each in self._pending):
-            self._pending.append(_Pending(trip, parameters, solve))
+            self._pending.append(_Pending(trip, parameters, solve, background))
             solve.add_done_callback(self._remove_pending)
         return solve
 
@@ -247,10 +264,11 @@ class PlanCache:
                 return WarmStart(each.plan.network, multipliers)
         return None
 
-    def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
+    def _solved(self, trip: Trip, parameters: NodeParameters, background: bool,
+                plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
         ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
-        cached = CachedPlan(plan, trip, parameters, ground)
+        cached = CachedPlan(plan, trip, parameters, ground, background)
         with self._lock:
             self._keep(cached)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
@@ -264,6 +282,9 @@ class PlanCache:
     def _keep(self, cached: CachedPlan) -> None:
         others = [each for each in self._plans
                   if not each.answers(cached.trip, cached.parameters)]
+        ahead = [each for each in others if each.background]
+        if cached.background and len(ahead) >= _MOST_AHEAD:
+            others.remove(ahead[0])
         self._plans = [*others, cached][-_CAPACITY:]
 
 
@@ -278,6 +299,8 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
     near = _distance(other, trip) <= start_tolerance(parameters.planning, spacing)
+    if trip.moves and not pending.background and _goal(other) == _goal(trip):
+        near = near or math.dist(other.start_xy, trip.start_xy) <= REGION * spacing
     return (trip.map.same_ground(other.map)
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit

@@ -27,7 +27,7 @@ _OOM_SCORE = '500'  # the kernel kills the worker before the node when memory ru
 
 
 def main() -> None:
-    """Fork a worker for each socket that arrives at the one with the given file descriptor.
+    """Fork a worker for each socket received over the descriptor in argv[1].
 
     This process has imported what a solve needs, so a worker starts in milliseconds.
     """
@@ -38,7 +38,7 @@ def main() -> None:
             _, descriptors, _, _ = socket.recv_fds(requests, 1, 1)
             if not descriptors:
                 return  # the node has closed the socket
-            with socket.socket(fileno=descriptors[0]) as connection:
+            with socket.socket(fileno=descriptors[0]) as connection, suppress(BlockingIOError):
                 if os.fork() == 0:
                     requests.close()
                     return serve(connection)
@@ -49,7 +49,7 @@ def serve(connection: socket.socket) -> None:
     _follow_parent()
     _lower_priority()
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
-        _send(os.getpid(), stream)
+        socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
         while True:
             _send(_answer(pickle.load(stream)), stream)
 

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait
+from select import POLLHUP, poll
 from threading import TIMEOUT_MAX, Lock, Timer
 
 from ..errors import AmbushPlannerError
@@ -48,6 +49,7 @@ class WorkerParent:
             self._requests.close()
             self._process.kill()
             self._process.wait()
+            self._process = None
 
     def _started(self) -> subprocess.Popen[bytes]:
         self._requests, theirs = socket.socketpair()
@@ -59,7 +61,7 @@ class WorkerParent:
                 [sys.executable, '-c', start, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
                 stdin=subprocess.DEVNULL,
-                env={**_ONE_THREAD, **os.environ},
+                env={**os.environ, **_ONE_THREAD},
                 start_new_session=True,  # Ctrl-C reaches only the node, which then ends the worker
             )
 
@@ -72,6 +74,7 @@ class WorkerProcess:
     """
 
     def __init__(self, parent: WorkerParent) -> None:
+        self._parent = parent
         self._socket, theirs = socket.socketpair()
         with theirs:
             parent.fork(theirs)
@@ -81,8 +84,10 @@ class WorkerProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs, or is about to, and was not killed."""
-        return not self._killed and not (self._pidfd and wait([self._pidfd], 0.0))
+        """Whether the process is starting or running, and has not been killed."""
+        ends = poll()
+        ends.register(self._socket, POLLHUP)
+        return not (self._killed or ends.poll(0))
 
     def solve(self, request: PlanRequest) -> Plan:
         """Solve a request, in little more than the strategy's ``time_limit``.
@@ -93,10 +98,7 @@ class WorkerProcess:
         limit = request.options.strategy.time_limit
         late = no_plan_in(limit)
         if self._pidfd is None:
-            slow = WorkerFailed(f'the worker process did not start in {_START_LIMIT:g} s')
-            with self._killed_after(_START_LIMIT, slow):
-                self.pid: int = pickle.load(self._stream)
-                self._pidfd = os.pidfd_open(self.pid)
+            self._begin()
         with self._killed_after(_GRACE * limit + _MARGIN, late):
             pickle.dump(request, self._stream, PICKLE_PROTOCOL)
             self._stream.flush()
@@ -104,6 +106,19 @@ class WorkerProcess:
         if isinstance(answer, AmbushPlannerError):
             raise answer
         return answer
+
+    def _begin(self) -> None:
+        """Wait until the process has started; a parent that takes too long is replaced."""
+        slow = WorkerFailed(f'the worker process did not start in {_START_LIMIT:g} s')
+        try:
+            with self._killed_after(_START_LIMIT, slow):
+                _, descriptors, _, _ = socket.recv_fds(self._socket, 1, 1)
+                if not descriptors:
+                    raise EOFError
+                self._pidfd = descriptors[0]
+        except WorkerFailed:
+            self._parent.close()
+            raise
 
     def kill(self) -> None:
         """Kill the process; a waiting ``solve`` raises WorkerFailed."""
