@@ -66,12 +66,13 @@ def along_level_lines(stage: EntropyStage) -> Solution | None:
     if found.q is not None:
         stage.hit_bound(found.q, _priced(stage, binding[0], found.price))
     q, prices, bound = stage.best_proof()
-    p = without_cycles(game.network, short)
-    if found.value > bound * (1.0 + stage.slack) and not stage.in_a_hurry:
-        stage.laws.append(Solution(p, q, prices, stage.evaluations))
+    lines = or_by_entries(stage, without_cycles(game.network, short))
+    solution = Solution(lines, q, prices, stage.evaluations)
+    if worst_loss(game, lines) > bound * (1.0 + stage.slack) and not stage.in_a_hurry:
+        stage.laws.append(solution)
         return None
-    stage.level_lines = or_by_entries(stage, p)
-    return Solution(stage.level_lines, q, prices, stage.evaluations)
+    stage.level_lines = lines
+    return solution
 
 
 def _least_on_faces(stage: EntropyStage, budget: Budget, bound: float) -> LevelLines:
