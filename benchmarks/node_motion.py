@@ -128,8 +128,10 @@ class Run:
         self._caller.wait(lambda: 'goal_pose' in self._caller.status.get('message', '')
                           and 'alpha_map' not in self._caller.status['message'], 'the map')
         self._caller.wait(self._action.server_is_ready, 'the action')
-        self._ask(self._goal())
-        self.times.clear()  # targets hold after the first plan
+        while not self.times:  # until the node knows where the robot is
+            self._ask(self._goal())
+        # Targets hold after the first plan.
+        self.times.clear(), self.refused.clear(), self.wrong.clear()
 
     def drive(self, seconds: float, period: float) -> None:
         """Ask, drive and change the goal for the given time."""
