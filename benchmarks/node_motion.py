@@ -130,8 +130,8 @@ class Run:
         self._caller.wait(self._action.server_is_ready, 'the action')
         while not self.times:  # until the node knows where the robot is
             self._ask(self._goal())
-        # Targets hold after the first plan.
-        self.times.clear(), self.refused.clear(), self.wrong.clear()
+        for each in (self.times, self.refused, self.wrong):
+            each.clear()  # targets hold after the first plan
 
     def drive(self, seconds: float, period: float) -> None:
         """Ask, drive and change the goal for the given time."""

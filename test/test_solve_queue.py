@@ -207,7 +207,6 @@ ORPHAN = """
 import sys
 from handed_on import process_id
 from test_solve_queue import begun, slow_request, submit
-from ambush_planner.worker.process import WorkerProcess
 from ambush_planner.worker.solve_queue import SolveQueue
 queue = SolveQueue()
 submit(queue, 'slow', slow_request())

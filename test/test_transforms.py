@@ -304,7 +304,7 @@ def test_a_robot_that_drives_during_the_solve_departs_where_it_is_then(tmp_path,
 
 
 def test_a_robot_under_way_does_not_wait_for_a_better_plan(monkeypatch):
-    """Beside one of two doors it joins its plan at twice the value, but only while it drives."""
+    """Near one of two doors it joins its plan, though that doubles the value, only under way."""
     solves, solve = [], WorkerProcess.solve
     doors = np.full((20, 20), 5)
     doors[:, 10], doors[[3, 4, 15, 16], 10] = 100, 5

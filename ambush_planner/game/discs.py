@@ -42,7 +42,7 @@ def _ends(network: Network) -> FloatArray:
 
 
 class ExposedEdges:
-    """Edges, by default all, where a convoy is exposed, to be compared with discs.
+    """The exposed parts of edges, by default all, and the discs that they enter.
 
     Routes are exposed further than ``held`` [m] from source, stops and target; everywhere if it is
     not positive.

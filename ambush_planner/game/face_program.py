@@ -130,8 +130,8 @@ class FaceProgram:
         bounds = np.zeros((len(each), 2))
         bounds[: len(links), 0], bounds[: len(links), 1] = -self.most[links], self.most[links]
         # A strip may have no routes of the value tried. This limit, at which a disc exceeds its
-        # share by less than ``closed``, keeps the program bounded all the same,
-        # unless the value is 0.
+        # share by less than ``closed``, keeps the program bounded all the same, unless the value
+        # is 0.
         with np.errstate(divide='ignore'):
             bounds[len(links) :, 1] = 1.0 / (share * self.closed)
         left = max(self.deadline - time.monotonic(), 1e-3)
@@ -158,7 +158,7 @@ class FaceProgram:
         return 2 * len(higher)
 
     def _level_lines(self, potential: FloatArray, ambush: FloatArray) -> LevelLines:
-        """p of a potential (F,); q and price from what flows through each entry over its loss."""
+        """p of a potential (F,), with q and price from the dual ``ambush`` of each entry."""
         game, total = self.faces.game, float(ambush.sum())
         p = _flow(self.faces, potential)
         if self.value <= self.least or not total > 0.0:

@@ -260,7 +260,7 @@ class Dispatcher:
         def publish() -> tuple[RecordedMessage, str]:
             if parameters.publish_path:
                 self._publishers.publish('path', published.data)
-            self._solve_ahead(trip, self._course.depart(trip, rows[:, :2]), cached, parameters)
+            self._solve_ahead(trip, self._course.depart(trip, rows[:, :2]), parameters)
             return self._reporter.departed(number, departure_id, tight, fit.assessment,
                                            late_start)
 
@@ -280,13 +280,13 @@ class Dispatcher:
         else:
             pending.departure.set_result(departure(*publish()))
 
-    def _solve_ahead(self, trip: Trip, place: tuple[float, float] | None, cached: CachedPlan,
+    def _solve_ahead(self, trip: Trip, place: tuple[float, float] | None,
                      parameters: NodeParameters) -> None:
         """Solve in the background from the place where the convoy will ask again, if it drives.
 
         Not on roads, where plans cannot be joined, nor before stops, which may lie behind by then.
         """
-        if place and not trip.stops_xy and not cached.plan.options.network.roads:
+        if place and not trip.stops_xy and not parameters.planning.network.roads:
             with suppress(SolveCancelled):
                 self._plans.solve(replace(trip, start_xy=place), parameters, background=True)
 

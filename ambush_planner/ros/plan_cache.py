@@ -26,14 +26,14 @@ from .inputs import Trip
 _CAPACITY = 4
 # How many plans that are costly to join are evaluated for a convoy that cannot wait.
 _MOST_COSTLY = 2
-# How many plans are kept of those solved ahead for a convoy that drives.
-_MOST_AHEAD = 2
+# How many plans are kept of those that were solved in the background, such as ahead of a convoy.
+_MOST_BACKGROUND = 2
 _Position = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class CachedPlan:
-    """A plan with the trip and the parameters that it was solved for."""
+    """A plan with the trip and the parameters that it was solved for, perhaps in the background."""
 
     plan: Plan
     trip: Trip
@@ -63,7 +63,7 @@ class CachedPlan:
             return False
         return distance == 0.0 or self._connects(trip)
 
-    def fit(self, trip: Trip, parameters: NodeParameters, under_way: bool = False) -> Fit | None:
+    def fit(self, trip: Trip, parameters: NodeParameters, under_way: bool) -> Fit | None:
         """Return how one can depart on this plan for a trip, if at all.
 
         For a convoy ``under_way`` the plan can be worse than ``strategy.max_gap`` allows.
@@ -184,7 +184,7 @@ class PlanCache:
         return self._queue.busy
 
     def fit_or_solve(self, trip: Trip, parameters: NodeParameters,
-                     under_way: bool = False) -> Fit | Future[CachedPlan]:
+                     under_way: bool) -> Fit | Future[CachedPlan]:
         """Return the nearest plan that suits the trip, or can be joined at little cost, or a solve.
 
         Joining must not raise the value by more than ``strategy.max_gap``. A convoy ``under_way``
@@ -282,9 +282,9 @@ class PlanCache:
     def _keep(self, cached: CachedPlan) -> None:
         others = [each for each in self._plans
                   if not each.answers(cached.trip, cached.parameters)]
-        ahead = [each for each in others if each.background]
-        if cached.background and len(ahead) >= _MOST_AHEAD:
-            others.remove(ahead[0])
+        background = [each for each in others if each.background]
+        if cached.background and len(background) >= _MOST_BACKGROUND:
+            others.remove(background[0])
         self._plans = [*others, cached][-_CAPACITY:]
 
 

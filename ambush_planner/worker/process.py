@@ -25,6 +25,8 @@ _START_LIMIT = 60.0
 _GRACE, _MARGIN = 1.2, 2.0
 # The worker uses one thread; the solver gains nothing from more, and the node needs the cores.
 _ONE_THREAD = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL')}
+_KILLED = ('the worker process was killed; a new one is started. If memory ran out, choose a '
+           'larger network.spacing')
 
 
 class WorkerParent:
@@ -156,12 +158,7 @@ class WorkerProcess:
             yield
         except (OSError, EOFError, pickle.UnpicklingError) as error:
             self.kill()
-            raise (late if expired else _ended()) from error
+            raise (late if expired else WorkerFailed(_KILLED)) from error
         finally:
             timer.cancel()
             timer.join()  # an expiring timer must not kill the next solve
-
-
-def _ended() -> WorkerFailed:
-    return WorkerFailed('the worker process was killed; a new one is started. If memory ran out, '
-                        'choose a larger network.spacing')
