@@ -318,7 +318,8 @@ def test_a_robot_under_way_does_not_wait_for_a_better_plan(monkeypatch):
         monkeypatch.setattr(PlanCache, 'solve', lambda *given, **options: None)  # ahead
         values = []
         for under_way, place, count in ((5.0, (1.5, 5.0), 1), (5.0, (4.3, 2.2), 1),
-                                        (5.0, (4.3, 2.2), 2), (0.0, (4.3, 2.9), 3)):
+                                        (5.0, (4.3, 2.2), 1), (5.0, (4.3, 2.2), 2),
+                                        (0.0, (4.3, 2.9), 3)):
             monkeypatch.setattr(course, '_UNDER_WAY', under_way)
             robot.is_at(*place)
             wait_until(lambda place=place: located(running) == pytest.approx(place), 'the place')

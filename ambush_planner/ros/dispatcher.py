@@ -123,17 +123,17 @@ class Dispatcher:
             )
 
     def map_changed(self) -> None:
-        """Assess the displayed plan on the current map, and solve it again if it is stale.
-
-        While the convoy is driving, this is left to ``review``.
-        """
+        """Assess the displayed plan on the current map, and solve it again if it is stale."""
         self._map_is_new = True
-        if not self._course.drives:
-            self.review()
+        self.review()
 
     def review(self) -> None:
-        """Assess the displayed plan if the map has changed since; called every second."""
-        if self._map_is_new:  # one review covers many updates
+        """Assess the displayed plan if the map has changed since; called every second.
+
+        Not while the convoy is driving: its next plan is solved from where it will be, and each
+        departure assesses its own.
+        """
+        if self._map_is_new and not self._course.drives:  # one review covers many updates
             self._map_is_new = False
             self._departures.submit(self._review)
 
@@ -234,9 +234,9 @@ class Dispatcher:
         self._recordings.wait_for_room()
         self._refuse_unless_active()
         if fit.plan is not self._displayed.plan:
-            self._displayed.show(cached, fit.plan)
+            self._displayed.show(cached, fit.plan, fit.assessment)
             if cached.trip.map is not trip.map:
-                self._review()
+                self._map_is_new = True
         parameters = pending.parameters
         departure_id, number = str(uuid4()), self._count + 1
         source = route_entropy_source(parameters.seed, number)
@@ -317,11 +317,8 @@ class Dispatcher:
             raise NotActive(INACTIVE)
 
     def _review(self) -> None:
-        """Assess the displayed plan; solve it again if it is stale and the node is active.
-
-        Not while the convoy is driving: its next plan is solved from where it will be.
-        """
-        after_resolve = None if self._paused or self._course.drives else self._review
+        """Assess the displayed plan; solve it again if it is stale and the node is active."""
+        after_resolve = None if self._paused else self._review
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _now(self) -> int:

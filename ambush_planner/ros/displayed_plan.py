@@ -10,6 +10,7 @@ from rclpy.clock import Clock
 from std_msgs.msg import Header
 
 from ..errors import AmbushPlannerError
+from ..planning.changed_ground import Assessment
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
 from ..worker.solve_errors import SolveCancelled
@@ -37,8 +38,12 @@ class DisplayedPlan:
         self.markers: tuple[RecordedMessage, ...] = ()
         self._latest_resolve: Future[CachedPlan] | None = None
 
-    def show(self, cached: CachedPlan, plan: Plan | None = None) -> None:
-        """Display a plan, perhaps one that joins it: publish markers and report its numbers."""
+    def show(self, cached: CachedPlan, plan: Plan | None = None,
+             assessment: Assessment | None = None) -> None:
+        """Display a plan, perhaps one that joins it: publish markers and report its numbers.
+
+        ``assessment``, if it is known, is what the displayed plan is worth on the newest map.
+        """
         plan = plan or cached.plan
         strategy = plan.strategy
         header = Header(frame_id=cached.trip.map.frame, stamp=self._clock.now().to_msg())
@@ -53,8 +58,8 @@ class DisplayedPlan:
                              for topic, message in messages.items())
         self.cached, self.plan = cached, plan
         newest = self._inputs.current_map()
-        same = newest.same_ground(cached.trip.map)
-        assessment = cached.ground.assess(newest) if same else None
+        if assessment is None and newest.same_ground(cached.trip.map):
+            assessment = cached.ground.assess(newest)
         self._reporter.set(plan=cached.plan, assessment=assessment, stale='')
 
     def review(self, tolerance: float, after_resolve: Callable[[], None] | None) -> None:
