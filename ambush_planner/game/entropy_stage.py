@@ -86,7 +86,7 @@ class EntropyStage:
         self.laws: list[Solution] = []
         # The ambushers that hit_bound judged, and the bounds.
         self._judged: list[tuple[FloatArray, tuple[float, ...], float]] = []
-        # An optimal flow (M,) that one law of its edges may not attain, see ``least_on_faces``.
+        # A flow (M,) of little loss that one law of its edges may not attain: ``least_on_faces``.
         self.level_lines: FloatArray | None = None
 
     def program_deadline(self) -> float:

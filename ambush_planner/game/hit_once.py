@@ -57,7 +57,7 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     q, prices, bound = stage.best_proof(solution)
     solution = replace(solution, q=q, prices=prices)
     network, base = game.network, stage.level_lines
-    if base is None:
+    if base is None or value < worst_loss(game, base):
         if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
             return solution
         drawn = RouteSampler(network, solution.p).draw_many(

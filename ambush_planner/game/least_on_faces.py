@@ -23,6 +23,8 @@ from .separate_legs import join_faces, or_by_entries, separate_legs
 # Relative gaps of the program in potentials of the faces, and of the bound that its ambusher
 # proves, as shares of the slack.
 FACES_GAP, PROVED_GAP = 0.1, 0.2
+# Most that the lines' value may exceed the bound by, in slacks: a law around them can be better.
+LINES = 2.0
 # Widths of the strips that this program is solved on, in margins of the budget.
 STRIPS = (1.0, 2.0, 4.0, math.inf)
 
@@ -67,11 +69,11 @@ def along_level_lines(stage: EntropyStage) -> Solution | None:
         stage.hit_bound(found.q, _priced(stage, binding[0], found.price))
     q, prices, bound = stage.best_proof()
     lines = or_by_entries(stage, without_cycles(game.network, short))
+    stage.level_lines = lines
     solution = Solution(lines, q, prices, stage.evaluations)
-    if worst_loss(game, lines) > bound * (1.0 + stage.slack) and not stage.in_a_hurry:
+    if worst_loss(game, lines) > bound * (1.0 + LINES * stage.slack) and not stage.in_a_hurry:
         stage.laws.append(solution)
         return None
-    stage.level_lines = lines
     return solution
 
 
