@@ -1,29 +1,38 @@
-"""Triangular systems of one pattern: against dense algebra, by SuperLU's solve and without it."""
+"""Triangular systems of one pattern: against dense algebra, by scipy's product and without it."""
 
 import numpy as np
 import pytest
 
 from ambush_planner.game import triangular
-from ambush_planner.game.triangular import UnitTriangle
+from ambush_planner.game.triangular import Recursion
 
 
 def refused(*_):
     raise TypeError('called otherwise in this scipy')
 
 
-@pytest.mark.parametrize('solve', ['compiled', None, refused])
+def beside(_n, _m, _k, _first, _column, _entries, _x, _y):
+    """A product that does not work in place."""
+
+
+@pytest.mark.parametrize('product', [None, refused, beside])
+def test_a_product_that_does_not_work_in_place_is_not_used(monkeypatch, product):
+    assert triangular.IN_PLACE
+    monkeypatch.setattr(triangular, 'csr_matvecs', product)
+    assert not triangular._goes_row_by_row()
+
+
+@pytest.mark.parametrize('in_place', [True, False])
 @pytest.mark.parametrize('shape', [(30,), (30, 4)])
-def test_solves_as_dense_algebra_does(monkeypatch, solve, shape):
-    if solve != 'compiled':
-        monkeypatch.setattr(triangular, 'gstrs', solve)
+def test_solves_as_dense_algebra_does(monkeypatch, in_place, shape):
+    monkeypatch.setattr(triangular, 'IN_PLACE', in_place)
     rng = np.random.default_rng(1)
-    pattern = np.triu(rng.random((30, 30)) < 0.3, 1) | np.eye(30, dtype=bool)
-    system = UnitTriangle(np.nonzero(pattern)[1], np.append(0, np.cumsum(pattern.sum(axis=1))))
+    pattern = np.tril(rng.random((30, 30)) < 0.3, -1)
+    row, column = np.nonzero(pattern)
+    mixed = rng.permutation(len(row))
+    system = Recursion(row[mixed], column[mixed], 30)
     for _ in range(2):
         dense = np.where(pattern, rng.normal(size=(30, 30)) / 5.0, 0.0)
-        np.fill_diagonal(dense, 1.0)
-        system.data[:] = dense[pattern]
         right = rng.normal(size=shape)
-        assert system.solve(right) == pytest.approx(np.linalg.solve(dense, right))
-        turned = system.solve(right, transposed=True)
-        assert turned == pytest.approx(np.linalg.solve(dense.T, right))
+        solved = system.solve(dense[row, column][mixed], right.copy())
+        assert solved == pytest.approx(np.linalg.solve(np.eye(30) - dense, right))

@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, sums
 from .game import Game
-from .triangular import UnitTriangle
+from .triangular import Recursion
 
 # Right sides of one triangular solve: bounds its memory, and they stay in the processor's cache.
 CHUNK = 32
@@ -45,13 +45,9 @@ class AcyclicNetwork:
         self.count = len(nodes)
         self._first = np.searchsorted(self.tail, np.arange(self.count + 1))
         self._level = np.zeros(self.count)
-        # Row i of the matrix 1 - W: the diagonal, then the edges out of i.
-        indptr = self._first + np.arange(self.count + 1)
-        self._place = np.arange(len(self.edge)) + self.tail + 1
-        indices = np.empty(len(self.edge) + self.count, dtype=np.int64)
-        indices[indptr[:-1]] = np.arange(self.count)
-        indices[self._place] = self.head
-        self._one_less_w = UnitTriangle(indices, indptr)
+        last = self.count - 1
+        self._onwards = Recursion(self.head, self.tail, self.count)
+        self._backwards = Recursion(last - self.tail, last - self.head, self.count)
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -86,10 +82,9 @@ class AcyclicNetwork:
         leaving = csr_matrix((share, (self.tail, every)), shape=(self.count, len(p)))
         met, onward = (entering @ costs.T).tocsc(), (costs @ leaving.T).tocsr()
         covariance, mean = np.empty((count, count)), costs @ p
-        self._one_less_w.data[self._place] = -share
         for begin in range(0, count, CHUNK):
             chunk = slice(begin, begin + CHUNK)
-            reached = self._one_less_w.solve(met[:, chunk].toarray(order='F'), transposed=True)
+            reached = self._onwards.solve(share, met[:, chunk].toarray(order='C'))
             covariance[:, chunk] = onward @ reached
         covariance += covariance.T
         covariance += (costs.multiply(p).tocsr() @ costs.T).toarray()
@@ -101,7 +96,7 @@ class AcyclicNetwork:
         ahead = self._behind(share, sums(self.tail, share * costs, self.count))
         moved = p * (costs + ahead[self.head] - ahead[self.tail])
         entered = sums(self.head, moved, self.count)
-        visits = self._one_less_w.solve(entered, transposed=True)
+        visits = self._onwards.solve(share, entered)
         return np.asarray(visits[self.tail] * share + moved)
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -125,15 +120,13 @@ class AcyclicNetwork:
 
     def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
         """y with y_i = right_i + sum over edges out of i of factor * y_head."""
-        self._one_less_w.data[self._place] = -factor
-        return self._one_less_w.solve(right)
+        return self._backwards.solve(factor, right[::-1])[::-1]
 
     def _forward(self, share: FloatArray) -> FloatArray:
         """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
         first = np.zeros(self.count)
         first[0] = 1.0
-        self._one_less_w.data[self._place] = -share
-        return self._one_less_w.solve(first, transposed=True)
+        return self._onwards.solve(share, first)
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
         """log Z_i (n,) of any size, as sums of logarithms from the target backwards."""
