@@ -30,9 +30,9 @@ from .node_limits import NodeLimits
 # Evaluations of L-BFGS before Newton's method starts, and in each round after it.
 FIRST_EVALUATIONS, NEXT_EVALUATIONS = 150, 300
 # Limits that Newton's method moves at once, and its most steps.
-NEWTON_LIMITS, MOST_STEPS = 3000, 500
-# With soft limits: evaluations of L-BFGS, most steps of Newton's method, least relative decrease.
-SOFT_EVALUATIONS, SOFT_STEPS, SOFT_GAIN = 40, 20, 1e-6
+NEWTON_LIMITS, MOST_STEPS = 1500, 500
+# With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
+SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative.
 LEAST_GAIN = 1e-9
 # Missing entropy at which the search ends, relative and in nats.
@@ -105,7 +105,7 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
     with contextlib.suppress(_SearchEnded):
         if softness > 0.0:
             search.quasi_newton(start, SOFT_EVALUATIONS)
-            search.newton(SOFT_STEPS, SOFT_GAIN)
+            search.newton(SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN)
         else:
             search.run(start)
     search.found.evaluations = search.count
@@ -228,14 +228,19 @@ class _DualSearch:
             idle = 0 if gains or tried @ unused < mu / CENTRING * len(v) else idle + 1
             v, least = tried, self.least
 
-    def newton(self, steps: int = MOST_STEPS, gain: float = 0.0) -> None:
-        """Take damped Newton steps in the limits of greatest weight while they gain."""
+    def newton(self, limits: int = NEWTON_LIMITS, steps: int = MOST_STEPS,
+               gain: float = 0.0) -> None:
+        """Take damped Newton steps while they gain, in at most ``limits`` limits.
+
+        They are those of the largest multipliers now, or after a step in this limit alone.
+        """
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
         for _ in range(steps):
-            weight = np.maximum(v, -gradient / (MODEL_EXCESS * self.tolerance) - 1.0)
-            counts = np.argsort(-weight)[:NEWTON_LIMITS]
+            over = np.where(gradient < -MODEL_EXCESS * self.tolerance, -gradient, 0.0)
+            weight = np.maximum(v, over * self.unit**2)
+            counts = np.argsort(-weight)[:limits]
             counts = counts[weight[counts] > 0.0]
             hessian = self.network.covariance(self.share, self.p, self.rows[counts])
             hessian += self.softness * np.outer(self.soft[counts], self.soft[counts])
