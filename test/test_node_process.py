@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
+import pytest
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from recording_samples import read_with_mcap_ros2
@@ -139,6 +140,31 @@ def test_sigterm_during_a_solve_ends_node_and_worker_at_once(tmp_path):
     (more,) = re.findall(r'new_route: the planner is shutting down \(and (\d+) more', said)
     assert int(more) == len(futures) - 1
     assert 'Traceback' not in said and 'never retrieved' not in said
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_for_all_processes_of_a_service_ends_the_node_cleanly(tmp_path, number):
+    """As systemd and a container's init send it: the workers leave the end to the node."""
+    parameters = ('network.target_nodes:=40000', 'strategy.solver:=simplex',
+                  f'recording.directory:={tmp_path / "runs"}')
+    with free_domain() as domain, node_process(domain, tmp_path, *parameters) as process:
+        with client_in(domain) as client:
+            client.publish('alpha_map', risk_grid(np.zeros((300, 300), dtype=np.int8)))
+            client.publish('start_pose', pose(5.0, 75.0))
+            client.publish('goal_pose', pose(145.0, 75.0))
+            client.diagnostics(state='ready')
+            client.send('new_route')
+            client.diagnostics(state='solving')
+            (parent,) = wait_until(lambda: _children(process.pid), "the workers' parent")
+            (worker,) = wait_until(lambda: _children(parent), 'a worker')
+            for each in (worker, parent):
+                os.kill(int(each), number)
+            time.sleep(0.2)  # in which a worker that dies would be reported
+            assert exit_code(process, number) == 0
+    assert not any(Path('/proc', each).exists() for each in (parent, worker)), 'no orphan'
+    said = (tmp_path / 'output').read_text()
+    assert 'the planner is shutting down' in said, said
+    assert 'Traceback' not in said and 'the worker process' not in said, said
 
 
 def _children(pid):
