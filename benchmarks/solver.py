@@ -46,8 +46,9 @@ def one_run(task: str, name: str, file: Path, limit: float, *more: str) -> Answe
     command = [sys.executable, str(ONE_RUN), task, name, str(file), '--limit', str(limit), *more]
     print(f'{name:32s} {task:15s}', end='', file=sys.stderr, flush=True)
     done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
-    if done.returncode == 0 and done.stdout:
-        answer: Answer = json.loads(done.stdout)
+    if done.returncode == 0:
+        # HiGHS 1.16 prints its name first.
+        answer: Answer = json.loads(done.stdout.splitlines()[-1])
     else:
         late = done.returncode == -signal.SIGPROF
         answer = {'failed': True, 'seconds': limit, 'status': 'late' if late else 'crashed'}
