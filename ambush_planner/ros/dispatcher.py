@@ -318,7 +318,7 @@ class Dispatcher:
 
     def _review(self) -> None:
         """Assess the displayed plan; solve it again if it is stale and the node is active."""
-        after_resolve = None if self._paused else self._review
+        after_resolve = None if self._paused else self.map_changed
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _now(self) -> int:
