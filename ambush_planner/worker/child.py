@@ -33,9 +33,6 @@ def main() -> None:
     """
     _follow_parent()
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # leaves no zombies
-    # A service manager signals every process of a service; the node then ends its workers itself.
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         while True:
             _, descriptors, _, _ = socket.recv_fds(requests, 1, 1)

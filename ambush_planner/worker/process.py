@@ -58,7 +58,7 @@ class WorkerParent:
         # It imports the same modules as this process.
         start = (f'import sys; sys.path[:] = {sys.path!r}; '
                  'from ambush_planner.worker.child import main; main()')
-        with theirs:
+        with theirs, _blocked(signal.SIGINT, signal.SIGTERM):
             return subprocess.Popen(
                 [sys.executable, '-c', start, str(theirs.fileno())],
                 pass_fds=[theirs.fileno()],
@@ -66,6 +66,19 @@ class WorkerParent:
                 env={**os.environ, **_ONE_THREAD},
                 start_new_session=True,  # Ctrl-C reaches only the node, which then ends the worker
             )
+
+
+@contextmanager
+def _blocked(*numbers: signal.Signals) -> Iterator[None]:
+    """Block signals in this thread and in the processes that it starts.
+
+    A service manager signals every process of a service; the node then ends its workers itself.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class WorkerProcess:
