@@ -11,11 +11,11 @@ def refused(*_):
     raise TypeError('called otherwise in this scipy')
 
 
-def beside(_n, _m, _k, _first, _column, _entries, _x, _y):
-    """A product that does not work in place."""
+def not_in_place(_n, _m, _k, _first, _column, _entries, _x, _y):
+    """A product that leaves y as it is."""
 
 
-@pytest.mark.parametrize('product', [None, refused, beside])
+@pytest.mark.parametrize('product', [None, refused, not_in_place])
 def test_a_product_that_does_not_work_in_place_is_not_used(monkeypatch, product):
     assert triangular.IN_PLACE
     monkeypatch.setattr(triangular, 'csr_matvecs', product)

@@ -52,7 +52,8 @@ def along_level_lines(stage: EntropyStage) -> Solution | None:
     """Level lines of the potential of the faces that has the least value within a budget.
 
     None if there are several ambushers or budgets, or if nothing proves the value found. That
-    happens if routes can be spirals, or if a budget leaves next to no room; entries then do better.
+    happens if routes can be spirals, or if a budget leaves next to no room; entries then usually do
+    better, and if not, the lines in ``stage.level_lines`` do.
     """
     game, binding = stage.game, [b for b in stage.budgets if b.binds and b.limit > 0.0]
     if not stage.chain or game.ambushers > 1 or len(binding) != 1:
