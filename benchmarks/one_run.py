@@ -42,7 +42,7 @@ STAGES = (
     (strategy_solver, 'least_risk', 'program'),
     (separate_legs, 'least_risk', 'program'),
     (entropy_stage, 'maximize_entropy', 'law'),
-    (whole_solve, 'count_routes_once', 'once'),
+    (strategy_solver, 'count_routes_once', 'once'),
     (whole_solve, 'certify', 'certificate'),
 )
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 
 import numpy as np
-from scipy.sparse import coo_matrix, diags, identity
+from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
@@ -21,6 +21,7 @@ from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
 from ..network.shortest_paths import edge_matrix
 from .game import Game
+from .triangular import Recursion
 
 # Largest number of nodes for which the potential is solved; larger networks use the progress.
 POTENTIAL_NODES = 250_000
@@ -72,7 +73,7 @@ def progress(game: Game) -> FloatArray:
     return risen
 
 
-def rank_by(potential: FloatArray) -> IndexArray:
+def rank_by(potential: FloatArray | IndexArray) -> IndexArray:
     """Position (N,) of each node in the order of the potential."""
     rank = np.empty(len(potential), dtype=np.int64)
     rank[np.argsort(potential, kind='stable')] = np.arange(len(potential))
@@ -126,17 +127,32 @@ def without_cycles(network: Network, p: FloatArray) -> FloatArray:
 
 def is_acyclic(network: Network, p: FloatArray) -> bool:
     """Whether the edges with p > 0 form no cycle."""
-    return len(_circling_edges(network, p)) == 0
+    return order_along(network, p) is not None
+
+
+def order_along(network: Network, p: FloatArray) -> IndexArray | None:
+    """A number (N,) for each node that rises along the edges with p > 0; None if these circle."""
+    number = -_strong_components(network, p)
+    tails, heads = network.edges[p > 0.0].T
+    return number if (number[tails] < number[heads]).all() else None
 
 
 def _circling_edges(network: Network, p: FloatArray) -> IndexArray:
     """Edges with p > 0 on a cycle of such edges: both ends are in one strong component."""
-    used = np.flatnonzero(p > 0.0)
-    edges = network.edges[used]
-    graph = edge_matrix(edges, np.ones(len(used)), len(network.points))
+    component, used = _strong_components(network, p), np.flatnonzero(p > 0.0)
+    tails, heads = network.edges[used].T
+    return np.asarray(used[component[tails] == component[heads]])
+
+
+def _strong_components(network: Network, p: FloatArray) -> IndexArray:
+    """The strong component (N,) of each node by the edges with p > 0.
+
+    scipy finds them by Tarjan's method, from the sinks up: their numbers fall along the edges.
+    """
+    edges = network.edges[p > 0.0]
+    graph = edge_matrix(edges, np.ones(len(edges)), len(network.points))
     _, component = connected_components(graph, directed=True, connection='strong')
-    same: IndexArray = used[component[edges[:, 0]] == component[edges[:, 1]]]
-    return same
+    return np.asarray(component, dtype=np.int64)
 
 
 def _cancel_cycles(edges: IndexArray, p: FloatArray, circling: IndexArray) -> None:
@@ -193,13 +209,11 @@ def conserved_strategy(game: Game, p: FloatArray, negligible: float = 0.0) -> Fl
 
 def _walk_visits(game: Game, flow: FloatArray, share: FloatArray) -> FloatArray:
     """Visits (N,) of the walk that takes each edge with probability ``share`` at its tail."""
-    network, n = game.network, game.node_count + 1
-    # In the order of the flow, the target last, the system is triangular: there is no fill-in.
-    rank = rank_around(game, flow, np.zeros(game.node_count))
-    used = np.flatnonzero(flow > 0.0)
-    tail, head = rank[network.tails[used]], rank[network.heads[used]]
-    system = identity(n, format='csc') - coo_matrix((share[used], (head, tail)), shape=(n, n))
-    start = np.zeros(n)
+    network, used = game.network, flow > 0.0
+    number = order_along(network, flow)
+    assert number is not None  # the flow is acyclic
+    rank = rank_by(number)
+    tail, head = rank[network.edges[used]].T
+    start = np.zeros(game.node_count)
     start[rank[network.source]] = 1.0
-    factor = splu(system.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0)
-    return np.asarray(np.maximum(factor.solve(start), 0.0)[rank])
+    return Recursion(head, tail, len(rank)).solve(share[used], start)[rank]

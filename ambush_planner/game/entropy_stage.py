@@ -41,7 +41,7 @@ BISECTIONS = 15
 # Share of the remaining time for a linear program; the rest is for the entropy search.
 PROGRAM_SHARE = 0.6
 # A program may take this many times as long as everything before it.
-HURRY = 25.0
+HURRY = 10.0
 # Time of the first law, or of the soft search, after the deadline, as a share of all time before.
 FIRST_SHARE = 0.5
 
@@ -151,8 +151,9 @@ class EntropyStage:
             self.hit_bound(each.q, each.prices)
         return max(self._judged, key=lambda judged: judged[2])
 
-    def best_of(self, *found: Solution) -> Solution:
-        """The strategy of least value, with the ambusher of the greatest bound."""
+    def best_of(self, *given: Solution | None) -> Solution:
+        """The strategy of least value among those given, with the ambusher of greatest bound."""
+        found = [each for each in given if each]
         q, prices, _ = self.best_proof(*found)
         best = min(found, key=lambda each: worst_loss(self.game, each.p))
         return replace(best, q=q, prices=prices)

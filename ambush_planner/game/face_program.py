@@ -137,7 +137,8 @@ class FaceProgram:
         left = max(self.deadline - time.monotonic(), 1e-3)
         return linprog(np.concatenate((-faces.crossed[links], lifted)), A_eq=conserved[1:],
                        b_eq=np.zeros(rows - 1), bounds=bounds, method='highs-ds',
-                       options={'time_limit': left})
+                       options={'time_limit': left,
+                                'simplex_dual_edge_weight_strategy': 'devex'})
 
     def _join(self, height: FloatArray) -> int:
         """Join faces to the discs that exceed their shares of the value; return their number.

@@ -1,10 +1,10 @@
 """The probability that an ambush hits a drawn route, counted once however often it comes back.
 
 The rows of the game count how often a route enters a disc, which linear programs need because it is
-linear in p. But an ambush hits a route only once. On an acyclic strategy the probability of that is
-one pass over the edges in topological order: let o_k be the probability of arriving at node k
-unhit, o_source = 1 and o_k = sum over the edges i -> k that do not enter the disc of o_i p_ik /
-x_i. Then P(hit) = 1 - o_target.
+linear in p. But an ambush hits a route only once. On an acyclic strategy, let o_k be the probability
+of arriving at node k unhit: o_source = 1, and o_k = sum over the edges i -> k that do not enter the
+disc of o_i p_ik / x_i, node by node in topological order. Then P(hit) is the sum of o_i p_ik / x_i
+over the edges i -> k that enter the disc.
 """
 
 from __future__ import annotations
@@ -14,11 +14,12 @@ from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
-from .acyclic import is_acyclic
+from .acyclic import is_acyclic, order_along
 from .game import Game
+from .triangular import Recursion
 
-# Sites handled by one pass: bounds its memory, nodes x sites x 8 bytes.
-_SITES_PER_PASS = 64
+# Most sites whose probabilities are computed before the others are screened again.
+_SITES_AT_ONCE = 64
 
 
 def worst_loss(game: Game, p: FloatArray) -> float:
@@ -50,7 +51,7 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
         rows = order[done : done + size]
         exact[rows] = game.loss[game.sites[rows]] * flow.probability(game.hits[rows])
         done += len(rows)
-        size = min(2 * size, _SITES_PER_PASS)
+        size = min(2 * size, _SITES_AT_ONCE)
         least = float(np.partition(exact, -k)[-k]) if k else np.inf
     rows = np.argsort(-exact, kind='stable')[:k]
     return exact[rows], rows
@@ -84,67 +85,46 @@ def hits_can_differ(game: Game) -> bool:
 
 
 class RouteHits:
-    """The edges of an acyclic strategy p (M,) by topological layers of their heads.
+    """Hits of an acyclic strategy p (M,), as a Markov chain whose nodes are in topological order.
 
-    ``edges`` (K,) are those in use, each after all edges into its tail.
+    For each site, the probability of arriving unhit differs from that of a visit only after the
+    first edge that enters the disc, and is needed only up to the last one.
     """
 
     def __init__(self, network: Network, p: FloatArray) -> None:
-        used = np.flatnonzero(p > 0.0)
-        nodes, ends = np.unique(network.edges[used], return_inverse=True)
-        tail, head = ends.reshape(-1, 2).T
-        leaving = sums(tail, p[used], len(nodes))
-        layer = _layer_of_nodes(tail, head, len(nodes))
-        order = np.lexsort((head, layer[head]))
-        self.edges, self._tail = used[order], tail[order]
-        head = head[order]
-        self._share = (p[used] / leaving[tail])[order][:, None]
-        self._source = int(np.searchsorted(nodes, network.source))
-        self._target = int(np.searchsorted(nodes, network.target))
-        self._count = len(nodes)
-        new_head = np.flatnonzero(np.r_[True, head[1:] != head[:-1]])
-        bounds = np.searchsorted(layer[head], np.arange(1, layer.max() + 2))
-        firsts = np.searchsorted(new_head, bounds)
-        self._layers = [
-            (a, b, head[new_head[i:j]], new_head[i:j] - a)
-            for a, b, i, j in zip(bounds[:-1], bounds[1:], firsts[:-1], firsts[1:], strict=True)
-        ]
+        used, rank = np.flatnonzero(p > 0.0), order_along(network, p)
+        assert rank is not None  # p is acyclic
+        nodes = np.unique(network.edges[used])
+        nodes = nodes[np.argsort(rank[nodes])]
+        place = np.zeros(len(network.points), dtype=np.int64)
+        place[nodes] = np.arange(len(nodes))
+        tail, head = place[network.edges[used]].T
+        share = p[used] / sums(tail, p[used], len(nodes))[tail]
+        self._chain = Recursion(head, tail, len(nodes))
+        self._start = np.zeros(len(nodes))
+        self._start[place[network.source]] = 1.0
+        self._visits = self._chain.solve(share, self._start.copy())
+        order = self._chain.order
+        self._tail, self._head, self._share = tail[order], head[order], share[order]
+        self._entry = np.full(len(p), -1)
+        self._entry[used[order]] = np.arange(len(used))
 
     def probability(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) of sites with these ``rows`` (K, M) of edges that bring routes to them."""
-        starts = range(0, rows.shape[0], _SITES_PER_PASS)
-        found = [self._pass(rows[start : start + _SITES_PER_PASS]) for start in starts]
-        return np.concatenate(found) if found else np.zeros(0)
-
-    def _pass(self, rows: csr_matrix) -> FloatArray:
-        hit = csr_matrix(rows[:, self.edges].T)
-        which = np.repeat(np.arange(len(self.edges)), np.diff(hit.indptr))
-        unhit = np.zeros((self._count, rows.shape[0]))
-        unhit[self._source] = 1.0
-        for a, b, nodes, first in self._layers:
-            arriving = unhit[self._tail[a:b]]
-            arriving *= self._share[a:b]
-            i, j = hit.indptr[a], hit.indptr[b]
-            if j > i:
-                arriving[which[i:j] - a, hit.indices[i:j]] = 0.0
-            unhit[nodes] = np.add.reduceat(arriving, first, axis=0)
-        return np.asarray(np.clip(1.0 - unhit[self._target], 0.0, 1.0))
-
-
-def _layer_of_nodes(tail: IndexArray, head: IndexArray, count: int) -> IndexArray:
-    """For each node (N,) the largest number of edges on a way to it from a node without entries."""
-    order = np.argsort(tail, kind='stable')
-    followers = head[order]
-    first = np.searchsorted(tail[order], np.arange(count + 1))
-    pending = np.bincount(head, minlength=count)
-    layer = np.zeros(count, dtype=np.int64)
-    free, depth = np.flatnonzero(pending == 0), 0
-    while len(free):
-        layer[free] = depth
-        lengths = first[free + 1] - first[free]
-        start = np.repeat(first[free] - np.cumsum(lengths) + lengths, lengths)
-        reached = followers[start + np.arange(lengths.sum())]
-        pending -= np.bincount(reached, minlength=count)
-        free = np.unique(reached[pending[reached] == 0])
-        depth += 1
-    return layer
+        entry = self._entry[rows.indices]
+        used = entry >= 0
+        first = np.concatenate(([0], np.cumsum(used)))[rows.indptr]
+        entry, hit = entry[used], np.zeros(rows.shape[0])
+        met = np.flatnonzero(np.diff(first))
+        begin = np.minimum.reduceat(self._head[entry], first[met]) if len(met) else met
+        end = np.maximum.reduceat(self._tail[entry], first[met]) + 1 if len(met) else met
+        share, unhit = self._share.copy(), self._visits.copy()
+        for site, a, b in zip(met, begin, np.maximum(begin, end), strict=True):
+            hitting = entry[first[site] : first[site + 1]]
+            share[hitting] = 0.0
+            unhit[a:b] = self._start[a:b]
+            self._chain.add_rows(share, unhit, a, b)
+            share[hitting] = self._share[hitting]
+            hit[site] = share[hitting] @ unhit[self._tail[hitting]]
+            unhit[a:b] = self._visits[a:b]
+        return np.minimum(hit, 1.0)

@@ -23,8 +23,6 @@ from .separate_legs import join_faces, or_by_entries, separate_legs
 # Relative gaps of the program in potentials of the faces, and of the bound that its ambusher
 # proves, as shares of the slack.
 FACES_GAP, PROVED_GAP = 0.1, 0.2
-# Most that the lines' value may exceed the bound by, in slacks: a law around them can be better.
-LINES = 2.0
 # Widths of the strips that this program is solved on, in margins of the budget.
 STRIPS = (1.0, 2.0, 4.0, math.inf)
 
@@ -51,9 +49,8 @@ def along_chain(stage: EntropyStage) -> Solution | None:
 def along_level_lines(stage: EntropyStage) -> Solution | None:
     """Level lines of the potential of the faces that has the least value within a budget.
 
-    None if there are several ambushers or budgets, or if nothing proves the value found. That
-    happens if routes can be spirals, or if a budget leaves next to no room; entries then usually do
-    better, and if not, the lines in ``stage.level_lines`` do.
+    Their flow, driven as a Markov chain, can have a larger value: routes change from line to line.
+    None if there are several ambushers or budgets.
     """
     game, binding = stage.game, [b for b in stage.budgets if b.binds and b.limit > 0.0]
     if not stage.chain or game.ambushers > 1 or len(binding) != 1:
@@ -68,14 +65,11 @@ def along_level_lines(stage: EntropyStage) -> Solution | None:
         return None
     if found.q is not None:
         stage.hit_bound(found.q, _priced(stage, binding[0], found.price))
-    q, prices, bound = stage.best_proof()
+    q, prices, _ = stage.best_proof()
     lines = or_by_entries(stage, without_cycles(game.network, short))
     stage.level_lines = lines
-    solution = Solution(lines, q, prices, stage.evaluations)
-    if worst_loss(game, lines) > bound * (1.0 + LINES * stage.slack) and not stage.in_a_hurry:
-        stage.laws.append(solution)
-        return None
-    return solution
+    stage.laws.append(Solution(lines, q, prices, stage.evaluations))
+    return stage.laws[-1]
 
 
 def _least_on_faces(stage: EntropyStage, budget: Budget, bound: float) -> LevelLines:

@@ -22,7 +22,6 @@ from .certificate import certify
 from .entries import entry_bound, entry_value
 from .entropy_stage import EntropyStage, Solution
 from .game import Game, GameOptions, make_game
-from .hit_once import count_routes_once
 from .hits import hits_can_differ
 from .limit_rows import Multipliers
 from .linear_program import linear_program_strategy
@@ -240,8 +239,8 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
     if options.solver == 'max_entropy':
-        stage = EntropyStage(prepared, budgets, options.risk_slack, deadline, warm)
-        solution = count_routes_once(stage, max_entropy_strategy(stage))
+        solution = max_entropy_strategy(
+            EntropyStage(prepared, budgets, options.risk_slack, deadline, warm))
     else:
         solution, length = linear_program_strategy(
             prepared, options.solver, budgets[0], options.length_weight, deadline

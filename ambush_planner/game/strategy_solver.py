@@ -7,6 +7,7 @@
 3. Find the strategy of greatest route entropy (a Gibbs law) on an acyclic part of the network that
    contains an optimal strategy (``entropy_stage``). If it still exceeds a limit when the search
    ends, mix in the optimal strategy of stage 1.
+4. Where a route can come back into a site's reach, count it once (``hit_once``).
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from .budget import Budget
 from .entries import entry_bound, entry_value
 from .entropy_stage import EntropyStage, Solution
 from .game import Game
+from .hit_once import count_routes_once
+from .hits import worst_loss
 from .least_on_faces import along_chain, along_level_lines
 from .least_risk import (
     PRICES,
@@ -34,10 +37,12 @@ from .soft_search import SoftSearch
 PROGRAM_GAP = 0.02
 # Relative gap at which the soft search before the programs ends.
 FIRST_GAP = 0.06
+# A strategy from the faces is good enough if its relative gap is at most this many times the slack.
+NEAR = 2.0
 
 
 def max_entropy_strategy(stage: EntropyStage) -> Solution:
-    """Solve the three stages; at the deadline, return the best strategy so far.
+    """Solve all stages; at the deadline, return the best strategy so far.
 
     Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
     before the first strategy.
@@ -50,25 +55,31 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     soft = SoftSearch(stage)
     if loose := least_risk_by_cut(game, budgets):
         if found := stage.most_unpredictable(loose):
-            return found
+            return count_routes_once(stage, found)
     elif found := along_chain(stage):
         return found
-    first = soft.strategy(loose, FIRST_GAP) if stage.in_a_hurry else None
-    if first and time.monotonic() > stage.deadline:
-        return first
+    best = soft.strategy(loose, FIRST_GAP) if stage.in_a_hurry else None
+    if best and time.monotonic() > stage.deadline:
+        return best
     if not loose and (found := along_level_lines(stage)):
-        return stage.best_of(found, first) if first else found
+        best = stage.best_of(count_routes_once(stage, found), best)
+        near = stage.best_proof()[2] * (1.0 + NEAR * stage.slack)
+        if worst_loss(game, best.p) <= near or time.monotonic() > stage.deadline:
+            return best
     try:
-        if found := along_separate_legs(stage):
-            return found
-        part = initial_part(game, budgets, stage.potential)
-        risk = least_risk(game, part, budgets, PROGRAM_GAP * stage.slack,
-                          stage.program_deadline())
+        found = along_separate_legs(stage) or _by_linear_program(stage)
     except (TimeLimit, SolverFailed) as failure:
         found = soft.strategy(loose, stage.slack)
         if found is None:
             raise TimeLimit('no strategy within the budgets was found in time') from failure
-        return replace(found, complete=not isinstance(failure, TimeLimit))
+        found = replace(found, complete=not isinstance(failure, TimeLimit))
+    return stage.best_of(count_routes_once(stage, found), best)
+
+
+def _by_linear_program(stage: EntropyStage) -> Solution:
+    game, budgets = stage.game, stage.budgets
+    risk = least_risk(game, initial_part(game, budgets, stage.potential), budgets,
+                      PROGRAM_GAP * stage.slack, stage.program_deadline())
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 

@@ -8,8 +8,6 @@ same array, each row of a strictly lower triangle reads entries that are final: 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix, identity
-from scipy.sparse.linalg import splu
 
 from ..arrays import FloatArray, IndexArray
 
@@ -20,22 +18,31 @@ except ImportError:
 
 
 class Recursion:
-    """The pattern of a strictly lower triangular matrix A (n, n), entry by entry."""
+    """The pattern of a strictly lower triangular matrix A (n, n), entry by entry.
+
+    ``order`` sorts the entries by row.
+    """
 
     def __init__(self, row: IndexArray, column: IndexArray, n: int) -> None:
-        self._order = np.lexsort((column, row))
-        self._column = column[self._order].astype(np.intc)
-        self._first = np.searchsorted(row[self._order], np.arange(n + 1)).astype(np.intc)
+        self.order = np.lexsort((column, row))
+        self._column = column[self.order].astype(np.intc)
+        self._first = np.searchsorted(row[self.order], np.arange(n + 1)).astype(np.intc)
 
     def solve(self, entries: FloatArray, right: FloatArray) -> FloatArray:
         """y = right + A y, for ``right`` (n,) or (n, R), which may be overwritten."""
-        n, y, entries = len(right), np.ascontiguousarray(right), entries[self._order]
+        y = np.ascontiguousarray(right)
+        self.add_rows(entries[self.order], y, 0, len(y))
+        return y
+
+    def add_rows(self, entries: FloatArray, y: FloatArray, begin: int, end: int) -> None:
+        """Add the rows ``begin`` to ``end`` - 1 of A y to y, one by one; entries sorted by row."""
         if IN_PLACE:
-            csr_matvecs(n, n, y.size // n, self._first, self._column, entries, *2 * (y.ravel(),))
-            return y
-        matrix = identity(n) - csr_matrix((entries, self._column, self._first), shape=(n, n))
-        factors = splu(matrix.tocsc(), permc_spec='NATURAL', diag_pivot_thresh=0.0)
-        return np.asarray(factors.solve(y))
+            csr_matvecs(end - begin, len(y), y.size // len(y), self._first[begin : end + 1],
+                        self._column, entries, y.ravel(), y[begin:end].ravel())
+            return
+        for row in range(begin, end):
+            some = slice(self._first[row], self._first[row + 1])
+            y[row] += entries[some] @ y[self._column[some]]
 
 
 def _goes_row_by_row() -> bool:

@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..game.acyclic import is_acyclic
-from ..game.hits import RouteHits
+from ..game.acyclic import order_along
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap
@@ -81,8 +80,10 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     network, game = strategy.network, strategy.game
     cells, levels, cell = map_cells(risk_map)
     p = np.where(strategy.edge_probability > LEAST_PROBABILITY, strategy.edge_probability, 0.0)
-    ordered = is_acyclic(network, p)
-    used = RouteHits(network, p).edges if ordered else np.flatnonzero(p)
+    rank, used = order_along(network, p), np.flatnonzero(p)
+    ordered = rank is not None
+    if ordered:
+        used = used[np.argsort(rank[network.tails[used]], kind='stable')]
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
     degrees = degrees_polynomial(risk_map.crs, low, high) if risk_map.crs and with_degrees else None

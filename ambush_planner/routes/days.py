@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import maximum_flow
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NotDistinct
-from ..game.acyclic import is_acyclic, rank_around
+from ..game.acyclic import is_acyclic, order_along
 from ..game.strategy import Strategy
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least, check_whole
@@ -240,7 +240,8 @@ class _ConditionalFlow:
     def __init__(self, strategy: Strategy) -> None:
         network, p = strategy.network, strategy.edge_probability
         self._network = network
-        rank = rank_around(strategy.game, p, np.zeros(len(network.points)))
+        rank = order_along(network, p)
+        assert rank is not None  # Strategy is acyclic
         used = np.flatnonzero(p > 0.0)
         self._edges = used[np.argsort(rank[network.tails[used]], kind='stable')]
         tails = network.tails[self._edges]
