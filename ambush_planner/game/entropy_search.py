@@ -27,8 +27,9 @@ from ..arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 from .node_limits import NodeLimits
 
-# Evaluations of L-BFGS before Newton's method starts, and in each round after it.
-FIRST_EVALUATIONS, NEXT_EVALUATIONS = 150, 300
+# Evaluations of L-BFGS before Newton's method starts, also if the sites' multipliers are known, and
+# in each round after it.
+FIRST_EVALUATIONS, WARM_EVALUATIONS, NEXT_EVALUATIONS = 100, 15, 300
 # Limits that Newton's method moves at once, and its most steps.
 NEWTON_LIMITS, MOST_STEPS = 1500, 500
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
@@ -154,8 +155,9 @@ class _DualSearch:
 
     def run(self, start: FloatArray) -> None:
         """Minimise by turns with L-BFGS and a Newton method until neither gains."""
-        self.quasi_newton(start, FIRST_EVALUATIONS)
         limits = NodeLimits(self.network, self.rows)
+        warm = not limits.fits and start[self.soft].any()
+        self.quasi_newton(start, WARM_EVALUATIONS if warm else FIRST_EVALUATIONS)
         before = np.inf
         while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
             before = self.least

@@ -21,8 +21,8 @@ KEPT_MARGIN = 1e-3
 LEAST_TOLERANCE = 1e-6
 # Smallest limit of a site's hits; with several ambushers its level may be 0.
 LEAST_HITS = 1e-9
-# Largest initial multiplier of a site or budget, scaled to its limit.
-MAX_FIRST_MULTIPLIER = 300.0
+# Largest initial multiplier of a budget, scaled to its limit, and the largest from another solve.
+MAX_FIRST_MULTIPLIER, MAX_WARM_MULTIPLIER = 300.0, 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class LimitRows:
         sites = warm.sites[self._game.sites[self._row]] * self._most
         pairs = zip(warm.budgets, self._budgets, strict=True)
         budgets = np.array([price for price, b in pairs if b.binds]) * self._margin
-        return np.asarray(np.minimum(np.concatenate((sites, budgets)), MAX_FIRST_MULTIPLIER))
+        return np.asarray(np.minimum(np.concatenate((sites, budgets)), MAX_WARM_MULTIPLIER))
 
     def unscaled(self, multipliers: FloatArray) -> Multipliers:
         """The scaled multipliers (R,) as multipliers per hit and per unit of cost."""
