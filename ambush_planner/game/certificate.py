@@ -61,7 +61,7 @@ def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...
     bound = max(bound - over, 0.0)
     if bound > value * (1.0 + ROUNDING):
         raise SolverFailed(f'the lower bound {bound:.12g} is above the value {value:.12g}')
-    return Certificate(value, bound)
+    return Certificate(value, min(bound, value))
 
 
 def hit_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
