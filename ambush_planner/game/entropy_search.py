@@ -27,9 +27,10 @@ from ..arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 from .node_limits import NodeLimits
 
-# Evaluations of L-BFGS before Newton's method starts, also if the sites' multipliers are known, and
-# in each round after it.
-FIRST_EVALUATIONS, WARM_EVALUATIONS, NEXT_EVALUATIONS = 100, 15, 300
+# Evaluations of L-BFGS before Newton's method starts: at least; one for each of so many nodes, since
+# a step then takes longer; if the sites' multipliers are known; and in each round after it.
+FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
+WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
 # Limits that Newton's method moves at once, and its most steps.
 NEWTON_LIMITS, MOST_STEPS = 1500, 500
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
@@ -156,8 +157,9 @@ class _DualSearch:
     def run(self, start: FloatArray) -> None:
         """Minimise by turns with L-BFGS and a Newton method until neither gains."""
         limits = NodeLimits(self.network, self.rows)
+        first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
         warm = not limits.fits and start[self.soft].any()
-        self.quasi_newton(start, WARM_EVALUATIONS if warm else FIRST_EVALUATIONS)
+        self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
         before = np.inf
         while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
             before = self.least
