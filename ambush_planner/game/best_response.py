@@ -80,7 +80,8 @@ def _least_cost_of_legs(game: Game, base: FloatArray, q: FloatArray) -> float:
 def _least_cost(game: Game, base: FloatArray,
                 charge: FloatArray) -> tuple[float, IndexArray | None]:
     """A lower bound of the least base cost plus charges (S,) of a route, and a route near it."""
-    rows = np.flatnonzero(charge > _NEGLIGIBLE * charge.max(initial=0.0))
+    rows = np.argsort(-charge, kind='stable')
+    rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
     labels = _Labels(game, base, rows, charge[rows])
     least, edges = labels.search(MAX_MERGED_COMPARISONS, merged=True)
     if edges is not None:
@@ -110,7 +111,6 @@ class _Labels:
         hit = game.hits[rows][:, edge].tocoo()
         for row, k in zip(hit.row.tolist(), hit.col.tolist(), strict=True):
             self._met[k] |= 1 << row
-        self._losses: dict[int, float] = {0: 0.0}
         self._source, self._target = network.source, network.target
 
     def search(self, comparisons: int, merged: bool) -> tuple[float, IndexArray | None]:
@@ -118,7 +118,7 @@ class _Labels:
 
         Without merging, the bound is that route's cost.
         """
-        behind, loss = self._behind, self._loss
+        behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
         settled: dict[int, list[tuple[float, int]]] = {}
         queue = [(behind[self._source], 0.0, 0, self._source, 0)]
@@ -137,7 +137,7 @@ class _Labels:
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
-                after = cost + self._base[k] + (loss(new) if new else 0.0)
+                after = self._charged(cost + self._base[k], new)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
                 if self._dominated(there, after, both):
@@ -149,22 +149,17 @@ class _Labels:
     def _dominated(self, others: Sequence[tuple[float, int]], cost: float, met: int) -> bool:
         """Whether another label costs no more even if it pays for the sites that it lacks."""
         for least, theirs in others:
-            if least <= cost:
-                lacking = met & ~theirs
-                if not lacking or least + self._loss(lacking) <= cost:
-                    return True
+            if least <= cost and self._charged(least, met & ~theirs, cost) <= cost:
+                return True
         return False
 
-    def _loss(self, met: int) -> float:
-        known = self._losses.get(met)
-        if known is None:
-            rest, known = met, 0.0
-            while rest:
-                low = rest & -rest
-                known += self._charge[low.bit_length() - 1]
-                rest ^= low
-            self._losses[met] = known
-        return known
+    def _charged(self, cost: float, sites: int, most: float = np.inf) -> float:
+        """The cost with the charges of ``sites``, added until it exceeds ``most``."""
+        while sites and cost <= most:
+            lowest = sites & -sites
+            cost += self._charge[lowest.bit_length() - 1]
+            sites ^= lowest
+        return cost
 
     def _route(self, labels: list[tuple[int, int]], number: int) -> IndexArray:
         route = []
