@@ -36,7 +36,7 @@ NEWTON_LIMITS, MOST_STEPS = 1500, 500
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative.
-LEAST_GAIN = 1e-9
+LEAST_GAIN = 1e-6
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3
 # Rounding of the function's value, relative to its terms.

@@ -32,6 +32,8 @@ PROGRAM_GAP = 0.2
 MAX_ROUNDS, AIM = 10, 0.9
 # Limits less than this share of the slack below the best value are not worth another law.
 LEAST_GAIN = 0.2
+# Laws whose values differ by less than this share of the slack are compared by their entropy.
+SAME = 0.05
 # From the fourth law on, one that gains less than this share of what was missing is the last.
 LEAST_PROGRESS = 0.01
 # Flows below this are rounding of the program over routes.
@@ -75,7 +77,9 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     mixed = replace(solution, p=base, entropy_bound=np.nan)
     laws = _laws_around(stage, mixed, bound)
     if laws:
-        law = min(laws, key=lambda each: each.value).solution
+        least = min(each.value for each in laws)
+        near = [each.solution for each in laws if each.value <= least * (1.0 + SAME * stage.slack)]
+        law = max(near, key=lambda each: route_entropy(network, each.p))
         fitting = mixture(law.p, base, lambda p: worst_loss(game, p) <= limit)
         if fitting is not None:
             return replace(law, p=fitting)
