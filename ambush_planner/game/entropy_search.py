@@ -27,9 +27,10 @@ from ..arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 from .node_limits import NodeLimits
 
-# Evaluations of L-BFGS before Newton's method starts: at least; one for each of so many nodes, since
-# a step then takes longer; if the sites' multipliers are known; and in each round after it.
+# Evaluations of L-BFGS before Newton's method starts; on large networks, where Newton's steps are
+# slow, one for each of this many nodes.
 FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
+# Evaluations before it if the sites' multipliers are known, and in each round after it.
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
 # Limits that Newton's method moves at once, and its most steps.
 NEWTON_LIMITS, MOST_STEPS = 1500, 500

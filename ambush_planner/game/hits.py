@@ -1,10 +1,10 @@
 """The probability that an ambush hits a drawn route, counted once however often it comes back.
 
 The rows of the game count how often a route enters a disc, which linear programs need because it is
-linear in p. But an ambush hits a route only once. On an acyclic strategy, let o_k be the probability
-of arriving at node k unhit: o_source = 1, and o_k = sum over the edges i -> k that do not enter the
-disc of o_i p_ik / x_i, node by node in topological order. Then P(hit) is the sum of o_i p_ik / x_i
-over the edges i -> k that enter the disc.
+linear in p. But an ambush hits a route only once. On an acyclic strategy, let o_k be the
+probability of arriving at node k unhit: o_source = 1, and o_k = sum over the edges i -> k that do
+not enter the disc of o_i p_ik / x_i, node by node in topological order. Then P(hit) is the sum of
+o_i p_ik / x_i over the edges i -> k that enter the disc.
 """
 
 from __future__ import annotations

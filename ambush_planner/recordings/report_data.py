@@ -81,8 +81,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
     cells, levels, cell = map_cells(risk_map)
     p = np.where(strategy.edge_probability > LEAST_PROBABILITY, strategy.edge_probability, 0.0)
     rank, used = order_along(network, p), np.flatnonzero(p)
-    ordered = rank is not None
-    if ordered:
+    if rank is not None:
         used = used[np.argsort(rank[network.tails[used]], kind='stable')]
     corner = np.array(risk_map.origin[:2])
     low, high = risk_map.bounds
@@ -95,7 +94,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'origin': corner.tolist(), 'yaw': risk_map.origin[2],
         'box': [*(low - corner).tolist(), *(high - corner).tolist()],
         'ends': (network.points[ends] - corner).tolist(),
-        'source': network.source, 'target': network.target, 'ordered': ordered,
+        'source': network.source, 'target': network.target, 'ordered': rank is not None,
         'reach': game.reach, 'held': game.options.held_radius,
         'shelter': game.options.held_radius - game.options.tube,
         'value': strategy.value, 'degrees': degrees,

@@ -241,7 +241,7 @@ class _ConditionalFlow:
         network, p = strategy.network, strategy.edge_probability
         self._network = network
         rank = order_along(network, p)
-        assert rank is not None  # Strategy is acyclic
+        assert rank is not None  # the strategy is acyclic
         used = np.flatnonzero(p > 0.0)
         self._edges = used[np.argsort(rank[network.tails[used]], kind='stable')]
         tails = network.tails[self._edges]
