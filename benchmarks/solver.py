@@ -168,7 +168,8 @@ def main() -> None:
     parser = new_parser(__doc__)
     parser.add_argument('--sizes', type=int, nargs='+', default=[2500, 9500], metavar='NODES',
                         help='sizes of the networks, such as 2500 9500 37000 1000000')
-    parser.add_argument('--each', type=int, default=5, help='problems of each family and size')
+    parser.add_argument('--each', type=int, nargs='+', default=[5], metavar='COUNT',
+                        help='problems of each family, for all sizes or for each size')
     parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
     parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
     parser.add_argument('--reach', type=float, help='for all problems [spacings]')
@@ -185,13 +186,14 @@ def main() -> None:
     more = [f'--{key}={value}' for key in ('reach', 'detour', 'ambushers', 'stops')
             if (value := getattr(options, key)) is not None]
     sections = []
-    for nodes in options.sizes:
-        names = [f'{f}:{nodes}:{first + k}' for f in options.families for k in range(options.each)]
+    each = options.each * (len(options.sizes) if len(options.each) == 1 else 1)
+    for nodes, count in zip(options.sizes, each, strict=True):
+        names = [f'{f}:{nodes}:{first + k}' for f in options.families for k in range(count)]
         answers = measure(names, options.limit, options.peers, options.early, *more)
         sections.append(f'### {nodes} nodes\n\n{by_family(answers)}\n\n{paths(answers)}'
                         f'{first_strategies(answers)}'
                         f'{against_peers(answers, options.peers, options.limit)}')
-    text = (f'Seeds {first} to {first + options.each - 1}. One thread, processor seconds. '
+    text = (f'Seeds {first} to {first + max(each) - 1}. One thread, processor seconds. '
             f"{conditions('highspy', 'clarabel')}.\n\n" + '\n\n'.join(sections))
     publish(options.results, 'solver', text)
 

@@ -14,6 +14,7 @@ from ambush_planner.game import acyclic
 from ambush_planner.game.acyclic import (
     conserved_strategy,
     forward_part,
+    order_along,
     order_potential,
     progress,
     rank_around,
@@ -111,6 +112,16 @@ def test_an_order_around_a_strategy_keeps_it(network, seed):
     assert (rank[network.tails[used]] < rank[network.heads[used]]).all()
     part = forward_part(game, rank)
     assert part.playable[used].all() and is_acyclic(network, part.playable.astype(float))
+
+
+@examples(50)
+@given(networks(), st.integers(0, 10**6))
+def test_an_order_along_a_strategy_exists_exactly_if_it_has_no_cycle(network, seed):
+    walks = mixed_walks(network, seed)
+    for p in (walks, without_cycles(network, walks)):
+        number, (tails, heads) = order_along(network, p), network.edges[p > 0.0].T
+        assert (number is not None) == is_acyclic(network, p)
+        assert number is None or (number[tails] < number[heads]).all()
 
 
 @examples(50)
