@@ -182,6 +182,8 @@ def main() -> None:
     parser.add_argument('--limit', type=float, default=300.0,
                         help='limit of each solve [s]; ours is elapsed time')
     options = parser.parse_args()
+    if len(options.each) not in (1, len(options.sizes)):
+        parser.error('--each takes one count, or one for each of the --sizes')
     first = options.seed or secrets.randbelow(10**9)
     more = [f'--{key}={value}' for key in ('reach', 'detour', 'ambushers', 'stops')
             if (value := getattr(options, key)) is not None]

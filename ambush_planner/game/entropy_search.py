@@ -10,7 +10,7 @@ no such strategy exists. The search begins with L-BFGS-B, which scales the multi
 Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: if
 the limits are on visits of nodes, as a primal-dual interior point method in all multipliers, whose
 systems are sparse (``node_limits``); else in the multipliers of the tight limits, with
-Levenberg-Marquardt damping. The search goes on as long as the function falls.
+Levenberg-Marquardt damping. The search goes on as long as a round still lowers the function.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .gibbs import AcyclicNetwork
 from .node_limits import NodeLimits
 
 # Evaluations of L-BFGS before Newton's method starts; on large networks, where Newton's steps are
-# slow, one for each of this many nodes.
+# slow, one evaluation per this many nodes.
 FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 # Evaluations before it if the sites' multipliers are known, and in each round after it.
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
@@ -36,7 +36,8 @@ WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
 NEWTON_LIMITS, MOST_STEPS = 1500, 500
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
-# The search ends when a round lowers the function by less than this, relative.
+# The search ends when a round lowers the function by less than this, relative; the interior point
+# method, when its steps or its products do.
 LEAST_GAIN = 1e-6
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3

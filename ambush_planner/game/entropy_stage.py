@@ -29,6 +29,7 @@ from .gibbs import AcyclicNetwork
 from .hits import worst_loss
 from .least_risk import LeastRisk, without_excessive_sites
 from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
+from .route_sampler import route_entropy
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
@@ -152,10 +153,17 @@ class EntropyStage:
         return max(self._judged, key=lambda judged: judged[2])
 
     def best_of(self, *given: Solution | None) -> Solution:
-        """The strategy of least value among those given, with the ambusher of greatest bound."""
+        """The best strategy of those given, with the ambusher of greatest bound.
+
+        That is the one of most entropy within the slack of the bound, else the one of least value.
+        """
         found = [each for each in given if each]
-        q, prices, _ = self.best_proof(*found)
-        best = min(found, key=lambda each: worst_loss(self.game, each.p))
+        q, prices, bound = self.best_proof(*found)
+        values = [worst_loss(self.game, each.p) for each in found]
+        good = [each for each, value in zip(found, values, strict=True)
+                if value <= bound * (1.0 + self.slack)]
+        best = (max(good, key=lambda each: route_entropy(self.game.network, each.p)) if good
+                else found[int(np.argmin(values))])
         return replace(best, q=q, prices=prices)
 
     def law(self, network: AcyclicNetwork, level: FloatArray, kept: Sequence[tuple[float, ...]],

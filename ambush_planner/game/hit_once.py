@@ -78,7 +78,9 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     laws = _laws_around(stage, mixed, bound)
     if laws:
         least = min(each.value for each in laws)
-        near = [each.solution for each in laws if each.value <= least * (1.0 + SAME * stage.slack)]
+        most = least * (1.0 + SAME * stage.slack)
+        most = min(most, limit) if least <= limit else most
+        near = [each.solution for each in laws if each.value <= most]
         law = max(near, key=lambda each: route_entropy(network, each.p))
         fitting = mixture(law.p, base, lambda p: worst_loss(game, p) <= limit)
         if fitting is not None:
@@ -118,7 +120,7 @@ def _laws_around(stage: EntropyStage, base: Solution, bound: float) -> list[_Val
         if found:
             eased *= np.minimum(level / np.maximum(loss * hit, level), 1.0)
         limits = LimitRows(game, network, level * ratio * eased, stage.budgets)
-        drawn, law = stage.gibbs_strategy(network, limits, limits.start(start))
+        drawn, law = stage.gibbs_strategy(network, limits, limits.start(start, np.inf))
         p = None if law.infeasible else mixture(drawn, base.p, stage.within_budgets)
         if time.monotonic() > stage.deadline:
             break

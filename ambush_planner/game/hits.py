@@ -35,7 +35,7 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     """The k largest mean losses (K,) that single sites cause, and the rows (K,) of these sites.
 
     The expected entries bound the hits from above, so only sites that could still be among the
-    largest need the pass over the network.
+    largest are computed.
     """
     k = min(game.ambushers, len(game.sites))
     losses = game.site_losses(p)

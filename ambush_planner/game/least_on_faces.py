@@ -47,10 +47,10 @@ def along_chain(stage: EntropyStage) -> Solution | None:
 
 
 def along_level_lines(stage: EntropyStage) -> Solution | None:
-    """Level lines of the potential of the faces that has the least value within a budget.
+    """The level lines of the face potential of least value within a budget, as a flow.
 
-    Their flow, driven as a Markov chain, can have a larger value: routes change from line to line.
-    None if there are several ambushers or budgets.
+    Driven as a Markov chain, the flow can have a larger value: routes change from line to line.
+    None without a chain or exactly one budget, with several ambushers, or if the program fails.
     """
     game, binding = stage.game, [b for b in stage.budgets if b.binds and b.limit > 0.0]
     if not stage.chain or game.ambushers > 1 or len(binding) != 1:

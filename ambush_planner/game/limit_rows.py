@@ -21,8 +21,8 @@ KEPT_MARGIN = 1e-3
 LEAST_TOLERANCE = 1e-6
 # Smallest limit of a site's hits; with several ambushers its level may be 0.
 LEAST_HITS = 1e-9
-# Largest initial multiplier of a budget, scaled to its limit, and the largest from another solve.
-MAX_FIRST_MULTIPLIER, MAX_WARM_MULTIPLIER = 300.0, 1e6
+# Largest multiplier, scaled to its limit, to start from, except those of a law before.
+MAX_FIRST_MULTIPLIER = 300.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,14 +63,20 @@ class LimitRows:
         """Number of rows of sites, which are the first."""
         return len(self._row)
 
-    def start(self, warm: Multipliers | None) -> FloatArray:
-        """Scaled multipliers (R,) to start from: those of ``warm``, or 0 for sites."""
+    def start(self, warm: Multipliers | None,
+              most: float = MAX_FIRST_MULTIPLIER) -> FloatArray:
+        """Scaled multipliers (R,) to start from: those of ``warm`` unless one exceeds ``most``.
+
+        Otherwise those of the sites are 0.
+        """
+        cold = np.concatenate((np.zeros(len(self._row)), self._first))
         if warm is None or len(warm.sites) != self._game.node_count:
-            return np.concatenate((np.zeros(len(self._row)), self._first))
+            return cold
         sites = warm.sites[self._game.sites[self._row]] * self._most
         pairs = zip(warm.budgets, self._budgets, strict=True)
         budgets = np.array([price for price, b in pairs if b.binds]) * self._margin
-        return np.asarray(np.minimum(np.concatenate((sites, budgets)), MAX_WARM_MULTIPLIER))
+        start = np.concatenate((sites, budgets))
+        return start if start.max(initial=0.0) <= most else cold
 
     def unscaled(self, multipliers: FloatArray) -> Multipliers:
         """The scaled multipliers (R,) as multipliers per hit and per unit of cost."""

@@ -7,7 +7,7 @@
 3. Find the strategy of greatest route entropy (a Gibbs law) on an acyclic part of the network that
    contains an optimal strategy (``entropy_stage``). If it still exceeds a limit when the search
    ends, mix in the optimal strategy of stage 1.
-4. Where a route can come back into a site's reach, count it once (``hit_once``).
+4. Where a site can hit a route more than once, count that once (``hit_once``).
 """
 
 from __future__ import annotations
@@ -60,20 +60,23 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
         return found
     best = soft.strategy(loose, FIRST_GAP) if stage.in_a_hurry else None
     if best and time.monotonic() > stage.deadline:
-        return best
+        return stage.best_of(best)
     if not loose and (found := along_level_lines(stage)):
         best = stage.best_of(count_routes_once(stage, found), best)
         near = stage.best_proof()[2] * (1.0 + NEAR * stage.slack)
         if worst_loss(game, best.p) <= near or time.monotonic() > stage.deadline:
             return best
+    in_time = True
     try:
         found = along_separate_legs(stage) or _by_linear_program(stage)
     except (TimeLimit, SolverFailed) as failure:
-        found = soft.strategy(loose, stage.slack)
+        in_time = not isinstance(failure, TimeLimit)
+        found = soft.strategy(loose, stage.slack) or best
         if found is None:
             raise TimeLimit('no strategy within the budgets was found in time') from failure
-        found = replace(found, complete=not isinstance(failure, TimeLimit))
-    return stage.best_of(count_routes_once(stage, found), best)
+    if best is None or worst_loss(game, found.p) < worst_loss(game, best.p):
+        found = count_routes_once(stage, found)
+    return replace(stage.best_of(found, best), complete=in_time)
 
 
 def _by_linear_program(stage: EntropyStage) -> Solution:
