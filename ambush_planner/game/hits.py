@@ -116,8 +116,8 @@ class RouteHits:
         first = np.concatenate(([0], np.cumsum(used)))[rows.indptr]
         entry, hit = entry[used], np.zeros(rows.shape[0])
         met = np.flatnonzero(np.diff(first))
-        begin = np.minimum.reduceat(self._head[entry], first[met]) if len(met) else met
-        end = np.maximum.reduceat(self._tail[entry], first[met]) + 1 if len(met) else met
+        begin = np.minimum.reduceat(self._head[entry], first[met])
+        end = np.maximum.reduceat(self._tail[entry], first[met]) + 1
         share, unhit = self._share.copy(), self._visits.copy()
         for site, a, b in zip(met, begin, np.maximum(begin, end), strict=True):
             hitting = entry[first[site] : first[site + 1]]
