@@ -23,11 +23,13 @@ from games import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions
+from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, solve
+from ambush_planner.game.acyclic import order_potential
 from ambush_planner.game.entries import entry_bound, entry_value
 from ambush_planner.game.game import make_game
 from ambush_planner.game.least_risk import least_risk, least_risk_by_cut, least_value
 from ambush_planner.game.strategy import make_budgets
+from ambush_planner.game.two_routes import strategy_within_budgets
 
 NEVER = math.inf
 CLOSED = 1e-6
@@ -37,7 +39,7 @@ OPTIMAL = 2e-5  # of value and bound, relative: see CERTIFICATE_TOLERANCE
 def solved(network, detour=np.inf, exposure=np.inf, deadline=NEVER, **options):
     game = make_game(network, GameOptions(**options))
     budgets = make_budgets(game, StrategyOptions(max_detour=detour, max_exposure=exposure))
-    return game, budgets, least_risk(game, game, budgets, CLOSED, deadline)
+    return game, budgets, least_risk(game, budgets, order_potential(game), CLOSED, deadline)
 
 
 def check(game, budgets, risk, expected) -> None:
@@ -147,6 +149,30 @@ def test_budgets_that_contradict_each_other_are_named():
     network = Network(points, [0, 9, 0.1, 0], [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
     with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
         solved(network, 1.01, 1.01)
+
+
+@pytest.mark.parametrize('seed', [3, 7, 9, 28, 33])
+def test_two_budgets_that_next_to_nothing_fits(seed):
+    network = terrain_network(seed, cells=20)
+
+    game = make_game(network, GameOptions())
+
+    def options(detour):
+        return StrategyOptions(max_detour=detour, max_exposure=1.02)
+
+    def fits(detour):
+        try:
+            strategy_within_budgets(game, make_budgets(game, options(detour)))
+        except BudgetInfeasible:
+            return False
+        return True
+
+    low, high = 1.0, 3.0
+    for _ in range(40):
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if fits(middle) else (middle, high)
+    strategy = solve(network, options=options(high * (1.0 + 1e-6)))
+    assert strategy.lower_bound <= strategy.value <= strategy.lower_bound * 1.0101
 
 
 @examples(20)

@@ -50,6 +50,8 @@ def solve_by_min_cut(game: Game) -> CutSolution:
     if safe is not None:
         return CutSolution(0.0, shortest_route_strategy(safe), uniform_ambusher(game))
     return _solve_by_rounds(game)
+
+
 def uniform_ambusher(game: Game) -> FloatArray:
     """Spread q (N,) over the sites, or over all nodes: optimal when the value is 0."""
     q: FloatArray = np.zeros(game.node_count)

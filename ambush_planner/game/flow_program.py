@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, hstack, vstack
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import BudgetInfeasible, SolverFailed
+from ..errors import SolverFailed
 from . import highs
 from .budget import Budget
 from .game import Game
@@ -57,8 +57,7 @@ class FlowProgram:
             result = highs.run(self.program, 'simplex', deadline)
         size = -float(result.fun) if result.status == highs.OPTIMAL else 0.0
         if not size > 1e-12:
-            names = ' and '.join(b.option for b in self.budgets if b.binds)
-            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+            raise SolverFailed('the program has no flow')
         f = np.zeros(len(self.game.network.edges))
         f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
         return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)

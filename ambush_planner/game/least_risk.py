@@ -38,7 +38,7 @@ PRICES = tuple(10.0**k for k in range(-9, 1))
 NEGLIGIBLE = 1e-8
 # The first program omits edges whose routes exceed the best one by this many times the margin.
 FAR_OVER_BUDGET = 2.0
-# The program is built again if the unit of loss is off the value by more than this factor.
+# The program is built again if the unit of loss exceeds the value by more than this factor.
 MOST_RESCALED = 1e3
 MAX_ROUNDS = 30
 
@@ -72,8 +72,7 @@ def least_value(game: Game, budgets: tuple[Budget, ...], closed: float, deadline
         if loose.value <= loose.bound * (1.0 + closed):
             return loose.bound
     try:
-        part = initial_part(game, budgets, order_potential(game))
-        found = least_risk(game, part, budgets, closed, deadline)
+        found = least_risk(game, budgets, order_potential(game), closed, deadline)
         return worst_loss(game, found.p) if hits_can_differ(game) else found.bound
     except (TimeLimit, SolverFailed):
         return loose.bound if loose else 0.0
@@ -154,7 +153,7 @@ def without_excessive_sites(game: Game, value: float, p: FloatArray | None = Non
     return game.restricted_to(open_edges) or game
 
 
-def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
+def _initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
     """The part of the game that the program begins with: forward in an order around a maximum flow.
 
     It leaves out edges whose routes are far over the budgets.
@@ -170,24 +169,25 @@ def initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray)
     return forward_part(part, rank) or part
 
 
-def least_risk(game: Game, part: Game, budgets: tuple[Budget, ...], closed: float,
+def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, closed: float,
                deadline: float) -> LeastRisk:
-    """Solve the linear program from the edges of ``part`` until the relative gap is ``closed``.
+    """Solve the linear program on a growing part until the relative gap is ``closed``.
 
-    Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the deadline passed
-    before the first solution.
+    ``potential`` (N,) orders the nodes of the first part. Raises BudgetInfeasible if no strategy
+    fits all budgets, and TimeLimit if the deadline passed before the first solution.
     """
-    chosen = part.playable
-    unit = shortest_route_loss(part)
+    first = strategy_within_budgets(game, budgets)
+    first = shortest_route_strategy(game) if first is None else first
+    chosen = _initial_part(game, budgets, potential).playable | (first > 0.0)
+    unit = entry_value(game, first) or 1.0
     best: LeastRisk | None = None
-    first, solver = True, 'interior_point'
+    fresh, solver = True, 'interior_point'
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
         assert restricted is not None  # it contains the previous strategy's routes
         try:
-            found, unit = _solve(game, restricted, budgets, unit, solver, closed,
-                                 deadline)
-        except (SolverFailed, BudgetInfeasible):
+            found, unit = _solve(game, restricted, budgets, unit, solver, closed, deadline)
+        except SolverFailed:
             if chosen.sum() == game.playable.sum():
                 raise
             chosen = game.playable
@@ -205,10 +205,10 @@ def least_risk(game: Game, part: Game, budgets: tuple[Budget, ...], closed: floa
         if not added.any():
             if solver == 'simplex':
                 return best
-            first, solver = True, 'simplex'  # only precision is missing
-        if first:
+            fresh, solver = True, 'simplex'  # only precision is missing
+        if fresh:
             chosen = chosen & ((through <= KEPT_COST * found.value) | (found.p > 0.0))
-        first = False
+        fresh = False
         chosen = chosen | added
         if time.monotonic() > deadline:
             return best
@@ -251,20 +251,15 @@ def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolA
     return missing
 
 
-def shortest_route_loss(game: Game) -> float:
-    """The value of always driving the shortest route: an upper bound and first unit of loss."""
-    return entry_value(game, shortest_route_strategy(game)) or 1.0
-
-
 def _solve(game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str,
            closed: float, deadline: float) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``; also returns the unit of loss, adjusted to the value."""
     for _ in range(6):
         program = FlowProgram(part, budgets, unit)
         size, f, duals = program.solve(solver, closed, deadline)
-        if 1.0 / MOST_RESCALED < size < MOST_RESCALED:
+        if size < MOST_RESCALED:
             break
-        unit = unit / max(size, 1e-9)
+        unit /= size
     q, prices = program.ambusher(duals)
     p = conserved_strategy(part, f / size, NEGLIGIBLE)
     if p is None:

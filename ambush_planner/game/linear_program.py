@@ -18,7 +18,7 @@ from .entries import entry_bound, entry_value
 from .entropy_stage import Solution
 from .flow_program import conservation
 from .game import Game
-from .least_risk import PRICES, shortest_route_loss
+from .least_risk import PRICES
 from .route_sampler import shortest_route_strategy
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
@@ -125,7 +125,7 @@ def _loss_unit(game: Game) -> float:
 def _within_budget(game: Game, solver: str, length: Budget, length_weight: float,
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
-    unit = shortest_route_loss(game)
+    unit = entry_value(game, shortest_route_strategy(game)) or 1.0
     if length_weight == 0.0 and _has_no_margin(length):
         # Only shortest routes fit; with the others, no interior point is feasible.
         near = game.through(length.excess) <= NO_MARGIN * length.limit

@@ -25,7 +25,7 @@ from .faces import Faces
 from .flow_program import capped_at_one
 from .game import Game
 from .hits import worst_loss
-from .least_risk import LeastRisk, initial_part, least_risk
+from .least_risk import LeastRisk, least_risk
 
 # Relative gap of the programs here, as a share of the slack.
 GAP = 0.1
@@ -54,8 +54,7 @@ def or_by_entries(stage: EntropyStage, p: FloatArray) -> FloatArray:
 
 
 def _by_entries(stage: EntropyStage, game: Game, budgets: tuple[Budget, ...]) -> LeastRisk:
-    part = initial_part(game, budgets, stage.potential)
-    return least_risk(game, part, budgets, GAP * stage.slack, stage.program_deadline())
+    return least_risk(game, budgets, stage.potential, GAP * stage.slack, stage.program_deadline())
 
 
 def separate_legs(game: Game) -> Game:

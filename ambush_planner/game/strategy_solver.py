@@ -23,13 +23,7 @@ from .game import Game
 from .hit_once import count_routes_once
 from .hits import worst_loss
 from .least_on_faces import along_chain, along_level_lines
-from .least_risk import (
-    PRICES,
-    initial_part,
-    least_risk,
-    least_risk_by_cut,
-    without_forbidden_edges,
-)
+from .least_risk import PRICES, least_risk, least_risk_by_cut, without_forbidden_edges
 from .separate_legs import along_separate_legs
 from .soft_search import SoftSearch
 
@@ -81,8 +75,8 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
 
 def _by_linear_program(stage: EntropyStage) -> Solution:
     game, budgets = stage.game, stage.budgets
-    risk = least_risk(game, initial_part(game, budgets, stage.potential), budgets,
-                      PROGRAM_GAP * stage.slack, stage.program_deadline())
+    risk = least_risk(game, budgets, stage.potential, PROGRAM_GAP * stage.slack,
+                      stage.program_deadline())
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
 
