@@ -14,6 +14,9 @@ from ..errors import SolverFailed
 from .budget import ROUNDING, Budget
 from .game import Game
 
+# Prices of a budget to try besides a program's, in units of value over margin.
+PRICES = tuple(10.0**k for k in range(-9, 1))
+
 
 def entry_value(game: Game, p: FloatArray) -> float:
     """z(p): mean loss of the best ambush against p (M,), the sum over the k worst sites."""
@@ -32,6 +35,24 @@ def entry_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
     check_ambusher(game, q, budgets, prices)
     weights, paid = priced_edges(game, q, budgets, prices)
     return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
+
+
+def best_prices(game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...],
+                value: float, enough: float = np.inf) -> tuple[tuple[float, ...], float]:
+    """The prices at which q (N,) proves most, changed one at a time, and the bound.
+
+    ``value`` is about that of the game; a bound of ``enough`` ends the search.
+    """
+    bound = entry_bound(game, q, budgets, prices)
+    for k, budget in enumerate(budgets):
+        for factor in PRICES if budget.binds else ():
+            if bound >= enough:
+                return prices, bound
+            tried = (*prices[:k], factor * value / budget.margin, *prices[k + 1 :])
+            better = entry_bound(game, q, budgets, tried) if np.isfinite(tried[k]) else bound
+            if better > bound:
+                prices, bound = tried, better
+    return prices, bound
 
 
 def priced_edges(game: Game, q: FloatArray, budgets: tuple[Budget, ...],

@@ -17,7 +17,7 @@ from ..errors import BudgetInfeasible, SolverFailed, TimeLimit
 from .acyclic import conserved_strategy, forward_part, order_potential, rank_around, rank_by
 from .budget import Budget
 from .cut import CutSolution, solve_by_min_cut, uniform_ambusher
-from .entries import entry_bound, entry_value, priced_edges
+from .entries import best_prices, entry_bound, entry_value, priced_edges
 from .flow_program import FlowProgram, capped_at_places
 from .game import Game
 from .hits import hits_can_differ, worst_loss
@@ -32,8 +32,6 @@ EXCESSIVE_LOSS = 1e7
 GROWTH, LEAST_GROWTH = 0.3, 1000
 # The first round drops edges whose routes cost more than this many times the value.
 KEPT_COST = 1.1
-# Prices of a budget to try besides the program's, in units of value over margin.
-PRICES = tuple(10.0**k for k in range(-9, 1))
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
 # The first program omits edges whose routes exceed the best one by this many times the margin.
@@ -196,7 +194,9 @@ def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, c
             if best is None:
                 raise
             return best
-        best = _best_of_both(best, _with_better_prices(game, found, budgets, closed))
+        prices, bound = best_prices(game, found.q, budgets, found.prices, found.value,
+                                    found.value * (1.0 - closed))
+        best = _best_of_both(best, replace(found, prices=prices, bound=bound))
         if best.bound >= best.value * (1.0 - closed):
             return best
         weights, paid = priced_edges(game, found.q, budgets, found.prices)
@@ -222,23 +222,6 @@ def _best_of_both(best: LeastRisk | None, found: LeastRisk) -> LeastRisk:
     lower = found if found.bound >= best.bound else best
     upper = found if found.value <= best.value else best
     return replace(upper, q=lower.q, prices=lower.prices, bound=lower.bound)
-
-
-def _with_better_prices(game: Game, found: LeastRisk, budgets: tuple[Budget, ...],
-                        closed: float) -> LeastRisk:
-    """Raise the bound by other prices of the budgets, one at a time."""
-    for k, budget in enumerate(budgets):
-        for price in PRICES if budget.binds else ():
-            if found.bound >= found.value * (1.0 - closed):
-                return found
-            prices = list(found.prices)
-            prices[k] = price * found.value / budget.margin
-            if not np.isfinite(prices[k]):
-                continue
-            bound = entry_bound(game, found.q, budgets, tuple(prices))
-            if bound > found.bound:
-                found = replace(found, bound=bound, prices=tuple(prices))
-    return found
 
 
 def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolArray:

@@ -14,11 +14,10 @@ from ..errors import BudgetInfeasible, InvalidOption
 from . import highs
 from .budget import Budget
 from .cut import solve_by_min_cut, uniform_ambusher
-from .entries import entry_bound, entry_value
+from .entries import best_prices, entry_value
 from .entropy_stage import Solution
 from .flow_program import conservation
 from .game import Game
-from .least_risk import PRICES
 from .route_sampler import shortest_route_strategy
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
@@ -93,7 +92,10 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     solution = _with_ambusher(game, program, p, result, price)
     if row_added and length_weight == 0.0 and _has_no_margin(length):
-        solution = _with_best_price(game, solution, length)
+        # The price at which the bound holds on all edges, not only the shortest.
+        value = entry_value(game, p)
+        prices, _ = best_prices(game, solution.q, (length,), solution.prices[:1], value)
+        solution = replace(solution, prices=(*prices, 0.0))
     own = replace(length, limit=float(p @ lengths))
     if length_weight > 0.0:
         return solution, own
@@ -143,14 +145,6 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
 def _has_no_margin(length: Budget) -> bool:
     """Whether only shortest routes are within the budget."""
     return length.margin <= NO_MARGIN * length.limit
-
-
-def _with_best_price(game: Game, found: Solution, length: Budget) -> Solution:
-    """Choose the price of length at which the bound holds on all edges, not only the shortest."""
-    value = entry_value(game, found.p)
-    tried = [found.prices, *((factor * value / length.margin, 0.0) for factor in PRICES)]
-    best = max(tried, key=lambda prices: entry_bound(game, found.q, (length,), prices[:1]))
-    return replace(found, prices=best)
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:

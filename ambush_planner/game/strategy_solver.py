@@ -16,14 +16,12 @@ import time
 from dataclasses import replace
 
 from ..errors import SolverFailed, TimeLimit
-from .budget import Budget
-from .entries import entry_bound, entry_value
+from .entries import best_prices, entry_value
 from .entropy_stage import EntropyStage, Solution
-from .game import Game
 from .hit_once import count_routes_once
 from .hits import worst_loss
 from .least_on_faces import along_chain, along_level_lines
-from .least_risk import PRICES, least_risk, least_risk_by_cut, without_forbidden_edges
+from .least_risk import least_risk, least_risk_by_cut, without_forbidden_edges
 from .separate_legs import along_separate_legs
 from .soft_search import SoftSearch
 
@@ -45,7 +43,11 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     free = without_forbidden_edges(game, budgets)
     if free is not game:
         inner = EntropyStage(free, budgets, stage.slack, stage.deadline, stage.warm)
-        return _with_forbidden_edges_priced(game, max_entropy_strategy(inner), budgets)
+        inside = max_entropy_strategy(inner)
+        # Prices of the budgets of 0 at which the bound holds on the whole game.
+        value = entry_value(game, inside.p)
+        prices, _ = best_prices(game, inside.q, budgets, inside.prices, value)
+        return replace(inside, prices=prices)
     soft = SoftSearch(stage)
     if loose := least_risk_by_cut(game, budgets):
         if found := stage.most_unpredictable(loose):
@@ -79,19 +81,3 @@ def _by_linear_program(stage: EntropyStage) -> Solution:
                       stage.program_deadline())
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
-
-
-def _with_forbidden_edges_priced(
-    game: Game, found: Solution, budgets: tuple[Budget, ...]
-) -> Solution:
-    """Choose prices of the budgets of 0 so that the bound holds on the whole game."""
-    value = entry_value(game, found.p)
-    tried = [found.prices] + [
-        tuple(
-            price * value / budget.margin if budget.limit == 0.0 else own
-            for own, budget in zip(found.prices, budgets, strict=True)
-        )
-        for price in PRICES
-    ]
-    best = max(tried, key=lambda prices: entry_bound(game, found.q, budgets, prices))
-    return replace(found, prices=best)
