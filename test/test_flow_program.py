@@ -34,7 +34,7 @@ def test_flow_duals_and_prices_by_hand(solver, detour, straight, price):
     assert flow / size == pytest.approx(
         [straight, 1.0 - straight, straight, 1.0 - straight], abs=1e-6
     )
-    q, prices = program.ambusher(duals)
+    q, prices = program.ambusher(duals, 1e-6)
     assert q == pytest.approx([0.0, 0.2, 0.8, 0.0] if price == 0.0 else [0, 1, 0, 0], abs=1e-6)
     assert prices == pytest.approx((price, 0.0), abs=1e-6)
 
@@ -45,7 +45,7 @@ def test_several_ambushers_share_the_sum():
     program = FlowProgram(game, make_budgets(game, StrategyOptions(max_detour=np.inf)), 1.0)
     size, _, duals = program.solve('simplex', 1e-9, math.inf)
     assert 1.0 / size == pytest.approx(1.0)
-    q, _ = program.ambusher(duals)
+    q, _ = program.ambusher(duals, 1e-6)
     assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0 + 1e-12 and q[2] == pytest.approx(1.0)
 
 

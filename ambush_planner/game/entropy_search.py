@@ -38,7 +38,7 @@ NEWTON_LIMITS, MOST_STEPS = 1500, 500
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative; the interior point
 # method, when its steps or its products do.
-LEAST_GAIN = 1e-6
+LEAST_GAIN = 1e-5
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3
 # Rounding of the function's value, relative to its terms.

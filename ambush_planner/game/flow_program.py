@@ -24,6 +24,9 @@ MOST_EXCESS = 1e7
 # Precision of the interior point method, as a share of the gap. A finer one costs more than its
 # iterations: at a price of 0, all edges on routes that avoid the ambusher tie to join the program.
 PRECISION = 0.05
+# The interior point method leaves some probability at all sites. The smallest are dropped up to
+# this share of the gap in all: best responses take a time that grows with the number of sites.
+NEGLIGIBLE = 0.1
 
 
 class FlowProgram:
@@ -62,11 +65,14 @@ class FlowProgram:
         f[self.edge] = np.maximum(result.x[: len(self.edge)], 0.0)
         return size, f, np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
 
-    def ambusher(self, duals: FloatArray) -> tuple[FloatArray, tuple[float, ...]]:
-        """q (N,) and the budgets' prices from the duals."""
+    def ambusher(self, duals: FloatArray, closed: float) -> tuple[FloatArray, tuple[float, ...]]:
+        """q (N,) and the budgets' prices from the duals, for a relative gap of ``closed``."""
         sites, k = len(self.row), self.game.ambushers
-        q = np.zeros(self.game.node_count)
-        q[self.game.sites[self.row]] = duals[:sites]
+        node, q = self.game.sites[self.row], np.zeros(self.game.node_count)
+        charge = duals[:sites] * self.game.loss[node]
+        order = np.argsort(charge)
+        held = order[charge[order].cumsum() > NEGLIGIBLE * closed * charge.sum()]
+        q[node[held]] = duals[held]
         # With several ambushers, the dual of the sum's row bounds every q_j.
         total = float(duals[-1]) if k > 1 else float(q.sum())
         if not total > 0.0:

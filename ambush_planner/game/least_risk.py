@@ -243,7 +243,7 @@ def _solve(game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, sol
         if size < MOST_RESCALED:
             break
         unit /= size
-    q, prices = program.ambusher(duals)
+    q, prices = program.ambusher(duals, closed)
     p = conserved_strategy(part, f / size, NEGLIGIBLE)
     if p is None:
         raise SolverFailed("the program's flow contains no route")
