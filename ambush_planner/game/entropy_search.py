@@ -37,8 +37,8 @@ NEWTON_LIMITS, MOST_STEPS = 1500, 500
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative; the interior point
-# method, when its steps or its products do.
-LEAST_GAIN = 1e-5
+# method, when the sum of its products is less.
+LEAST_GAIN, LEAST_PRODUCT = 1e-5, 1e-6
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3
 # Rounding of the function's value, relative to its terms.
@@ -61,10 +61,11 @@ ACCEPTED, TRUSTED = 0.01, 0.5
 # Newton's model omits limits with less excess than this share of the tolerance.
 MODEL_EXCESS = 0.1
 # The interior point method: least initial product of a multiplier and the unused share of its
-# limit, factor of the mean product per step, share of the way to 0 that a step may go, sufficient
-# decrease, shortest step, and most steps in a row that lower neither value nor product.
-INTERIOR_START, CENTRING, TO_BOUNDARY, SUFFICIENT = 1e-4, 0.4, 0.99, 0.01
-SHORTEST, MOST_IDLE = 1e-5, 5
+# limit, range of the factor of the mean product that a step aims at, share of the way to 0 that a
+# step may go, sufficient decrease, factor of a step that is too long, shortest step, and most steps
+# in a row that lower neither value nor product.
+INTERIOR_START, LEAST_CENTRING, MOST_CENTRING, TO_BOUNDARY = 1e-4, 0.01, 0.6, 0.99
+SUFFICIENT, SHORTER, SHORTEST, MOST_IDLE = 0.01, 0.4, 1e-5, 5
 
 
 class _SearchEnded(Exception):
@@ -203,17 +204,26 @@ class _DualSearch:
                       factr=5.0, pgtol=1e-12, maxfun=evaluations, maxiter=evaluations)
 
     def interior(self, limits: NodeLimits) -> None:
-        """Take steps towards v s = mu with s = 1 - C p and falling mu, while the steps are long."""
+        """Take steps towards v s = mu with s = 1 - C p and falling mu, while the steps are long.
+
+        A step towards mu = 0 shows how far mu may fall (S. Mehrotra, On the implementation of a
+        primal-dual interior point method, SIAM Journal on Optimization 2, 1992).
+        """
         free = np.maximum(1.0 - self.rows @ self.found.p, INTERIOR_START**0.5)
         v = np.maximum(self.found.multipliers, INTERIOR_START / free)
         value, gradient = self(v)
         unused, length = np.maximum(gradient, INTERIOR_START / v), 1.0
         least, idle = self.least, 0
         while (length > SHORTEST and idle < MOST_IDLE
-               and v @ unused > LEAST_GAIN * (1.0 + abs(value))):
-            mu = CENTRING * float(v @ unused) / len(v)
+               and v @ unused > LEAST_PRODUCT * (1.0 + abs(value))):
+            product = float(v @ unused)
             try:
                 limits.factor(self.share, self.p, unused / v)
+                step = limits.solve(-gradient)
+                change = -unused - unused / v * step
+                left = (v + _within(v, step) * step) @ (unused + _within(unused, change) * change)
+                share = float(np.clip((left / product)**2, LEAST_CENTRING, MOST_CENTRING))
+                mu = share * product / len(v)
                 step = limits.solve(mu / v - gradient)
             except (RuntimeError, LinAlgError):  # singular by rounding
                 return
@@ -227,11 +237,11 @@ class _DualSearch:
                 value, gradient = self(tried)
                 if value - mu * float(np.log(tried).sum()) <= barrier + length * slope:
                     break
-                length *= CENTRING
+                length *= SHORTER
             kept = _within(unused, change)
             unused = unused + (kept if length == longest else min(kept, length)) * change
-            gains = self.least < least - LEAST_GAIN * (1.0 + abs(value))
-            idle = 0 if gains or tried @ unused < mu / CENTRING * len(v) else idle + 1
+            gains = self.least < least - LEAST_PRODUCT * (1.0 + abs(value))
+            idle = 0 if gains or tried @ unused < product else idle + 1
             v, least = tried, self.least
 
     def newton(self, limits: int = NEWTON_LIMITS, steps: int = MOST_STEPS,

@@ -24,8 +24,8 @@ MOST_EXCESS = 1e7
 # Precision of the interior point method, as a share of the gap. A finer one costs more than its
 # iterations: at a price of 0, all edges on routes that avoid the ambusher tie to join the program.
 PRECISION = 0.05
-# The interior point method leaves some probability at all sites. The smallest are dropped up to
-# this share of the gap in all: best responses take a time that grows with the number of sites.
+# The interior point method leaves some probability at all sites. The smallest are dropped, at a
+# cost to the bound of at most this share of the gap: best responses take longer with more sites.
 NEGLIGIBLE = 0.1
 
 
@@ -69,9 +69,9 @@ class FlowProgram:
         """q (N,) and the budgets' prices from the duals, for a relative gap of ``closed``."""
         sites, k = len(self.row), self.game.ambushers
         node, q = self.game.sites[self.row], np.zeros(self.game.node_count)
-        charge = duals[:sites] * self.game.loss[node]
+        charge = duals[:sites] * self.game.loss[node] / self.unit  # every route meets at least 1
         order = np.argsort(charge)
-        held = order[charge[order].cumsum() > NEGLIGIBLE * closed * charge.sum()]
+        held = order[charge[order].cumsum() > NEGLIGIBLE * closed]
         q[node[held]] = duals[held]
         # With several ambushers, the dual of the sum's row bounds every q_j.
         total = float(duals[-1]) if k > 1 else float(q.sum())

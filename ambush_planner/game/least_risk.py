@@ -30,8 +30,6 @@ from .two_routes import strategy_within_budgets
 EXCESSIVE_LOSS = 1e7
 # Largest number of edges added in one round: this share of the program's, or this many.
 GROWTH, LEAST_GROWTH = 0.3, 1000
-# The first round drops edges whose routes cost more than this many times the value.
-KEPT_COST = 1.1
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
 # The first program omits edges whose routes exceed the best one by this many times the margin.
@@ -179,7 +177,7 @@ def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, c
     chosen = _initial_part(game, budgets, potential).playable | (first > 0.0)
     unit = entry_value(game, first) or 1.0
     best: LeastRisk | None = None
-    fresh, solver = True, 'interior_point'
+    solver = 'interior_point'
     for _ in range(MAX_ROUNDS):
         restricted = game.restricted_to(chosen)
         assert restricted is not None  # it contains the previous strategy's routes
@@ -205,10 +203,7 @@ def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, c
         if not added.any():
             if solver == 'simplex':
                 return best
-            fresh, solver = True, 'simplex'  # only precision is missing
-        if fresh:
-            chosen = chosen & ((through <= KEPT_COST * found.value) | (found.p > 0.0))
-        fresh = False
+            solver = 'simplex'  # only precision is missing
         chosen = chosen | added
         if time.monotonic() > deadline:
             return best
