@@ -32,8 +32,9 @@ from .node_limits import NodeLimits
 FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 # Evaluations before it if the sites' multipliers are known, and in each round after it.
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
-# Limits that Newton's method moves at once, and its most steps.
-NEWTON_LIMITS, MOST_STEPS = 1500, 500
+# Limits that Newton's method moves at once, its most steps, and the most further rounds of L-BFGS
+# before it while more limits have multipliers.
+NEWTON_LIMITS, MOST_STEPS, MORE_ROUNDS = 1500, 500, 3
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # The search ends when a round lowers the function by less than this, relative; the interior point
@@ -163,6 +164,10 @@ class _DualSearch:
         first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
         warm = not limits.fits and start[self.soft].any()
         self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
+        for _ in range(MORE_ROUNDS):
+            if limits.fits or np.count_nonzero(self.found.multipliers) <= NEWTON_LIMITS:
+                break
+            self.quasi_newton(self.found.multipliers, first)
         before = np.inf
         while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
             before = self.least
