@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 # Most programs that are solved for one strip.
 MAX_ROUNDS = 100
-# A strip without routes of the value tried is left when fewer faces than this share join.
+# A strip is left when at most this share of faces joins, and the value is found or the strip has no
+# routes of the value tried.
 FEW_JOINED = 0.02
 
 
@@ -104,8 +105,8 @@ class FaceProgram:
             self.found = self._level_lines(potential, ambush)
             new = self._join(potential[faces.touched.indices] + self.lift)
             full = bool((result.upper.residual[len(links) :] <= 0.0).any())
-            narrow = full and width < np.inf and new < FEW_JOINED * len(self.entry)
-            if narrow or closed and not new:
+            few = new <= FEW_JOINED * len(self.entry)
+            if few and (closed or full and width < np.inf):
                 break
         assert self.found is not None  # else it raised
         return self.found
