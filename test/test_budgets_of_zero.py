@@ -94,3 +94,13 @@ def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):
     assert unbalanced(network, strategy.edge_probability) < 1e-9
     assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
     assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
+
+
+def test_two_budgets_of_zero_need_both_prices():
+    # The way by a costs nothing, by b only time, by c only exposure: a bound needs both prices.
+    points = [[0, 0], [0, 0], [1, 0], [2, 0], [0, 0]]
+    edges = [(0, 1), (1, 4), (0, 2), (2, 4), (0, 3), (3, 4)]
+    network = Network(points, [0, 1, 0, 1e-3, 0], edges, 0, 4, seconds=[0, 0, 1, 1, 0, 0])
+    strategy = solve(network, options=StrategyOptions(max_detour=1.0, max_exposure=1.0))
+    assert strategy.value == pytest.approx(1.0)
+    assert strategy.lower_bound == pytest.approx(1.0, rel=1e-6)

@@ -152,9 +152,8 @@ def test_budgets_that_contradict_each_other_are_named():
 
 
 @pytest.mark.parametrize('seed', [3, 7, 9, 28, 33])
-def test_two_budgets_that_next_to_nothing_fits(seed):
+def test_two_budgets_that_hardly_any_strategy_fits(seed):
     network = terrain_network(seed, cells=20)
-
     game = make_game(network, GameOptions())
 
     def options(detour):

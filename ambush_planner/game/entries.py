@@ -39,17 +39,20 @@ def entry_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
 
 def best_prices(game: Game, q: FloatArray, budgets: tuple[Budget, ...], prices: tuple[float, ...],
                 value: float, enough: float = np.inf) -> tuple[tuple[float, ...], float]:
-    """The prices at which q (N,) proves most, changed one at a time, and the bound.
+    """Prices of the budgets at which q (N,) proves more, and the bound that it proves.
 
-    ``value`` is about that of the game; a bound of ``enough`` ends the search.
+    Each budget's price is varied over ``PRICES``, then those of all budgets together. ``value``
+    is roughly the game's and sets the scale; the search ends at a bound of ``enough``.
     """
     bound = entry_bound(game, q, budgets, prices)
-    for k, budget in enumerate(budgets):
-        for factor in PRICES if budget.binds else ():
+    binding = [k for k, budget in enumerate(budgets) if budget.binds]
+    for moved in [[k] for k in binding] + [binding] * (len(binding) > 1):
+        for factor in PRICES:
             if bound >= enough:
                 return prices, bound
-            tried = (*prices[:k], factor * value / budget.margin, *prices[k + 1 :])
-            better = entry_bound(game, q, budgets, tried) if np.isfinite(tried[k]) else bound
+            tried = tuple(factor * value / b.margin if k in moved else own
+                          for k, (own, b) in enumerate(zip(prices, budgets, strict=True)))
+            better = entry_bound(game, q, budgets, tried) if np.isfinite(tried).all() else bound
             if better > bound:
                 prices, bound = tried, better
     return prices, bound

@@ -10,7 +10,7 @@ no such strategy exists. The search begins with L-BFGS-B, which scales the multi
 Hessian's diagonal near 1 and moves only those of nearly tight limits. Newton's method ends it: if
 the limits are on visits of nodes, as a primal-dual interior point method in all multipliers, whose
 systems are sparse (``node_limits``); else in the multipliers of the tight limits, with
-Levenberg-Marquardt damping. The search goes on as long as a round still lowers the function.
+Levenberg-Marquardt damping. The search goes on as long as rounds lower the function noticeably.
 """
 
 from __future__ import annotations
@@ -32,13 +32,14 @@ from .node_limits import NodeLimits
 FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 # Evaluations before it if the sites' multipliers are known, and in each round after it.
 WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
-# Limits that Newton's method moves at once, its most steps, and the most further rounds of L-BFGS
-# before it while more limits have multipliers.
+# Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
+# further rounds of L-BFGS before it while more limits have multipliers.
 NEWTON_LIMITS, MOST_STEPS, MORE_ROUNDS = 1500, 500, 3
 # With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
 SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
-# The search ends when a round lowers the function by less than this, relative; the interior point
-# method, when the sum of its products is less.
+# Relative to 1 + |value|: least decrease per round, else the search ends; sum of the multipliers
+# times the unused shares at which the interior point method ends, and the least decrease that
+# counts as progress there.
 LEAST_GAIN, LEAST_PRODUCT = 1e-5, 1e-6
 # Missing entropy at which the search ends, relative and in nats.
 ENTROPY_TOLERANCE = 2e-3
@@ -99,7 +100,7 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
-    entropy; when the limits are proved infeasible; when the function falls no more; or at
+    entropy; when the limits are proved infeasible; when the function hardly falls any more; or at
     ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed each of the
     ``soft`` first limits by softness * the sum of their v, so that a minimum exists if the others
     can be kept; this search is short.
@@ -159,19 +160,20 @@ class _DualSearch:
         return value, self.gradient
 
     def run(self, start: FloatArray) -> None:
-        """Minimise by turns with L-BFGS and a Newton method until neither gains."""
+        """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
         limits = NodeLimits(self.network, self.rows)
+        fits = limits.fits
         first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
-        warm = not limits.fits and start[self.soft].any()
+        warm = not fits and start[self.soft].any()
         self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
         for _ in range(MORE_ROUNDS):
-            if limits.fits or np.count_nonzero(self.found.multipliers) <= NEWTON_LIMITS:
+            if fits or (self.found.multipliers > LEAST_MULTIPLIER).sum() <= NEWTON_LIMITS:
                 break
             self.quasi_newton(self.found.multipliers, first)
         before = np.inf
         while self.least < before - LEAST_GAIN * (1.0 + abs(self.least)):
             before = self.least
-            if limits.fits:
+            if fits:
                 self.interior(limits)
             else:
                 self.newton()

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 # Most programs that are solved for one strip.
 MAX_ROUNDS = 100
-# A strip is left when at most this share of faces joins, and the value is found or the strip has no
-# routes of the value tried.
+# A strip is left once at most this share of the pairs of a disc and a face has just joined, if the
+# value is found or the strip has no routes of the value tried.
 FEW_JOINED = 0.02
 
 
@@ -55,8 +55,8 @@ class LevelLines(NamedTuple):
 class FaceProgram:
     """The program of the least value within a budget, to a share ``closed``.
 
-    ``bound`` is a lower bound > 0 of the value. At the deadline, q still proves a bound, and p may
-    be over the budget.
+    The flow may exceed the value at the few discs that would have joined next. ``bound`` is a lower
+    bound > 0 of the value. At the deadline, q still proves a bound, and p may be over the budget.
     """
 
     def __init__(self, faces: Faces, budget: Budget, bound: float, closed: float,

@@ -24,8 +24,9 @@ MOST_EXCESS = 1e7
 # Precision of the interior point method, as a share of the gap. A finer one costs more than its
 # iterations: at a price of 0, all edges on routes that avoid the ambusher tie to join the program.
 PRECISION = 0.05
-# The interior point method leaves some probability at all sites. The smallest are dropped, at a
-# cost to the bound of at most this share of the gap: best responses take longer with more sites.
+# The interior point method leaves some probability at all sites, and best responses take longer
+# with more sites. The costliest are kept: the others cost a route that meets each of them once at
+# most this share of the gap.
 NEGLIGIBLE = 0.1
 
 
@@ -69,9 +70,10 @@ class FlowProgram:
         """q (N,) and the budgets' prices from the duals, for a relative gap of ``closed``."""
         sites, k = len(self.row), self.game.ambushers
         node, q = self.game.sites[self.row], np.zeros(self.game.node_count)
-        charge = duals[:sites] * self.game.loss[node] / self.unit  # every route meets at least 1
+        # In these units every route, with the prices of its excess, costs at least 1.
+        charge = duals[:sites] * self.game.loss[node] / self.unit
         order = np.argsort(charge)
-        held = order[charge[order].cumsum() > NEGLIGIBLE * closed]
+        held = order[charge[order].cumsum() > NEGLIGIBLE * min(closed, 1.0)]
         q[node[held]] = duals[held]
         # With several ambushers, the dual of the sum's row bounds every q_j.
         total = float(duals[-1]) if k > 1 else float(q.sum())

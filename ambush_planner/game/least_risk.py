@@ -34,8 +34,10 @@ GROWTH, LEAST_GROWTH = 0.3, 1000
 NEGLIGIBLE = 1e-8
 # The first program omits edges whose routes exceed the best one by this many times the margin.
 FAR_OVER_BUDGET = 2.0
-# The program is built again if the unit of loss exceeds the value by more than this factor.
-MOST_RESCALED = 1e3
+# The program is built again, at most this many times, if the unit of loss is off the value by more
+# than this factor; a smaller flow, in these units, is rounding.
+MAX_UNITS, MOST_RESCALED, LEAST_SIZE = 6, 1e3, 1e-9
+# Most programs on growing parts.
 MAX_ROUNDS = 30
 
 
@@ -183,15 +185,14 @@ def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, c
         assert restricted is not None  # it contains the previous strategy's routes
         try:
             found, unit = _solve(game, restricted, budgets, unit, solver, closed, deadline)
-        except SolverFailed:
-            if chosen.sum() == game.playable.sum():
-                raise
-            chosen = game.playable
-            continue
-        except TimeLimit:
+        except (SolverFailed, TimeLimit) as failure:
+            if isinstance(failure, SolverFailed) and chosen.sum() < game.playable.sum():
+                chosen = game.playable
+                continue
             if best is None:
                 raise
             return best
+        # The program's own prices decide which edges join, better ones prove more.
         prices, bound = best_prices(game, found.q, budgets, found.prices, found.value,
                                     found.value * (1.0 - closed))
         best = _best_of_both(best, replace(found, prices=prices, bound=bound))
@@ -232,12 +233,12 @@ def _edges_to_add(chosen: BoolArray, through: FloatArray, limit: float) -> BoolA
 def _solve(game: Game, part: Game, budgets: tuple[Budget, ...], unit: float, solver: str,
            closed: float, deadline: float) -> tuple[LeastRisk, float]:
     """Solve on the edges of ``part``; also returns the unit of loss, adjusted to the value."""
-    for _ in range(6):
+    for _ in range(MAX_UNITS):
         program = FlowProgram(part, budgets, unit)
         size, f, duals = program.solve(solver, closed, deadline)
-        if size < MOST_RESCALED:
+        if 1.0 / MOST_RESCALED < size < MOST_RESCALED:
             break
-        unit /= size
+        unit /= max(size, LEAST_SIZE)
     q, prices = program.ambusher(duals, closed)
     p = conserved_strategy(part, f / size, NEGLIGIBLE)
     if p is None:

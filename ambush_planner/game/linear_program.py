@@ -92,7 +92,7 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     solution = _with_ambusher(game, program, p, result, price)
     if row_added and length_weight == 0.0 and _has_no_margin(length):
-        # The price at which the bound holds on all edges, not only the shortest.
+        # Without a price, routes over the other edges would lower the bound to next to nothing.
         value = entry_value(game, p)
         prices, _ = best_prices(game, solution.q, (length,), solution.prices[:1], value)
         solution = replace(solution, prices=(*prices, 0.0))

@@ -44,7 +44,7 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
     if free is not game:
         inner = EntropyStage(free, budgets, stage.slack, stage.deadline, stage.warm)
         inside = max_entropy_strategy(inner)
-        # Prices of the budgets of 0 at which the bound holds on the whole game.
+        # Without a price, routes over the forbidden edges would lower the bound to next to nothing.
         value = entry_value(game, inside.p)
         prices, _ = best_prices(game, inside.q, budgets, inside.prices, value)
         return replace(inside, prices=prices)
