@@ -43,6 +43,7 @@ STAGES = (
     (separate_legs, 'least_risk', 'program'),
     (entropy_stage, 'maximize_entropy', 'law'),
     (strategy_solver, 'count_routes_once', 'once'),
+    (entropy_stage, 'hit_bound', 'certificate'),
     (whole_solve, 'certify', 'certificate'),
 )
 

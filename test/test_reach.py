@@ -269,7 +269,7 @@ def test_the_best_response_is_the_best_of_all_routes_and_merged_labels_bound_it(
     costs = met @ (game.loss * q)[game.sites] + price * over
     with pytest.MonkeyPatch.context() as patch:
         if cut_short:
-            patch.setattr(best_response, 'MAX_COMPARISONS', 0)
+            patch.setattr(best_response, 'SEARCHES', best_response.SEARCHES[:2])
         found = best_response.best_response(game, q, budgets, (price,))
     assert found.bound <= max(costs.min(), 0.0) + 1e-9
     assert sorted(found.edges.tolist()) in [sorted(route) for route in routes]

@@ -8,14 +8,16 @@ over all routes, less price * room, bounds from below what any strategy within t
 reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
 node, label A dominates label B if A costs no more than B even after paying for every site that only
 B has met: whatever follows, A ends no worse. There can be many labels that do not dominate
-each other. So the first search counts each label at a node as having met what all earlier ones
-there have met, too. That only lowers its cost further on, so the least cost remains a lower bound.
-If the route that it finds costs more than that, a second search keeps all labels apart.
+each other. So a search keeps only a few labels apart at each node: another one counts as having
+met what the most similar of them has met, too, and takes its place. That only lowers the cost
+further on, so the least cost remains a lower bound. If the route that is found costs more than
+that, the next search keeps more labels apart.
 """
 
 from __future__ import annotations
 
 import heapq
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -25,9 +27,9 @@ from ..arrays import FloatArray, IndexArray
 from .budget import Budget
 from .game import Game
 
-# Comparisons of labels after which the search that keeps labels apart, and the one that merges
-# them, stop: about 0.2 s and 10 s. The cost reached by then is still a lower bound.
-MAX_COMPARISONS, MAX_MERGED_COMPARISONS = 300_000, 20_000_000
+# Labels that the searches keep apart at each node, and the comparisons of labels after which they
+# stop: about 10, 3 and 0.2 s. The cost reached by then is still a lower bound.
+SEARCHES = ((1, 20_000_000), (2, 5_000_000), (math.inf, 300_000))
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
@@ -83,13 +85,18 @@ def _least_cost(game: Game, base: FloatArray,
     rows = np.argsort(-charge, kind='stable')
     rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
     labels = _Labels(game, base, rows, charge[rows])
-    least, edges = labels.search(MAX_MERGED_COMPARISONS, merged=True)
-    if edges is not None:
-        met = game.hits[rows][:, edges].getnnz(axis=1) > 0
-        cost = float(base[edges].sum() + charge[rows][met].sum())
-        if cost > least * (1.0 + _ROUNDING):
-            exact, best = labels.search(MAX_COMPARISONS, merged=False)
-            least, edges = max(least, exact), edges if best is None else best
+    least, best, edges = 0.0, math.inf, None
+    for apart, comparisons in SEARCHES:
+        bound, route = labels.search(apart, comparisons)
+        least = max(least, bound)
+        if route is None:
+            break
+        met = game.hits[rows][:, route].getnnz(axis=1) > 0
+        cost = float(base[route].sum() + charge[rows][met].sum())
+        if cost < best:
+            best, edges = cost, route
+        if best <= least * (1.0 + _ROUNDING):
+            break
     return least, edges
 
 
@@ -113,10 +120,10 @@ class _Labels:
             self._met[k] |= 1 << row
         self._source, self._target = network.source, network.target
 
-    def search(self, comparisons: int, merged: bool) -> tuple[float, IndexArray | None]:
+    def search(self, apart: float, comparisons: int) -> tuple[float, IndexArray | None]:
         """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
 
-        Without merging, the bound is that route's cost.
+        At each node, at most ``apart`` labels are kept apart.
         """
         behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
@@ -132,8 +139,9 @@ class _Labels:
             comparisons -= len(here)
             if self._dominated(here, cost, met):
                 continue
-            if merged and here:
-                met |= here.pop()[1]
+            if len(here) >= apart:
+                lost = [self._charged(0.0, theirs & ~met) for _, theirs in here]
+                met |= here.pop(lost.index(min(lost)))[1]
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met

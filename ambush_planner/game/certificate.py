@@ -41,9 +41,10 @@ class Certificate:
 
 
 def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...],
-            prices: tuple[float, ...]) -> Certificate:
+            prices: tuple[float, ...], bound: float | None = None) -> Certificate:
     """Certify a strategy p (M,) with an ambusher's q (N,) and the prices of the budgets.
 
+    ``bound`` is the ``hit_bound`` of q and prices if it is known; to find it can take seconds.
     Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, q is not
     a strategy, a price is negative, or the bound exceeds the value.
     """
@@ -55,7 +56,7 @@ def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...
                 f"budget of {budget.limit:.9g}"
             )
     value = worst_loss(game, p)
-    bound = hit_bound(game, q, budgets, prices)
+    bound = hit_bound(game, q, budgets, prices) if bound is None else bound
     # Rounding may put p over a budget; the bound then holds for strategies as far over it.
     over = sum(price * budget.overrun(p) for budget, price in zip(budgets, prices, strict=True))
     bound = max(bound - over, 0.0)

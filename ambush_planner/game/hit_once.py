@@ -62,6 +62,8 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     if base is None or value < worst_loss(game, base):
         if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
             return solution
+        base = None if base is None else solution.p
+    if base is None:
         drawn = RouteSampler(network, solution.p).draw_many(
             SAMPLED_ROUTES, np.random.default_rng(0)
         )

@@ -238,15 +238,18 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     _check_losses(network)
     prepared = make_game(network, game or GameOptions())
     budgets = make_budgets(prepared, options)
+    bound = None
     if options.solver == 'max_entropy':
-        solution = max_entropy_strategy(
-            EntropyStage(prepared, budgets, options.risk_slack, deadline, warm))
+        stage = EntropyStage(prepared, budgets, options.risk_slack, deadline, warm)
+        solution = max_entropy_strategy(stage)
+        bound = stage.hit_bound(solution.q, solution.prices)
     else:
         solution, length = linear_program_strategy(
             prepared, options.solver, budgets[0], options.length_weight, deadline
         )
         budgets = (length, budgets[1])
-    return _with_gap_checked(prepared, solution, budgets, options, deadline)
+    strategy = strategy_from_solution(prepared, solution, budgets, bound)
+    return _with_gap_checked(strategy, solution, budgets, options, deadline)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -283,10 +286,9 @@ def _check_losses(network: Network) -> None:
                              f'{network.alpha[node]:g} at node {node}; scale the losses')
 
 
-def _with_gap_checked(game: Game, solution: Solution, budgets: tuple[Budget, Budget],
+def _with_gap_checked(strategy: Strategy, solution: Solution, budgets: tuple[Budget, Budget],
                       options: StrategyOptions, deadline: float) -> Strategy:
-    """The strategy of the solution; raises TimeLimit if its gap is too wide."""
-    strategy = strategy_from_solution(game, solution, budgets)
+    """The strategy, which is that of the solution; raises TimeLimit if its gap is too wide."""
     entropic = options.solver == 'max_entropy'
     slack = CERTIFICATE_TOLERANCE + (options.risk_slack if entropic else 0.0)
     # With a length weight, the weighted sum is minimal and sets the scale of the gap.
@@ -298,10 +300,10 @@ def _with_gap_checked(game: Game, solution: Solution, budgets: tuple[Budget, Bud
 
     if closed(strategy.value, strategy.lower_bound):
         return strategy
-    if hits_can_differ(game):
+    if hits_can_differ(strategy.game):
         complete = solution.complete and time.monotonic() < deadline if entropic else closed(
-            entry_value(game, solution.p),
-            entry_bound(game, solution.q, budgets, solution.prices),
+            entry_value(strategy.game, solution.p),
+            entry_bound(strategy.game, solution.q, budgets, solution.prices),
         )
         if complete:
             return replace(strategy, counting_gap=True)
@@ -312,11 +314,11 @@ def _with_gap_checked(game: Game, solution: Solution, budgets: tuple[Budget, Bud
     )
 
 
-def strategy_from_solution(game: Game, solution: Solution,
-                           budgets: tuple[Budget, Budget]) -> Strategy:
-    """The strategy with its certificate, computed from p, q and prices alone."""
+def strategy_from_solution(game: Game, solution: Solution, budgets: tuple[Budget, Budget],
+                           bound: float | None = None) -> Strategy:
+    """The strategy with its certificate, which follows from p, q and prices; see ``certify``."""
     network, p = game.network, solution.p
-    certificate = certify(game, p, solution.q, budgets, solution.prices)
+    certificate = certify(game, p, solution.q, budgets, solution.prices, bound)
     length, exposure = budgets
     return Strategy(game=game, edge_probability=frozen_array(p, np.float64),
                     visit_probability=frozen_array(game.visits(p), np.float64),
