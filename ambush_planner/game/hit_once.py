@@ -2,9 +2,10 @@
 
 The linear program and the Gibbs law limit expected entries. Where routes come back, entries exceed
 hits, so the law keeps to limits that are too tight for some sites, and its ambusher may prove
-little. A program over sampled routes (``route_program``) gives an ambusher that does, and a mixture
-of routes to build an acyclic part around. On it the law is searched for again, each site's limit on
-entries raised by its ratio of entries to hits, until its true value is within the slack.
+little. Level lines come with an ambusher that proves more. Without them, a program over sampled
+routes (``route_program``) gives one, and a mixture of routes. On an acyclic part around the best of
+these strategies the law is searched for again, each site's limit on entries raised by its ratio of
+entries to hits, until its true value is within the slack.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from .entropy_stage import EntropyStage, Solution, mixture
 from .game import Game
 from .hits import hit_probabilities, hits_can_differ, largest_losses, worst_loss
 from .limit_rows import LimitRows
-from .route_program import solve_on_routes
+from .route_program import RouteProgram, solve_on_routes
 from .route_sampler import RouteSampler, route_edges, route_entropy, shortest_route
 
 # Routes drawn from the law that the program over routes begins with.
@@ -52,7 +53,7 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     If the slack cannot be reached, returns the solution of most entropy among those whose value is
     within the slack of the least one found, and not above the value of ``solution``.
     """
-    game, budgets = stage.game, stage.budgets
+    game = stage.game
     if not hits_can_differ(game):
         return solution
     value = worst_loss(game, solution.p)
@@ -62,19 +63,14 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     if base is None or value < worst_loss(game, base):
         if value <= bound * (1.0 + stage.slack) or time.monotonic() > stage.deadline:
             return solution
-        base = None if base is None else solution.p
-    if base is None:
-        drawn = RouteSampler(network, solution.p).draw_many(
-            SAMPLED_ROUTES, np.random.default_rng(0)
-        )
-        drawn += [shortest_route(network, np.flatnonzero(game.playable))]
-        program = solve_on_routes(game, [route_edges(network, route) for route in drawn], budgets,
-                                  solution.q, solution.prices, PROGRAM_GAP * stage.slack,
-                                  stage.deadline)
-        bound, base = program.bound, conserved_strategy(game, program.p, NEGLIGIBLE)
-        solution = replace(solution, q=program.q, prices=program.prices)
-        if base is None or value <= bound * (1.0 + stage.slack):
-            return solution
+        if base is None:
+            program = _on_sampled_routes(stage, solution)
+            bound, base = program.bound, conserved_strategy(game, program.p, NEGLIGIBLE)
+            solution = replace(solution, q=program.q, prices=program.prices)
+            if base is None or value <= bound * (1.0 + stage.slack):
+                return solution
+        else:
+            base = solution.p
     limit = bound * (1.0 + stage.slack)
     mixed = replace(solution, p=base, entropy_bound=np.nan)
     laws = _laws_around(stage, mixed, bound)
@@ -92,6 +88,16 @@ def count_routes_once(stage: EntropyStage, solution: Solution) -> Solution:
     good = [each for each in candidates if each.value <= most]
     best = max(good, key=lambda each: route_entropy(network, each.solution.p))
     return replace(best.solution, iterations=stage.evaluations)
+
+
+def _on_sampled_routes(stage: EntropyStage, solution: Solution) -> RouteProgram:
+    game = stage.game
+    drawn = RouteSampler(game.network, solution.p).draw_many(SAMPLED_ROUTES,
+                                                             np.random.default_rng(0))
+    drawn.append(shortest_route(game.network, np.flatnonzero(game.playable)))
+    routes = [route_edges(game.network, route) for route in drawn]
+    return solve_on_routes(game, routes, stage.budgets, solution.q, solution.prices,
+                           PROGRAM_GAP * stage.slack, stage.deadline)
 
 
 class _Valued(NamedTuple):
