@@ -10,7 +10,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.action.graph import get_action_server_names_and_types_by_node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
-from ros_harness import MARKER_TOPICS, pose, stage, wait_until, whole_graph
+from ros_harness import MARKER_TOPICS, interface_of, pose, stage, wait_until
 from ros_yaml import type_of
 from waiting import unstamped
 
@@ -55,18 +55,16 @@ class Names:
     """The names that a node has in the graph."""
 
     def __init__(self, node):
-        who = node.get_name(), node.get_namespace()
-        wait_until(lambda: whole_graph(node), 'the graph')
+        interface = interface_of(node)
 
         def names(found):
-            return {name for name, _ in found if '/_action/' not in name}
+            return {name for name in found if '/_action/' not in name}
 
-        self.published = names(node.get_publisher_names_and_types_by_node(*who))
-        hidden = f'_{node.get_name()}_map'  # of the same process and enclave
-        self.subscribed = names(node.get_subscriber_names_and_types_by_node(*who)) | names(
-            node.get_subscriber_names_and_types_by_node(hidden, node.get_namespace()))
-        self.served = names(node.get_service_names_and_types_by_node(*who))
-        self.actions = names(get_action_server_names_and_types_by_node(node, *who))
+        self.published = names(interface.publishers)
+        self.subscribed = names(interface.subscribers)
+        self.served = names(interface.services)
+        self.actions = {name for name, _ in get_action_server_names_and_types_by_node(
+            node, node.get_name(), node.get_namespace())}
 
 
 @pytest.fixture(scope='module')

@@ -6,7 +6,7 @@ import re
 import pytest
 import yaml
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from ros_harness import stage, wait_until
+from ros_harness import interface_of, stage, wait_until
 from ros_yaml import EXAMPLES, filled, type_of
 
 from ambush_planner.maps.ros_messages import pose_from_ros
@@ -64,17 +64,6 @@ class Sender:
         """Call a service with an example, and return the answer."""
         return self.client.call(name, example(name))
 
-    def interface(self):
-        """The planner's own subscriptions and services, with their types."""
-        who = self.planner.get_name(), self.planner.get_namespace()
-        maps = f'_{who[0]}_map', who[1]
-        found = [
-            *self.planner.get_subscriber_names_and_types_by_node(*who),
-            *self.planner.get_subscriber_names_and_types_by_node(*maps),
-            *self.planner.get_service_names_and_types_by_node(*who),
-        ]
-        return {name: kind for name, (kind,) in found if not kind.startswith(FOREIGN)}
-
 
 @pytest.fixture(scope='module')
 def sender():
@@ -88,8 +77,10 @@ def sender():
 
 def test_every_subscription_and_service_has_an_example(sender):
     examples = {topic: kind for *_, topic, kind in COMMANDS.values()}
-    wait_until(lambda: sender.interface(), 'the node in its own graph')
-    assert examples == sender.interface()
+    interface = interface_of(sender.planner)
+    inputs = {**interface.subscribers, **interface.services}
+    assert examples == {
+        name: kind for name, kind in inputs.items() if not kind.startswith(FOREIGN)}
     for name, words in COMMANDS.items():
         assert words[-2] in (f'/{name}', f'/ambush_planner/{name}')
         assert name in REQUESTS or '--once' in words

@@ -14,7 +14,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
     qos_check_compatible,
 )
-from ros_harness import FRAME, stage, wait_until, whole_graph
+from ros_harness import FRAME, interface_of, stage
 
 LAYOUTS = Path(__file__).resolve().parent.parent / 'config'
 DISPLAYS = {
@@ -40,9 +40,6 @@ MESSAGE_PATH = re.compile(r'(/\w+)\.status\[:]\{name=="(\w+)"}\.values\[:]\{key=
 @pytest.fixture(scope='module')
 def interface():
     """Types of the node's topics and services by name, its QoS, and its diagnostics."""
-    def types(names_and_types):
-        return {name: kind for name, (kind,) in names_and_types}
-
     def qos(infos):
         own = node.get_name(), f'_{node.get_name()}_map'
         (profile,) = [info.qos_profile for info in infos if info.node_name in own]
@@ -50,18 +47,13 @@ def interface():
 
     with stage() as running:
         node = running.planner
-        name = node.get_name(), node.get_namespace()
-        wait_until(lambda: whole_graph(node), 'the graph')
-        subscribed = types([
-            *node.get_subscriber_names_and_types_by_node(*name),
-            *node.get_subscriber_names_and_types_by_node(f'_{name[0]}_map', name[1]),
-        ])
-        published = types(node.get_publisher_names_and_types_by_node(*name))
+        interface = interface_of(node)
+        published, subscribed = interface.publishers, interface.subscribers
         shown = {topic: subscribed[topic] for topic in (LATCHED_INPUT, *CLICKED)}
         shown |= {topic: kind for topic, kind in published.items() if kind in DISPLAYS.values()}
         yield SimpleNamespace(
             published=published, subscribed=subscribed, shown=shown,
-            services=types(node.get_service_names_and_types_by_node(*name)),
+            services=interface.services,
             offered=lambda topic: qos(node.get_publishers_info_by_topic(topic)),
             requested=lambda topic: qos(node.get_subscriptions_info_by_topic(topic)),
             diagnostics=running.client.diagnostics(),

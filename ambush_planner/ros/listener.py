@@ -31,7 +31,9 @@ class Listener:
             f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
             # Command line arguments belong to the planner's node, which resolves the names.
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-            parameter_overrides=[Parameter('use_sim_time', value=False)],
+            # The SROS2 policy grants it no services.
+            parameter_overrides=[Parameter('start_type_description_service', value=False),
+                                 Parameter('use_sim_time', value=False)],
         )
         self._executor = SingleThreadedExecutor(context=node.context)
         self._executor.add_node(self._node)
