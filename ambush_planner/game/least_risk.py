@@ -32,8 +32,9 @@ EXCESSIVE_LOSS = 1e7
 GROWTH, LEAST_GROWTH = 0.3, 1000
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
-# The first program omits edges whose routes exceed the best one by this many times the margin.
-FAR_OVER_BUDGET = 2.0
+# The first program omits edges whose routes exceed the best one by more than this many margins of a
+# budget: the first number with which the maximum flow is over a budget by this share of the margin.
+FAR_OVER_BUDGET, EXCEEDED = (2.0, 3.0, 4.5), 0.4
 # The program is built again, at most this many times, if the unit of loss is off the value by more
 # than this factor; a smaller flow, in these units, is rounding.
 MAX_UNITS, MOST_RESCALED, LEAST_SIZE = 6, 1e3, 1e-9
@@ -151,32 +152,39 @@ def without_excessive_sites(game: Game, value: float, p: FloatArray | None = Non
     return game.restricted_to(open_edges) or game
 
 
-def _initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray) -> Game:
-    """The part of the game that the program begins with: forward in an order around a maximum flow.
+def _initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray,
+                  good: FloatArray | None) -> Game:
+    """The part that the program begins with: forward in an order around a good strategy (M,).
 
-    It leaves out edges whose routes are far over the budgets.
+    If none is known, it is around the maximum flow, and wide enough for that to exceed a budget:
+    the best strategies mix long routes with short ones.
     """
-    near = np.ones(len(game.network.edges), dtype=bool)
-    for budget in budgets:
-        if budget.binds:
-            near &= game.through(budget.excess) <= FAR_OVER_BUDGET * budget.margin
-    part = game.restricted_to(near) or game
-    rank = rank_by(potential)
-    if game.reach == 0.0:
-        rank = rank_around(part, solve_by_min_cut(part.with_one_ambusher()).p, potential)
+    over = [game.through(b.excess) / b.margin for b in budgets if b.binds]
+    farthest = np.max(over, axis=0, initial=0.0)
+    if good is not None:
+        part = game.restricted_to((farthest <= 1.0) | (good > 0.0)) or game
+        return forward_part(part, rank_around(part, good, potential)) or part
+    plain = replace(game.options, ambush_radius=0.0, tube=0.0, ambushers=1)
+    for far in FAR_OVER_BUDGET:
+        part = game.restricted_to(farthest <= far) or game
+        flow = solve_by_min_cut(replace(part, options=plain)).p
+        if not over or any(b.overrun(flow) > EXCEEDED * b.margin for b in budgets if b.binds):
+            break
+    rank = rank_around(part, flow, potential) if game.reach == 0.0 else rank_by(potential)
     return forward_part(part, rank) or part
 
 
 def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, closed: float,
-               deadline: float) -> LeastRisk:
+               deadline: float, good: FloatArray | None = None) -> LeastRisk:
     """Solve the linear program on a growing part until the relative gap is ``closed``.
 
-    ``potential`` (N,) orders the nodes of the first part. Raises BudgetInfeasible if no strategy
-    fits all budgets, and TimeLimit if the deadline passed before the first solution.
+    ``potential`` (N,) orders the nodes of the first part, around a ``good`` acyclic strategy (M,)
+    within the budgets if one is known. Raises BudgetInfeasible if no strategy fits all budgets, and
+    TimeLimit if the deadline passed before the first solution.
     """
-    first = strategy_within_budgets(game, budgets)
+    first = strategy_within_budgets(game, budgets) if good is None else good
     first = shortest_route_strategy(game) if first is None else first
-    chosen = _initial_part(game, budgets, potential).playable | (first > 0.0)
+    chosen = _initial_part(game, budgets, potential, good).playable | (first > 0.0)
     unit = entry_value(game, first) or 1.0
     best: LeastRisk | None = None
     solver = 'interior_point'

@@ -48,13 +48,15 @@ def or_by_entries(stage: EntropyStage, p: FloatArray) -> FloatArray:
     if stage.game.network.legs == 1:
         return p
     with contextlib.suppress(TimeLimit, SolverFailed):
-        other = _by_entries(stage, stage.game, stage.budgets).p
+        other = _by_entries(stage, stage.game, stage.budgets, p).p
         return min(p, other, key=lambda each: worst_loss(stage.game, each))
     return p
 
 
-def _by_entries(stage: EntropyStage, game: Game, budgets: tuple[Budget, ...]) -> LeastRisk:
-    return least_risk(game, budgets, stage.potential, GAP * stage.slack, stage.program_deadline())
+def _by_entries(stage: EntropyStage, game: Game, budgets: tuple[Budget, ...],
+                good: FloatArray | None = None) -> LeastRisk:
+    return least_risk(game, budgets, stage.potential, GAP * stage.slack, stage.program_deadline(),
+                      good)
 
 
 def separate_legs(game: Game) -> Game:

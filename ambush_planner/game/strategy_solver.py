@@ -78,6 +78,6 @@ def max_entropy_strategy(stage: EntropyStage) -> Solution:
 def _by_linear_program(stage: EntropyStage) -> Solution:
     game, budgets = stage.game, stage.budgets
     risk = least_risk(game, budgets, stage.potential, PROGRAM_GAP * stage.slack,
-                      stage.program_deadline())
+                      stage.program_deadline(), stage.level_lines)
     found = stage.most_unpredictable(risk)
     return found or Solution(risk.p, risk.q, risk.prices, stage.evaluations)
