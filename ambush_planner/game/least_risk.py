@@ -179,10 +179,10 @@ def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, c
     """Solve the linear program on a growing part until the relative gap is ``closed``.
 
     ``potential`` (N,) orders the nodes of the first part, around a ``good`` acyclic strategy (M,)
-    within the budgets if one is known. Raises BudgetInfeasible if no strategy fits all budgets, and
-    TimeLimit if the deadline passed before the first solution.
+    if one is known. Raises BudgetInfeasible if no strategy fits all budgets, and TimeLimit if the
+    deadline passed before the first solution.
     """
-    first = strategy_within_budgets(game, budgets) if good is None else good
+    first = strategy_within_budgets(game, budgets)
     first = shortest_route_strategy(game) if first is None else first
     chosen = _initial_part(game, budgets, potential, good).playable | (first > 0.0)
     unit = entry_value(game, first) or 1.0
