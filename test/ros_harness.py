@@ -181,7 +181,8 @@ class Client:
 def interface_of(planner):
     """Return what a planner publishes, subscribes to and serves by the graph: types by name.
 
-    Maps arrive at a hidden node. Discovery takes a while, even of nodes in the same process.
+    Maps arrive at a hidden node; the one for transforms is left out. Discovery takes a while, even
+    of nodes in the same process.
     """
     nodes = planner, planner._topic_subscriptions._maps._node
     made = {
@@ -192,13 +193,12 @@ def interface_of(planner):
 
     def in_graph(kind):
         types_of = getattr(planner, f'get_{kind}_names_and_types_by_node')
-        return {name: types for node in nodes
-                for name, types in types_of(node.get_name(), node.get_namespace())}
+        found = {name: only for node in nodes
+                 for name, (only,) in types_of(node.get_name(), node.get_namespace())}
+        return made[kind] <= found.keys() and found
 
-    for kind, names in made.items():
-        wait_until(lambda kind=kind, names=names: names <= in_graph(kind).keys(), 'the graph')
     return SimpleNamespace(**{
-        f'{kind}s': {name: kind_of for name, (kind_of,) in in_graph(kind).items()} for kind in made
+        f'{kind}s': wait_until(lambda kind=kind: in_graph(kind), 'the graph') for kind in made
     })
 
 

@@ -25,9 +25,11 @@ from hypothesis import strategies as st
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, StrategyOptions, solve
 from ambush_planner.game.acyclic import order_potential
+from ambush_planner.game.cut import solve_by_min_cut
 from ambush_planner.game.entries import entry_bound, entry_value
 from ambush_planner.game.game import make_game
 from ambush_planner.game.least_risk import least_risk, least_risk_by_cut, least_value
+from ambush_planner.game.route_sampler import shortest_route_strategy
 from ambush_planner.game.strategy import make_budgets
 from ambush_planner.game.two_routes import strategy_within_budgets
 
@@ -83,6 +85,17 @@ def test_a_thousand_nodes_with_budget_and_reach():
     budget = 1.1 * least_weight(network, network.lengths)
     expected = program_value(network, geometric_hits(network, 4.0), budget)
     check(*solved(network, 1.1, ambush_radius=4.0), expected)
+
+
+@pytest.mark.parametrize('reach', [0.0, 3.0])
+def test_the_strategy_to_begin_around_does_not_matter(reach):
+    network = terrain_network(8, cells=20)
+    game, budgets, risk = solved(network, 1.1, ambush_radius=reach)
+    on_budget, over_budget = risk.p, solve_by_min_cut(make_game(network, GameOptions())).p
+    assert over_budget @ network.lengths > budgets[0].limit
+    for good in (shortest_route_strategy(game), on_budget, over_budget):
+        again = least_risk(game, budgets, order_potential(game), CLOSED, NEVER, good)
+        check(game, budgets, again, risk.value)
 
 
 def parallel(alphas) -> Network:

@@ -47,13 +47,13 @@ def interface():
 
     with stage() as running:
         node = running.planner
-        interface = interface_of(node)
-        published, subscribed = interface.publishers, interface.subscribers
+        graph = interface_of(node)
+        published, subscribed = graph.publishers, graph.subscribers
         shown = {topic: subscribed[topic] for topic in (LATCHED_INPUT, *CLICKED)}
         shown |= {topic: kind for topic, kind in published.items() if kind in DISPLAYS.values()}
         yield SimpleNamespace(
             published=published, subscribed=subscribed, shown=shown,
-            services=interface.services,
+            services=graph.services,
             offered=lambda topic: qos(node.get_publishers_info_by_topic(topic)),
             requested=lambda topic: qos(node.get_subscriptions_info_by_topic(topic)),
             diagnostics=running.client.diagnostics(),

@@ -32,8 +32,8 @@ EXCESSIVE_LOSS = 1e7
 GROWTH, LEAST_GROWTH = 0.3, 1000
 # Smaller flows are rounding of the interior point method.
 NEGLIGIBLE = 1e-8
-# The first program omits edges whose routes exceed the best one by more than this many margins of a
-# budget: the first number with which the maximum flow is over a budget by this share of the margin.
+# Widths of the first part that are tried: how far a route may exceed the best one, in margins of a
+# budget. A part is wide enough if its maximum flow is over a budget by this share of the margin.
 FAR_OVER_BUDGET, EXCEEDED = (2.0, 3.0, 4.5), 0.4
 # The program is built again, at most this many times, if the unit of loss is off the value by more
 # than this factor; a smaller flow, in these units, is rounding.
@@ -156,22 +156,24 @@ def _initial_part(game: Game, budgets: tuple[Budget, ...], potential: FloatArray
                   good: FloatArray | None) -> Game:
     """The part that the program begins with: forward in an order around a good strategy (M,).
 
-    If none is known, it is around the maximum flow, and wide enough for that to exceed a budget:
-    the best strategies mix long routes with short ones.
+    If none is known, the order is the potential's. Without a reach it is then around the maximum
+    flow, and the part is wide enough for that flow to exceed a budget, if any width is: the best
+    strategies mix long routes with short ones.
     """
     over = [game.through(b.excess) / b.margin for b in budgets if b.binds]
-    farthest = np.max(over, axis=0, initial=0.0)
+    farthest = np.where(game.playable, np.max(over, axis=0, initial=0.0), 0.0)
     if good is not None:
         part = game.restricted_to((farthest <= 1.0) | (good > 0.0)) or game
         return forward_part(part, rank_around(part, good, potential)) or part
-    plain = replace(game.options, ambush_radius=0.0, tube=0.0, ambushers=1)
     for far in FAR_OVER_BUDGET:
-        part = game.restricted_to(farthest <= far) or game
-        flow = solve_by_min_cut(replace(part, options=plain)).p
-        if not over or any(b.overrun(flow) > EXCEEDED * b.margin for b in budgets if b.binds):
+        near = farthest <= far
+        part = game.restricted_to(near) or game
+        if game.reach > 0.0:
+            return forward_part(part, rank_by(potential)) or part
+        flow = solve_by_min_cut(part.with_one_ambusher()).p
+        if near.all() or any(b.overrun(flow) > EXCEEDED * b.margin for b in budgets if b.binds):
             break
-    rank = rank_around(part, flow, potential) if game.reach == 0.0 else rank_by(potential)
-    return forward_part(part, rank) or part
+    return forward_part(part, rank_around(part, flow, potential)) or part
 
 
 def least_risk(game: Game, budgets: tuple[Budget, ...], potential: FloatArray, closed: float,

@@ -31,7 +31,7 @@ class Listener:
             f'_{node.get_name()}_{purpose}', context=node.context, namespace=node.get_namespace(),
             # Command line arguments belong to the planner's node, which resolves the names.
             use_global_arguments=False, enable_rosout=False, start_parameter_services=False,
-            # The SROS2 policy grants it no services.
+            # The SROS2 policy grants this node no services.
             parameter_overrides=[Parameter('start_type_description_service', value=False),
                                  Parameter('use_sim_time', value=False)],
         )
