@@ -7,11 +7,11 @@ For q (N,) >= 0 and prices of the budgets, the least of
 over all routes, less price * room, bounds from below what any strategy within the budgets can
 reach. A label is a node, what the way there has cost, and which of q's sites it has met. At one
 node, label A dominates label B if A costs no more than B even after paying for every site that only
-B has met: whatever follows, A ends no worse. There can be many labels that do not dominate
-each other. So a search keeps only a few labels apart at each node: another one counts as having
-met what the most similar of them has met, too, and takes its place. That only lowers the cost
-further on, so the least cost remains a lower bound. If the route that is found costs more than
-that, the next search keeps more labels apart.
+B has met: whatever follows, A ends no worse. Many labels at a node may not dominate each other, so
+a search keeps only a few of them. A further label replaces the one most similar to it, and counts
+as having met that one's sites as well. This only lowers the cost further on, so the least cost
+remains a lower bound. If the route that is found costs more than this bound, the next search keeps
+more labels.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from ..arrays import FloatArray, IndexArray
 from .budget import Budget
 from .game import Game
 
-# Labels that the searches keep apart at each node, and the comparisons of labels after which they
-# stop: about 10, 3 and 0.2 s. The cost reached by then is still a lower bound.
+# For each search, the most labels that it keeps at a node, and the comparisons of labels after
+# which it stops: about 10, 3 and 0.2 s. The cost reached by then is still a lower bound.
 SEARCHES = ((1, 20_000_000), (2, 5_000_000), (math.inf, 300_000))
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
@@ -86,8 +86,8 @@ def _least_cost(game: Game, base: FloatArray,
     rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
     labels = _Labels(game, base, rows, charge[rows])
     least, best, edges = 0.0, math.inf, None
-    for apart, comparisons in SEARCHES:
-        bound, route = labels.search(apart, comparisons)
+    for kept, comparisons in SEARCHES:
+        bound, route = labels.search(kept, comparisons)
         least = max(least, bound)
         if route is None:
             break
@@ -120,10 +120,10 @@ class _Labels:
             self._met[k] |= 1 << row
         self._source, self._target = network.source, network.target
 
-    def search(self, apart: float, comparisons: int) -> tuple[float, IndexArray | None]:
+    def search(self, kept: float, comparisons: int) -> tuple[float, IndexArray | None]:
         """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
 
-        At each node, at most ``apart`` labels are kept apart.
+        It keeps at most ``kept`` labels at each node.
         """
         behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
@@ -139,7 +139,7 @@ class _Labels:
             comparisons -= len(here)
             if self._dominated(here, cost, met):
                 continue
-            if len(here) >= apart:
+            if len(here) >= kept:
                 lost = [self._charged(0.0, theirs & ~met) for _, theirs in here]
                 met |= here.pop(lost.index(min(lost)))[1]
             here.append((cost, met))
