@@ -9,8 +9,8 @@ import numpy as np
 
 from ..arrays import IndexArray, frozen_array
 from .discs import near_ends
-from .least_risk import least_value
 from .revaluation import budgets_in_game
+from .solver import least_value
 from .strategy import Strategy
 
 # Sites are near the source, a stop or the target within this many median edge lengths.

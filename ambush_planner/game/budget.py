@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -9,6 +10,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible
+from ..network.network import Network
+from ..network.shortest_paths import distances_from
 from .game import Game
 
 # Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
@@ -43,6 +46,27 @@ class Budget:
     least: float
     name: str
     unit: str
+
+    @classmethod
+    def length(cls, game: Game, factor: float) -> Budget:
+        """A budget of ``factor`` times the network's shortest route, in m or s."""
+        network = game.network
+        least = least_cost(network, network.travel_costs)
+        return cls(game, network.travel_costs, _times(factor, least), least, 'length',
+                   network.travel_unit)
+
+    @classmethod
+    def exposure(cls, game: Game, factor: float) -> Budget:
+        """A budget of ``factor`` times the network's least exposure."""
+        network = game.network
+        least = least_cost(network, network.edge_exposure)
+        return cls(game, network.edge_exposure, _times(factor, least), least, 'exposure',
+                   'loss x m')
+
+    @classmethod
+    def none(cls, game: Game) -> Budget:
+        """No limit of the length."""
+        return cls.length(game, math.inf)
 
     def __post_init__(self) -> None:
         if not self.binds:
@@ -99,3 +123,13 @@ class Budget:
         """Mean cost of p (M,) beyond the limit, >= 0, without cancellation."""
         used = p > 0.0
         return max(float(p[used] @ self.excess[used]) - self.margin, 0.0)
+
+
+def least_cost(network: Network, cost: FloatArray) -> float:
+    """Cost of the network's best route, from the costs (M,) of edges."""
+    found = distances_from(network.edges, cost, len(network.points), network.source)
+    return float(found[network.target])
+
+
+def _times(factor: float, least: float) -> float:
+    return factor * least if math.isfinite(factor) else math.inf

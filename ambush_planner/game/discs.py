@@ -70,24 +70,34 @@ class ExposedEdges:
         route there. A route is hit exactly if it uses one of the row's edges; the sum of the row
         along the route is the number of times that the route enters the disc.
         """
-        parts = self._parts
         rows = [csr_matrix((0, self._count))]
         for first in range(0, len(centres), _CENTRES_AT_ONCE):
             some = centres[first : first + _CENTRES_AT_ONCE]
-            part, site = _close_pairs(self._begins, some, reach, self._length, self._at_tail)
-            begin, end = parts.begin[part] - some[site], parts.end[part] - some[site]
-            before = self._from_exposed[part]
-            before &= inside(self._tails[part] - some[site], reach)
-            enters = inside(begin, reach) | inside(end, reach)
-            others = np.flatnonzero(~enters)
-            enters[others] = _crosses(begin[others], end[others], reach)
-            enters &= ~before
-            ones = np.ones(int(enters.sum()))
-            places = site[enters], parts.edge[part[enters]]
-            rows.append(csr_matrix((ones, places), (len(some), self._count)))
+            part, site, unsure = _close_pairs(self._begins, some, reach, self._length,
+                                              self._at_tail)
+            enters = self._enters(part, some[site], reach, unsure)
+            places = site[enters], self._parts.edge[part[enters]]
+            rows.append(csr_matrix((np.ones(len(places[0])), places), (len(some), self._count)))
         found = csr_matrix(vstack(rows))
         found.data[:] = 1.0  # several exposed parts of one edge
         return found
+
+    def _enters(self, part: IndexArray, centre: FloatArray, reach: float,
+                unsure: IndexArray) -> BoolArray:
+        """Which parts (K,) enter the discs around ``centre`` (K, 2).
+
+        Only those with the indices ``unsure`` may begin in the disc.
+        """
+        end = self._parts.end[part] - centre
+        enters = inside(end, reach)
+        doubtful, around = part[unsure], centre[unsure]
+        enters[unsure] |= inside(self._parts.begin[doubtful] - around, reach)
+        others = np.flatnonzero(~enters)
+        begin = self._parts.begin[part[others]] - centre[others]
+        enters[others] = _crosses(begin, end[others], reach)
+        before = self._from_exposed[doubtful] & inside(self._tails[doubtful] - around, reach)
+        enters[unsure[before]] = False
+        return enters
 
 
 class _Parts(NamedTuple):
@@ -155,13 +165,14 @@ def _begins(parts: _Parts, length: FloatArray, at_tail: BoolArray) -> _Begins:
 
 
 def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: FloatArray,
-                 at_tail: BoolArray) -> tuple[IndexArray, IndexArray]:
+                 at_tail: BoolArray) -> tuple[IndexArray, IndexArray, IndexArray]:
     """(part, centre) pairs that may meet; without parts that begin at an exposed node in the disc.
 
-    The edge before such a part has brought the route there.
+    The edge before such a part has brought the route there. The third array has the indices of the
+    pairs whose part may begin in the disc all the same.
     """
     if not len(length):
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
+        return (np.empty(0, dtype=np.int64),) * 3
     far = (reach + float(length.max())) * (1.0 + _ROUNDING)
     pairs = cKDTree(begins.points).sparse_distance_matrix(cKDTree(centres), far,
                                                           output_type='ndarray')
@@ -175,7 +186,8 @@ def _close_pairs(begins: _Begins, centres: FloatArray, reach: float, length: Flo
     centre, distance = np.repeat(centre, count), np.repeat(distance, count)
     near = distance <= (reach + length[part]) * (1.0 + _ROUNDING)
     near &= ~(at_tail[part] & (distance < reach * (1.0 - _ROUNDING)))
-    return part[near], centre[near]
+    unsure = ~at_tail[part] | (distance <= reach * (1.0 + _ROUNDING))
+    return part[near], centre[near], np.flatnonzero(unsure[near])
 
 
 def _crosses(begin: FloatArray, end: FloatArray, reach: float) -> BoolArray:

@@ -13,10 +13,11 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy.sparse import csr_matrix, vstack
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NoRoute
+from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
 from ..option_checks import check_at_least, check_flag, check_whole
@@ -47,6 +48,9 @@ class GameOptions:
     tube
         How far the driven path may leave the drawn route [m]. It adds to the reach, and held ground
         protects only routes whose whole tube is in it. A plan sets it.
+    widened
+        How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
+        sites stand for all places around them. A plan sets it.
 
     Raises
     ------
@@ -60,20 +64,22 @@ class GameOptions:
     ambushers: int = 1
     ambush_in_obstacles: bool = False
     tube: float = 0.0
+    widened: float = 0.0
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
         if self.secured_radius != -1.0:
             check_at_least('secured_radius', self.secured_radius, 0.0, 'm, or -1 for the reach')
         check_at_least('tube', self.tube, 0.0, 'm')
+        check_at_least('widened', self.widened, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
         check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
 
     @property
     def reach(self) -> float:
-        """Distance from a drawn route within which an ambush hits the driven path [m]."""
-        return self.ambush_radius + self.tube
+        """Distance of a site from a drawn route within which an ambush can hit the path [m]."""
+        return self.ambush_radius + self.tube + self.widened
 
     @property
     def held_radius(self) -> float:
@@ -194,7 +200,11 @@ class Game:
 
     def avoiding_all_sites(self) -> Game | None:
         """The game on the edges that no ambush hits; None if no route avoids all ambushes."""
-        return self.restricted_to(np.asarray(self.hits.getnnz(axis=0) == 0))
+        return self.avoiding(self.hits)
+
+    def avoiding(self, entering: csr_matrix) -> Game | None:
+        """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
+        return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
     def with_one_ambusher(self) -> Game:
         """The game against an ambusher who holds one site."""
@@ -213,6 +223,17 @@ class Game:
                                 playable=frozen_array(self.playable[own], np.bool_),
                                 known_hits=self.hits[:, np.flatnonzero(own)]))
         return legs
+
+    def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Game:
+        """The game with more sites: nodes (K,) without edges, and the edges that enter their discs.
+
+        ``entering`` has rows (K, M).
+        """
+        if not len(loss):
+            return self
+        network = with_places(self.network, points, loss)
+        return replace(self, network=network, known_hits=csr_matrix(vstack((self.hits, entering))),
+                       loss=frozen_array(np.append(self.loss, loss), np.float64))
 
     def without_sites(self, nodes: BoolArray) -> Game:
         """The game in which nobody can wait at ``nodes`` (N,)."""

@@ -1,22 +1,17 @@
-"""The probability that an ambush hits a drawn route, counted once however often it comes back.
+"""What ambushes cost a strategy, each route counted once however often it comes back to a site.
 
-The rows of the game count how often a route enters a disc, which linear programs need because it is
-linear in p. But an ambush hits a route only once. On an acyclic strategy, let o_k be the
-probability of arriving at node k unhit: o_source = 1, and o_k = sum over the edges i -> k that do
-not enter the disc of o_i p_ik / x_i, node by node in topological order. Then P(hit) is the sum of
-o_i p_ik / x_i over the edges i -> k that enter the disc.
+The rows of the game count how often a route enters a disc. Entries are linear in p and bound the
+hits from above; the hits follow from the strategy's Markov chain (``chain``).
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, IndexArray, sums
-from ..network.network import Network
-from .acyclic import is_acyclic, order_along
+from ..arrays import FloatArray, IndexArray
+from .law.acyclic import is_acyclic
+from .law.chain import chain_of
 from .game import Game
-from .triangular import Recursion
 
 # Most sites whose probabilities are computed before the others are screened again.
 _SITES_AT_ONCE = 64
@@ -45,11 +40,11 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     order = np.argsort(-losses, kind='stable')
     order = order[losses[order] > 0.0]
     exact = np.zeros(len(losses))
-    flow = RouteHits(game.network, p)
+    chain = chain_of(game.network, p)
     least, done, size = 0.0, 0, max(8, k)
     while done < len(order) and losses[order[done]] > least:
         rows = order[done : done + size]
-        exact[rows] = game.loss[game.sites[rows]] * flow.probability(game.hits[rows])
+        exact[rows] = game.loss[game.sites[rows]] * chain.hits(chain.network.columns(game.hits[rows]))
         done += len(rows)
         size = min(2 * size, _SITES_AT_ONCE)
         least = float(np.partition(exact, -k)[-k]) if k else np.inf
@@ -62,7 +57,8 @@ def hit_probabilities(game: Game, p: FloatArray, rows: IndexArray | None = None)
     rows = np.arange(len(game.sites)) if rows is None else rows
     if not hits_can_differ(game):
         return np.asarray(game.hits[rows] @ p)
-    return RouteHits(game.network, p).probability(game.hits[rows])
+    chain = chain_of(game.network, p)
+    return chain.hits(chain.network.columns(game.hits[rows]))
 
 
 def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
@@ -79,52 +75,12 @@ def meeting_probability(game: Game, p: FloatArray, q: FloatArray) -> float:
     return float(at_sites[rows] @ met)
 
 
+def entry_value(game: Game, p: FloatArray) -> float:
+    """Mean loss of the best ambush against p (M,) if every entry into a site's reach counts."""
+    losses = game.site_losses(p)
+    return float(np.sort(losses)[len(losses) - min(game.ambushers, len(losses)) :].sum())
+
+
 def hits_can_differ(game: Game) -> bool:
     """Whether a simple route can be hit by one site more than once."""
     return game.reach > 0.0 or game.network.legs > 1
-
-
-class RouteHits:
-    """Hits of an acyclic strategy p (M,), as a Markov chain whose nodes are in topological order.
-
-    For each site, the probability of arriving unhit differs from that of a visit only after the
-    first edge that enters the disc, and is needed only up to the last one.
-    """
-
-    def __init__(self, network: Network, p: FloatArray) -> None:
-        used, rank = np.flatnonzero(p > 0.0), order_along(network, p)
-        assert rank is not None  # p is acyclic
-        nodes = np.unique(network.edges[used])
-        nodes = nodes[np.argsort(rank[nodes])]
-        place = np.zeros(len(network.points), dtype=np.int64)
-        place[nodes] = np.arange(len(nodes))
-        tail, head = place[network.edges[used]].T
-        share = p[used] / sums(tail, p[used], len(nodes))[tail]
-        self._chain = Recursion(head, tail, len(nodes))
-        self._start = np.zeros(len(nodes))
-        self._start[place[network.source]] = 1.0
-        self._visits = self._chain.solve(share, self._start.copy())
-        order = self._chain.order
-        self._tail, self._head, self._share = tail[order], head[order], share[order]
-        self._entry = np.full(len(p), -1)
-        self._entry[used[order]] = np.arange(len(used))
-
-    def probability(self, rows: csr_matrix) -> FloatArray:
-        """P(hit) (K,) of sites with these ``rows`` (K, M) of edges that bring routes to them."""
-        entry = self._entry[rows.indices]
-        used = entry >= 0
-        first = np.concatenate(([0], np.cumsum(used)))[rows.indptr]
-        entry, hit = entry[used], np.zeros(rows.shape[0])
-        met = np.flatnonzero(np.diff(first))
-        begin = np.minimum.reduceat(self._head[entry], first[met])
-        end = np.maximum.reduceat(self._tail[entry], first[met]) + 1
-        share, unhit = self._share.copy(), self._visits.copy()
-        for site, a, b in zip(met, begin, np.maximum(begin, end), strict=True):
-            hitting = entry[first[site] : first[site + 1]]
-            share[hitting] = 0.0
-            unhit[a:b] = self._start[a:b]
-            self._chain.add_rows(share, unhit, a, b)
-            share[hitting] = self._share[hitting]
-            hit[site] = share[hitting] @ unhit[self._tail[hitting]]
-            unhit[a:b] = self._visits[a:b]
-        return np.minimum(hit, 1.0)

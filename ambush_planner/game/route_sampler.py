@@ -11,7 +11,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
 from ..network.shortest_paths import shortest_path
-from .acyclic import is_acyclic
+from .law.acyclic import is_acyclic
 from .game import Game
 
 # Largest number of poses in a path; serialising more would block the node for seconds.

@@ -14,19 +14,17 @@ from ..arrays import FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidNetwork, InvalidOption, TimeLimit
 from ..maps.risk_map import LEAST_LOSS, MOST_LOSS, RiskMap
 from ..network.network import Network
-from ..network.shortest_paths import distances_from
 from ..notebook import Shown
 from ..option_checks import check_at_least
+from .ambusher import Ambusher
 from .budget import Budget
-from .certificate import certify
-from .entries import entry_bound, entry_value
-from .entropy_stage import EntropyStage, Solution
+from .certificate.certificate import Certificate, certify
 from .game import Game, GameOptions, make_game
 from .hits import hits_can_differ
-from .limit_rows import Multipliers
-from .linear_program import linear_program_strategy
 from .route_sampler import RouteSampler, entropy, route_entropy
-from .strategy_solver import max_entropy_strategy
+from .solver import Ground, Multipliers, Problem, most_unpredictable
+from .two_routes import strategy_within_budgets
+from .value.linear_program import linear_program_strategy
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.
@@ -141,25 +139,77 @@ class Strategy(Shown):
 
     game: Game
     edge_probability: FloatArray
-    visit_probability: FloatArray
-    ambush_probability: FloatArray
-    value: float
-    lower_bound: float
-    gap: float
-    edge_entropy: float
-    route_entropy: float
-    expected_length: float
-    shortest_length: float
-    length_budget: float
-    length_price: float
-    expected_exposure: float
-    least_exposure: float
-    exposure_budget: float
-    exposure_price: float
-    iterations: int
-    multipliers: Multipliers | None
+    ambusher: Ambusher
+    budgets: tuple[Budget, Budget]
+    certificate: Certificate
+    iterations: int = 0
+    multipliers: Multipliers | None = None
+    entropy_bound: float = math.nan
     counting_gap: bool = False
-    entropy_gap: float = math.nan
+
+    @property
+    def value(self) -> float:
+        return self.certificate.value
+
+    @property
+    def lower_bound(self) -> float:
+        return self.certificate.bound
+
+    @property
+    def gap(self) -> float:
+        return self.value - self.lower_bound
+
+    @cached_property
+    def visit_probability(self) -> FloatArray:
+        return frozen_array(self.game.visits(self.edge_probability), np.float64)
+
+    @property
+    def ambush_probability(self) -> FloatArray:
+        return self.ambusher.q
+
+    @property
+    def edge_entropy(self) -> float:
+        return entropy(self.edge_probability, np.ones_like(self.edge_probability))
+
+    @cached_property
+    def route_entropy(self) -> float:
+        return route_entropy(self.network, self.edge_probability)
+
+    @property
+    def entropy_gap(self) -> float:
+        return max(self.entropy_bound - self.route_entropy, 0.0)
+
+    @property
+    def expected_length(self) -> float:
+        return self.budgets[0].mean(self.edge_probability)
+
+    @property
+    def shortest_length(self) -> float:
+        return self.budgets[0].least
+
+    @property
+    def length_budget(self) -> float:
+        return self.budgets[0].limit
+
+    @property
+    def length_price(self) -> float:
+        return self.ambusher.prices[0]
+
+    @property
+    def expected_exposure(self) -> float:
+        return self.budgets[1].mean(self.edge_probability)
+
+    @property
+    def least_exposure(self) -> float:
+        return self.budgets[1].least
+
+    @property
+    def exposure_budget(self) -> float:
+        return self.budgets[1].limit
+
+    @property
+    def exposure_price(self) -> float:
+        return self.ambusher.prices[1]
 
     def _summary(self) -> dict[str, str]:
         return {
@@ -216,10 +266,11 @@ class Strategy(Shown):
 
 def solve(network: Network, game: GameOptions | None = None, options: StrategyOptions | None = None,
           warm: Multipliers | None = None) -> Strategy:
-    """Find the convoy's optimal mixed strategy.
+    """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
 
-    ``warm`` are the multipliers of a strategy for the same nodes with other losses, budgets or
-    slack, to start the search from.
+    With a reach, ``plan_trip`` also considers ambushers between the nodes. ``warm`` are the
+    multipliers of a strategy for the same nodes with other losses, budgets or slack, to start the
+    search from.
 
     Raises
     ------
@@ -230,26 +281,46 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     BudgetInfeasible
         Every playable route is longer, or more exposed, than the budget.
     TimeLimit
-        The time limit passed, or rounding prevailed, before the value was within the slack of its
-        bound; the error's ``strategy`` is the best so far.
+        The time limit passed before the value was within the slack of its bound; the error's
+        ``strategy`` is the best so far.
     """
-    options = options or StrategyOptions()
+    return solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
+                      warm=warm)
+
+
+def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = None,
+               warm: Multipliers | None = None) -> Strategy:
+    """Find the optimal strategy against an ambusher at the sites of a game and on its ``ground``.
+
+    Raises the errors of ``solve``.
+    """
     deadline = time.monotonic() + options.time_limit
-    _check_losses(network)
-    prepared = make_game(network, game or GameOptions())
-    budgets = make_budgets(prepared, options)
-    bound = None
-    if options.solver == 'max_entropy':
-        stage = EntropyStage(prepared, budgets, options.risk_slack, deadline, warm)
-        solution = max_entropy_strategy(stage)
-        bound = stage.hit_bound(solution.q, solution.prices)
-    else:
-        solution, length = linear_program_strategy(
-            prepared, options.solver, budgets[0], options.length_weight, deadline
-        )
-        budgets = (length, budgets[1])
-    strategy = strategy_from_solution(prepared, solution, budgets, bound)
-    return _with_gap_checked(strategy, solution, budgets, options, deadline)
+    _check_losses(game.network)
+    budgets = make_budgets(game, options)
+    strategy_within_budgets(game, budgets)
+    if options.solver != 'max_entropy':
+        return _by_linear_program(game, budgets, options, deadline)
+    found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm))
+    strategy = strategy_of(found.game, found.p, found.ambusher, budgets, found.evaluations)
+    strategy = replace(strategy, multipliers=found.multipliers, entropy_bound=found.entropy_bound)
+    if within_slack(strategy, options):
+        return strategy
+    if time.monotonic() < deadline:
+        return replace(strategy, counting_gap=True)
+    raise TimeLimit(
+        f'after {options.time_limit:g} s the value {strategy.value:.6g} is not within '
+        f'{options.risk_slack:g} of its bound {strategy.lower_bound:.6g}; allow more time', strategy
+    )
+
+
+def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, Budget],
+                iterations: int = 0) -> Strategy:
+    """The strategy p (M,) with its certificate.
+
+    Raises SolverFailed if p or the ambusher is not valid; see ``certify``.
+    """
+    return Strategy(game, frozen_array(p, np.float64), ambusher, budgets,
+                    certify(game, p, ambusher, budgets), iterations)
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -257,24 +328,30 @@ def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
 
     Raises BudgetInfeasible if the best playable route exceeds a budget.
     """
-    network = game.network
-    return (
-        _budget(game, network.travel_costs, options.max_detour, 'length',
-                network.travel_unit),
-        _budget(game, network.edge_exposure, options.max_exposure, 'exposure', 'loss x m'),
-    )
+    return Budget.length(game, options.max_detour), Budget.exposure(game, options.max_exposure)
 
 
-def _budget(game: Game, cost: FloatArray, factor: float, name: str, unit: str) -> Budget:
-    least = least_cost(game.network, cost)
-    limit = factor * least if math.isfinite(factor) else math.inf
-    return Budget(game, cost, limit, least, name, unit)
+def within_slack(strategy: Strategy, options: StrategyOptions) -> bool:
+    """Whether value and lower bound are as near to each other as the options ask for."""
+    slack = CERTIFICATE_TOLERANCE + options.risk_slack * (options.solver == 'max_entropy')
+    # With a length weight, the weighted sum is minimal and sets the scale of the gap.
+    weighed = strategy.length_price * strategy.expected_length * (options.length_weight > 0.0)
+    return strategy.value + weighed <= (strategy.lower_bound + weighed) * (1.0 + slack)
 
 
-def least_cost(network: Network, cost: FloatArray) -> float:
-    """Cost of the network's best route, from the costs (M,) of edges."""
-    found = distances_from(network.edges, cost, len(network.points), network.source)
-    return float(found[network.target])
+def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: StrategyOptions,
+                       deadline: float) -> Strategy:
+    """The strategy of one of the paper's linear programs."""
+    found = linear_program_strategy(game, options.solver, budgets[0], options.length_weight,
+                                    deadline)
+    own = found.budget, budgets[1]
+    strategy = strategy_of(game, found.p, found.ambusher, own, found.iterations)
+    if within_slack(strategy, options):
+        return strategy
+    if hits_can_differ(game):
+        return replace(strategy, counting_gap=True)
+    raise TimeLimit(f'{options.solver} ended with a value of {strategy.value:.6g} over a bound of '
+                    f'{strategy.lower_bound:.6g}', strategy)
 
 
 def _check_losses(network: Network) -> None:
@@ -284,52 +361,3 @@ def _check_losses(network: Network) -> None:
         node = int(np.argmax(odd))
         raise InvalidNetwork(f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
                              f'{network.alpha[node]:g} at node {node}; scale the losses')
-
-
-def _with_gap_checked(strategy: Strategy, solution: Solution, budgets: tuple[Budget, Budget],
-                      options: StrategyOptions, deadline: float) -> Strategy:
-    """The strategy, which is that of the solution; raises TimeLimit if its gap is too wide."""
-    entropic = options.solver == 'max_entropy'
-    slack = CERTIFICATE_TOLERANCE + (options.risk_slack if entropic else 0.0)
-    # With a length weight, the weighted sum is minimal and sets the scale of the gap.
-    weighed = options.length_weight > 0.0
-    extra = solution.prices[0] * strategy.expected_length if weighed else 0.0
-
-    def closed(value: float, bound: float) -> bool:
-        return value + extra <= (bound + extra) * (1.0 + slack)
-
-    if closed(strategy.value, strategy.lower_bound):
-        return strategy
-    if hits_can_differ(strategy.game):
-        complete = solution.complete and time.monotonic() < deadline if entropic else closed(
-            entry_value(strategy.game, solution.p),
-            entry_bound(strategy.game, solution.q, budgets, solution.prices),
-        )
-        if complete:
-            return replace(strategy, counting_gap=True)
-    raise TimeLimit(
-        f'the value {strategy.value:.6g} is not within {slack:.3g} of its bound '
-        f'{strategy.lower_bound:.6g} after {solution.iterations} steps; allow more time',
-        strategy,
-    )
-
-
-def strategy_from_solution(game: Game, solution: Solution, budgets: tuple[Budget, Budget],
-                           bound: float | None = None) -> Strategy:
-    """The strategy with its certificate, which follows from p, q and prices; see ``certify``."""
-    network, p = game.network, solution.p
-    certificate = certify(game, p, solution.q, budgets, solution.prices, bound)
-    length, exposure = budgets
-    return Strategy(game=game, edge_probability=frozen_array(p, np.float64),
-                    visit_probability=frozen_array(game.visits(p), np.float64),
-                    ambush_probability=frozen_array(solution.q, np.float64),
-                    value=certificate.value, lower_bound=certificate.bound,
-                    gap=certificate.value - certificate.bound,
-                    edge_entropy=entropy(p, np.ones_like(p)),
-                    route_entropy=route_entropy(network, p), expected_length=length.mean(p),
-                    shortest_length=length.least, length_budget=length.limit,
-                    length_price=solution.prices[0], expected_exposure=exposure.mean(p),
-                    least_exposure=exposure.least, exposure_budget=exposure.limit,
-                    exposure_price=solution.prices[1], iterations=solution.iterations,
-                    multipliers=solution.multipliers,
-                    entropy_gap=max(solution.entropy_bound - route_entropy(network, p), 0.0))

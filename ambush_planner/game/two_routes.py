@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible
 from ..network.shortest_paths import shortest_path
-from .acyclic import without_cycles
+from .law.acyclic import without_cycles
 from .budget import ROUNDING, Budget
 from .game import Game
 from .route_sampler import route_strategy, shortest_route_strategy

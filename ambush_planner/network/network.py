@@ -114,6 +114,10 @@ class Network:
         return len(self.points) // self.legs
 
     @property
+    def representatives(self) -> IndexArray:
+        return np.arange(self.place_count)
+
+    @property
     def places(self) -> IndexArray:
         """The place (N,) of each node, as the index of its copy in the first layer."""
         return np.arange(len(self.points)) % self.place_count

@@ -14,11 +14,12 @@ from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_matrix, vstack
 
 from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges, near_ends
 from ..game.game import Game
-from ..game.hits import RouteHits
+from ..game.law.chain import MarkovChain, chain_of
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap, to_map_axes, to_world
 
@@ -27,16 +28,18 @@ _DIVISION = 4
 # If more than this share of the cells has changed, their losses are computed from the whole map.
 _MOST_CHANGED = 0.05
 _PARTS = np.indices((_DIVISION, _DIVISION)).reshape(2, -1).T
-# Cells whose hits are computed together.
-_AT_ONCE = 64
 
 
 class Places(NamedTuple):
-    """Places where an ambusher can wait: positions (K, 2) [m], losses (K,), mean losses (K,)."""
+    """Places where an ambusher can wait.
+
+    Positions (K, 2) [m], losses (K,), mean losses (K,), and the edges that enter their discs.
+    """
 
     points: FloatArray
     alpha: FloatArray
     mean_loss: FloatArray
+    entering: csr_matrix
 
 
 class CellLosses:
@@ -44,13 +47,13 @@ class CellLosses:
 
     def __init__(self, risk_map: RiskMap, in_obstacles: bool) -> None:
         alpha = np.where(risk_map.obstacles, 0.0, risk_map.alpha)
-        self._resolution, self._origin = risk_map.resolution, risk_map.origin
+        self.resolution, self._origin = risk_map.resolution, risk_map.origin
         self._largest = {1: risk_map.nearest_free_alpha() if in_obstacles else alpha}
 
     def at(self, points: FloatArray) -> FloatArray:
         """The losses (K,) at positions (K, 2) [m]; 0 off the map and where nobody can wait."""
         loss = self._largest[1]
-        uv, shape = to_map_axes(self._origin, points) / self._resolution, loss.shape[::-1]
+        uv, shape = to_map_axes(self._origin, points) / self.resolution, loss.shape[::-1]
         inside = ((uv >= 0.0) & (uv <= shape)).all(axis=1)
         column, row = np.clip(np.floor(uv).astype(np.int64), 0, np.array(shape) - 1).T
         return np.where(inside, loss[row, column], 0.0)
@@ -68,70 +71,14 @@ class CellLosses:
             parts = np.minimum(cells[:, None] * _DIVISION + _PARTS, np.array(finer.shape) - 1)
             self._largest[side][tuple(cells.T)] = finer[parts[..., 0], parts[..., 1]].max(axis=1)
 
-    def worst(self, game: Game, p: FloatArray, above: float, apart: float,
-              among: IndexArray | None = None) -> Places:
-        """Cells that cost an acyclic strategy p (M,) more than ``above``, the worst first.
+    def centres(self, blocks: IndexArray, side: float) -> FloatArray:
+        """Centres (K, 2) [m] of blocks (K, 2) of ``side`` cells."""
+        return to_world(self._origin, (blocks[:, ::-1] + 0.5) * side * self.resolution)
 
-        The first one is the worst of all cells. Of each square of side ``apart`` [m], at most one
-        cell is returned, the one with the largest bound. Without ``among`` (K, 2) all cells count.
-        """
-        used = game.exposed(np.flatnonzero(p > 0.0))
-        side = 1
-        while among is None and side * _DIVISION * self._resolution <= game.reach:
-            side *= _DIVISION
-        losses = self._loss_of_blocks(side)
-        blocks = np.argwhere(losses > above) if among is None else among[
-            losses[tuple(among.T)] > above]
-        bound = self._bounds(game, used, p, blocks, side)
-        while side > 1:
-            blocks = self._divided(blocks[bound > above], side)
-            side //= _DIVISION
-            bound = self._bounds(game, used, p, blocks, side)
-        points = self._centres(blocks, 1)
-        bound[near_ends(game.network, game.options.held_radius, points)] = 0.0
-        order = np.argsort(-bound, kind='stable')[: np.count_nonzero(bound > above)]
-        routes = RouteHits(game.network, p)
-
-        def hit(points: FloatArray) -> FloatArray:
-            return routes.probability(used.entering(points, game.reach))
-
-        return self._exact(hit, blocks[order], bound[order], above, apart)
-
-    def _exact(self, hit: Callable[[FloatArray], FloatArray], cells: IndexArray, bound: FloatArray,
-               above: float, apart: float) -> Places:
-        """Mean losses, each route counted once, of cells (K, 2) ordered by their bounds (K,)."""
-        points, alpha = self._centres(cells, 1), self._loss_of_blocks(1)[tuple(cells.T)]
-        if not len(cells):
-            return Places(points, alpha, np.zeros(0))
-        losses = np.zeros(len(cells))
-        squares = np.floor(cells * self._resolution / apart).astype(np.int64)
-        _, first = np.unique(squares, axis=0, return_index=True)
-        chosen = np.sort(first)
-        losses[chosen] = alpha[chosen] * hit(points[chosen])
-        done, best = 0, max(above, losses.max(initial=0.0))
-        while done < len(cells) and bound[done] > best:
-            rows = np.arange(done, min(done + _AT_ONCE, len(cells)))
-            losses[rows] = alpha[rows] * hit(points[rows])
-            done, best = done + _AT_ONCE, max(best, losses[rows].max())
-        found = np.union1d(chosen, np.argmax(losses)) if len(cells) else chosen
-        found = found[losses[found] > above]
-        found = found[np.argsort(-losses[found], kind='stable')]
-        return Places(points[found], alpha[found], losses[found])
-
-    def _bounds(self, game: Game, used: ExposedEdges, p: FloatArray, blocks: IndexArray,
-                side: int) -> FloatArray:
-        """Upper bounds (K,) of the mean losses at all cells of the blocks (K, 2)."""
-        reach = game.reach + (side - 1) * self._resolution / np.sqrt(2.0)
-        entries = used.entering(self._centres(blocks, side), reach) @ p
-        return np.asarray(self._loss_of_blocks(side)[tuple(blocks.T)] * np.minimum(entries, 1.0))
-
-    def _centres(self, blocks: IndexArray, side: int) -> FloatArray:
-        return to_world(self._origin, (blocks[:, ::-1] + 0.5) * side * self._resolution)
-
-    def _loss_of_blocks(self, side: int) -> FloatArray:
+    def of_blocks(self, side: int) -> FloatArray:
         """The largest loss of each block of ``side`` x ``side`` cells."""
         if side not in self._largest:
-            finer = self._loss_of_blocks(side // _DIVISION)
+            finer = self.of_blocks(side // _DIVISION)
             margins = [(0, -size % _DIVISION) for size in finer.shape]
             padded = np.pad(finer, margins) if np.any(margins) else finer
             # By whole rows, then columns: ten times as fast as a maximum over two axes.
@@ -140,11 +87,125 @@ class CellLosses:
                                          [rows[:, k::_DIVISION] for k in range(_DIVISION)])
         return self._largest[side]
 
-    def _divided(self, blocks: IndexArray, side: int) -> IndexArray:
-        """The parts (K, 2) of blocks of ``side`` cells."""
+    def divided(self, blocks: IndexArray, side: int) -> IndexArray:
+        """The next smaller blocks (K, 2) in blocks of ``side`` cells."""
         parts = (blocks[:, None] * _DIVISION + _PARTS).reshape(-1, 2)
-        shape = np.array(self._loss_of_blocks(side // _DIVISION).shape)
+        shape = np.array(self.of_blocks(side // _DIVISION).shape)
         return np.asarray(parts[(parts < shape).all(axis=1)])
+
+
+class CellSearch:
+    """The search for the places that cost a strategy most; it keeps the geometry that it finds.
+
+    A site is a cell, or the centre of one of ``parts`` x ``parts`` parts of it, whose discs contain
+    those of all places around it: their radius is the game's reach. Without ``edges`` (K,), routes
+    may use all edges of the game.
+    """
+
+    def __init__(self, cells: CellLosses, game: Game, edges: IndexArray | None = None) -> None:
+        self._cells, self._game = cells, game
+        edges = np.flatnonzero(game.playable) if edges is None else edges
+        self._exposed, self._parts = game.exposed(edges), parts_of_cells(cells.resolution, game)
+        self._kept: dict[float, _KeptRows] = {}
+        self._first = 1
+        while self._first * _DIVISION * cells.resolution <= game.reach:
+            self._first *= _DIVISION
+
+    def worst(self, p: FloatArray, above: float, among: IndexArray | None = None) -> Places:
+        """Places that cost an acyclic strategy p (M,) more than ``above``, the worst first.
+
+        Of each cell only the worst part is returned. Without ``among`` (K, 2) all cells count.
+        """
+        chain, side = chain_of(self._game.network, p), self._first if among is None else 1
+        blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
+        while True:
+            blocks = self._above(blocks, side, p, chain, above)
+            if side == 1:
+                break
+            blocks = self._cells.divided(blocks, side)
+            side //= _DIVISION
+        return self._of_parts(blocks, p, chain, above)
+
+    def _above(self, blocks: IndexArray, side: int, p: FloatArray, chain: MarkovChain,
+               above: float) -> IndexArray:
+        """The blocks (K, 2) in which a place may cost more than ``above``."""
+        loss = self._cells.of_blocks(side)[tuple(blocks.T)]
+        blocks, loss = blocks[loss > above], loss[loss > above]
+        rows, row = self._rows(blocks, side)
+        most = loss * np.minimum((rows @ p)[row], 1.0)
+        blocks, loss, row = blocks[most > above], loss[most > above], row[most > above]
+        if side > _DIVISION or side == self._parts == 1:
+            return blocks
+        hits = chain.hits(chain.network.columns(rows[row]))
+        return np.asarray(blocks[loss * hits > above])
+
+    def _of_parts(self, cells: IndexArray, p: FloatArray, chain: MarkovChain,
+                  above: float) -> Places:
+        """The worst part of each cell (K, 2) in which one costs more than ``above``."""
+        loss, n = self._cells.in_cells(cells), self._parts
+        parts, which = cells, np.arange(len(cells))
+        if n > 1:
+            parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
+            which = np.repeat(which, n * n)
+        options = self._game.options
+        points = self._cells.centres(parts, 1.0 / n)
+        out = ~near_ends(self._game.network, options.held_radius - options.widened, points)
+        parts, which, points = parts[out], which[out], points[out]
+        rows, row = self._rows(parts, 1.0 / n)
+        most = loss[which] * np.minimum((rows @ p)[row], 1.0)
+        some = np.flatnonzero(most > above)
+        which, points, row = which[some], points[some], row[some]
+        losses = loss[which] * chain.hits(chain.network.columns(rows[row]))
+        order = np.argsort(-losses, kind='stable')
+        order = order[losses[order] > above]
+        _, first = np.unique(which[order], return_index=True)
+        found = order[np.sort(first)]
+        return Places(points[found], loss[which[found]], losses[found], csr_matrix(rows[row[found]]))
+
+    def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
+        """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""
+        if side not in self._kept:
+            options = self._game.options
+            around = side * self._cells.resolution / np.sqrt(2.0)
+            reach = options.reach - options.widened + around if side >= 1.0 else options.reach
+            if not options.widened:  # only centres of cells count
+                reach = options.reach + (side - 1.0) * self._cells.resolution / np.sqrt(2.0)
+            self._kept[side] = _KeptRows(self._exposed, reach)
+        kept = self._kept[side]
+        return kept.find(blocks, lambda some: self._cells.centres(some, side))
+
+
+class _KeptRows:
+    """Rows of edges that enter the discs around blocks of one side, found once."""
+
+    def __init__(self, exposed: ExposedEdges, reach: float) -> None:
+        self._exposed, self._reach = exposed, reach
+        self._keys, self._row = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+        self._rows: csr_matrix | None = None
+
+    def find(self, blocks: IndexArray,
+             centres: Callable[[IndexArray], FloatArray]) -> tuple[csr_matrix, IndexArray]:
+        """All rows so far, and those of the blocks (K, 2)."""
+        keys = (blocks[:, 0] << 32) + blocks[:, 1]
+        at = np.searchsorted(self._keys, keys)
+        known = at < len(self._keys)
+        known[known] = self._keys[at[known]] == keys[known]
+        if not known.all() or self._rows is None:
+            more = self._exposed.entering(centres(blocks[~known]), self._reach)
+            rows = more if self._rows is None else csr_matrix(vstack((self._rows, more)))
+            first = rows.shape[0] - more.shape[0]
+            row = np.append(self._row, first + np.arange(more.shape[0]))
+            all_keys = np.append(self._keys, keys[~known])
+            order = np.argsort(all_keys, kind='stable')
+            self._rows, self._keys, self._row = rows, all_keys[order], row[order]
+            at = np.searchsorted(self._keys, keys)
+        return self._rows, self._row[at]
+
+
+def parts_of_cells(resolution: float, game: Game) -> int:
+    """Into how many parts a side of each cell is divided, from what the game's discs are widened."""
+    widened = game.options.widened
+    return max(1, round(resolution / (np.sqrt(2.0) * widened))) if widened else 1
 
 
 class LatestLosses:

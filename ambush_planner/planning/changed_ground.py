@@ -12,7 +12,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
-from ..game.certificate import Certificate
+from ..game.certificate.certificate import Certificate
 from ..game.game import Game
 from ..game.revaluation import revalue
 from ..maps.obstacles import ObstacleField

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
-from ..game.limit_rows import Multipliers
+from ..game.solver import Multipliers
 from ..game.strategy import StrategyOptions, solve
 from ..network.network import Network
 

@@ -17,11 +17,10 @@ import numpy as np
 
 from ..arrays import FloatArray, frozen_array
 from ..errors import AmbushPlannerError
-from ..game.certificate import Certificate, hit_bound
+from ..game.certificate.certificate import Certificate, lower_bound
+from ..game.ambusher import Ambusher
 from ..game.game import make_game
-from ..game.hits import worst_loss
-from ..game.route_sampler import entropy, route_entropy
-from ..game.strategy import Strategy, make_budgets
+from ..game.strategy import Strategy, make_budgets, strategy_of
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.driven_path import Ends
@@ -108,18 +107,9 @@ def _valued(ground: ChangedGround, newest: OccupancyMap, network: Network,
     before = ground.plan.strategy
     game = make_game(network, before.game.options)
     budgets = make_budgets(game, ground.plan.options.strategy)
-    prices = [price if budget.binds else 0.0 for price, budget in zip(
-        (before.length_price, before.exposure_price), budgets, strict=True)]
-    value = worst_loss(game, p)
-    bound = min(hit_bound(game, before.ambush_probability, budgets, tuple(prices)), value)
-    value = ground.at_any_cell(Certificate(value, bound), newest, game, p).value
-    length, exposure = budgets
-    return replace(
-        before, game=game, edge_probability=frozen_array(p, np.float64),
-        visit_probability=frozen_array(game.visits(p), np.float64), value=value,
-        lower_bound=bound, gap=value - bound, edge_entropy=entropy(p, np.ones_like(p)),
-        route_entropy=route_entropy(network, p), expected_length=length.mean(p),
-        shortest_length=length.least, length_budget=length.limit,
-        expected_exposure=exposure.mean(p), least_exposure=exposure.least,
-        exposure_budget=exposure.limit, multipliers=None, entropy_gap=math.nan,
-    )
+    prices = tuple(price if budget.binds else 0.0 for price, budget in zip(
+        before.ambusher.prices, budgets, strict=True))
+    ambusher = Ambusher(before.ambusher.q, prices)
+    strategy = strategy_of(game, p, ambusher, budgets)
+    value = ground.at_any_cell(strategy.certificate, newest, game, p).value
+    return replace(strategy, certificate=replace(strategy.certificate, value=value))

@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute, TimeLimit
-from ..game.cut import solve_by_min_cut
-from ..game.flow_program import capped_at_one
+from ..game.value.cut import solve_by_min_cut
+from ..game.ambusher import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
-from ..game.acyclic import is_acyclic
+from ..game.law.acyclic import is_acyclic
 from ..game.hits import worst_loss
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy

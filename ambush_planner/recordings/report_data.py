@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray
-from ..game.acyclic import order_along
+from ..game.law.acyclic import order_along
 from ..game.strategy import Strategy
 from ..maps.coordinates import degrees_polynomial
 from ..maps.risk_map import RiskMap

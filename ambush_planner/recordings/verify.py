@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AmbushPlannerError, TimeLimit
-from ..game.acyclic import is_acyclic
+from ..game.law.acyclic import is_acyclic
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap

@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import maximum_flow
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array, sums
 from ..errors import InvalidOption, NotDistinct
-from ..game.acyclic import is_acyclic, order_along
+from ..game.law.acyclic import is_acyclic, order_along
 from ..game.strategy import Strategy
 from ..network.shortest_paths import distances_from
 from ..option_checks import check_at_least, check_whole

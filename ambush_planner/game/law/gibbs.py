@@ -17,8 +17,8 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray, IndexArray, sums
-from .game import Game
+from ...arrays import FloatArray, IndexArray, sums
+from ...network.network import Network
 from .triangular import Recursion
 
 # Right sides of one triangular solve: bounds its memory, and they stay in the processor's cache.
@@ -26,28 +26,29 @@ CHUNK = 32
 
 
 class AcyclicNetwork:
-    """The edges of an acyclic game in topological order.
+    """Edges of an acyclic network in topological order, sorted by (tail, head).
 
-    ``edge`` (m,) are the network's edge indices, ``tail`` and ``head`` (m,) the positions of their
-    nodes in the order; the source is 0 and the target n - 1.
+    ``tail`` and ``head`` (m,) are positions of nodes in the order; the source is 0 and the target
+    is the last one. ``edge`` (m,) are the indices of the edges in the whole network.
     """
 
-    def __init__(self, game: Game, rank: IndexArray) -> None:
-        network = game.network
-        edge = np.flatnonzero(game.playable)
-        used = np.unique(network.edges[edge])
-        nodes = used[np.argsort(rank[used], kind='stable')]
-        place = np.full(game.node_count, -1)
-        place[nodes] = np.arange(len(nodes))
-        tail, head = place[network.edges[edge]].T
-        order = np.lexsort((head, tail))
-        self.edge, self.tail, self.head = edge[order], tail[order], head[order]
-        self.count = len(nodes)
-        self._first = np.searchsorted(self.tail, np.arange(self.count + 1))
+    def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
+        self.tail, self.head, self.edge = tail, head, edge
+        self.count = int(head.max()) + 1
+        self._first = np.searchsorted(tail, np.arange(self.count + 1))
         self._level = np.zeros(self.count)
         last = self.count - 1
-        self._onwards = Recursion(self.head, self.tail, self.count)
-        self._backwards = Recursion(last - self.tail, last - self.head, self.count)
+        self.onwards = Recursion(head, tail, self.count)
+        self.backwards = Recursion(last - tail, last - head, self.count)
+
+    def columns(self, rows: csr_matrix) -> csr_matrix:
+        """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
+        place = np.full(rows.shape[1], -1)
+        place[self.edge] = np.arange(len(self.edge))
+        column = place[rows.indices]
+        kept = column >= 0
+        first = np.concatenate(([0], np.cumsum(kept)))[rows.indptr]
+        return csr_matrix((rows.data[kept], column[kept], first), (rows.shape[0], len(self.edge)))
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -84,7 +85,7 @@ class AcyclicNetwork:
         covariance, mean = np.empty((count, count)), costs @ p
         for begin in range(0, count, CHUNK):
             chunk = slice(begin, begin + CHUNK)
-            reached = self._onwards.solve(share, met[:, chunk].toarray(order='C'))
+            reached = self.onwards.solve(share, met[:, chunk].toarray(order='C'))
             covariance[:, chunk] = onward @ reached
         covariance += covariance.T
         covariance += (costs.multiply(p).tocsr() @ costs.T).toarray()
@@ -96,7 +97,7 @@ class AcyclicNetwork:
         ahead = self._behind(share, sums(self.tail, share * costs, self.count))
         moved = p * (costs + ahead[self.head] - ahead[self.tail])
         entered = sums(self.head, moved, self.count)
-        visits = self._onwards.solve(share, entered)
+        visits = self.onwards.solve(share, entered)
         return np.asarray(visits[self.tail] * share + moved)
 
     def _scaled_partition(self, weights: FloatArray) -> tuple[FloatArray, FloatArray] | None:
@@ -120,13 +121,13 @@ class AcyclicNetwork:
 
     def _behind(self, factor: FloatArray, right: FloatArray) -> FloatArray:
         """y with y_i = right_i + sum over edges out of i of factor * y_head."""
-        return self._backwards.solve(factor, right[::-1])[::-1]
+        return self.backwards.solve(factor, right[::-1])[::-1]
 
     def _forward(self, share: FloatArray) -> FloatArray:
         """x with x_k = sum over edges into k of x_tail * share, x_source = 1."""
         first = np.zeros(self.count)
         first[0] = 1.0
-        return self._onwards.solve(share, first)
+        return self.onwards.solve(share, first)
 
     def _log_partition(self, weights: FloatArray) -> FloatArray:
         """log Z_i (n,) of any size, as sums of logarithms from the target backwards."""
@@ -155,6 +156,17 @@ class AcyclicNetwork:
             if not len(nodes):
                 return layers
             layers.append((nodes, *_ranges(self._first[nodes], self._first[nodes + 1])))
+
+
+def acyclic_network(network: Network, edge: IndexArray, rank: IndexArray) -> AcyclicNetwork:
+    """The edges with indices ``edge`` (m,), along which ``rank`` (N,) rises."""
+    used = np.unique(network.edges[edge])
+    nodes = used[np.argsort(rank[used], kind='stable')]
+    place = np.full(len(network.points), -1)
+    place[nodes] = np.arange(len(nodes))
+    tail, head = place[network.edges[edge]].T
+    order = np.lexsort((head, tail))
+    return AcyclicNetwork(tail[order], head[order], edge[order])
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -9,15 +9,29 @@ H. Reif, Minimum s-t cut of a planar undirected network, SIAM Journal on Computi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from ..arrays import BoolArray, IndexArray
-from .game import Game
-from .route_sampler import shortest_route
+from ...arrays import BoolArray, FloatArray, IndexArray
+from ..game import Game
+from ..route_sampler import shortest_route
+
+
+class Discs(NamedTuple):
+    """The pairs (T,) of a disc and a face on its rim, ordered by disc.
+
+    Disc j has the pairs ``first[j]`` to ``first[j + 1]`` - 1. ``lift`` counts the crossings of the
+    reference route along the rim. Every route meets the discs that are ``around`` (K,) one end.
+    """
+
+    face: IndexArray
+    disc: IndexArray
+    lift: IndexArray
+    first: IndexArray
+    around: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,44 +58,48 @@ class Faces:
     crossed: IndexArray
     outer: int
 
-    @cached_property
-    def rims(self) -> csr_matrix:
-        """(S, K) bool: the links that enter each site's reach."""
-        edge = np.flatnonzero(self.link >= 0)
-        places = np.arange(len(edge)), self.link[edge]
-        links = csr_matrix((np.ones(len(edge), bool), places), (len(edge), len(self.left)))
-        return csr_matrix(self.game.hits[:, edge].astype(bool) @ links)
-
-    @cached_property
-    def touched(self) -> csr_matrix:
-        """(S, F) bool: the faces on the rim of each site's reach."""
+    def discs(self, entering: csr_matrix) -> Discs:
+        """The faces on the rims of discs that the edges of the rows ``entering`` (K, M) enter."""
+        rims = self._rims(entering)
         links = len(self.left)
         places = np.tile(np.arange(links), 2), np.concatenate((self.left, self.right))
         sides = csr_matrix((np.ones(2 * links, bool), places), (links, self.count))
-        touched = csr_matrix(self.rims @ sides)
+        touched = csr_matrix(rims @ sides)
         touched.sort_indices()
-        return touched
+        disc = np.repeat(np.arange(touched.shape[0]), np.diff(touched.indptr))
+        lift, around = self._lifts(rims, disc, touched.indices)
+        return Discs(touched.indices.astype(np.int64), disc, lift, touched.indptr.astype(np.int64),
+                     around)
 
-    @cached_property
-    def site(self) -> IndexArray:
-        """The site's row of each entry of ``touched``."""
-        return np.repeat(np.arange(self.touched.shape[0]), np.diff(self.touched.indptr))
+    def flow(self, potential: FloatArray) -> FloatArray:
+        """The flow (M,) of size 1 that a potential (count,) of the faces stands for."""
+        flow = self.crossed + potential[self.left] - potential[self.right]
+        network = self.game.network
+        forward = np.where(network.tails < network.heads, 1.0, -1.0)
+        return np.where(self.game.playable, np.maximum(forward * flow[self.link], 0.0), 0.0)
 
-    @cached_property
-    def lifts(self) -> tuple[IndexArray, BoolArray]:
-        """For each entry of ``touched``, how often the way there along the rim crosses the route.
+    def _rims(self, entering: csr_matrix) -> csr_matrix:
+        """(K, links) bool: the links that enter each disc."""
+        edge = np.flatnonzero(self.link >= 0)
+        places = edge, self.link[edge]
+        links = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), len(self.left)))
+        return csr_matrix(entering.astype(bool) @ links)
 
-        And the sites (S,) whose rims separate the ends: every route meets these.
+    def _lifts(self, rims: csr_matrix, disc: IndexArray,
+               face: IndexArray) -> tuple[IndexArray, BoolArray]:
+        """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
+
+        The way goes along the rim. Also the discs (K,) whose rims separate the ends.
         """
-        size = self.touched.nnz
-        reached = np.flatnonzero((self.rims @ np.abs(self.crossed)) > 0)
-        rims = self.rims[reached].tocoo()
-        first = reached[rims.row] * self.count
-        key = self.site * self.count + self.touched.indices
-        left = np.searchsorted(key, first + self.left[rims.col])
-        right = np.searchsorted(key, first + self.right[rims.col])
+        size = len(disc)
+        reached = np.flatnonzero((rims @ np.abs(self.crossed)) > 0)
+        met = rims[reached].tocoo()
+        first = reached[met.row] * self.count
+        key = disc * self.count + face
+        left = np.searchsorted(key, first + self.left[met.col])
+        right = np.searchsorted(key, first + self.right[met.col])
         tail, head = np.concatenate((left, right)), np.concatenate((right, left))
-        gain = np.concatenate((-self.crossed[rims.col], self.crossed[rims.col]))
+        gain = np.concatenate((-self.crossed[met.col], self.crossed[met.col]))
         joined = csr_matrix((np.ones(len(tail)), (tail, head)), (size, size))
         _, part = connected_components(joined, directed=False)
         roots = np.unique(part, return_index=True)[1]
@@ -94,19 +112,23 @@ class Faces:
         lift[here] = gain[which[np.searchsorted(step, before[here] * size + here)]]
         while lift[before].any():  # each round doubles the part of the way that is added up
             lift, before = lift + lift[before], before[before]
-        around = np.zeros(self.touched.shape[0], dtype=bool)
-        around[self.site[tail[lift[head] != lift[tail] + gain]]] = True
+        around = np.zeros(rims.shape[0], dtype=bool)
+        around[disc[tail[lift[head] != lift[tail] + gain]]] = True
         return lift, around
 
 
 def make_faces(game: Game) -> Faces | None:
-    """The faces of the playable network; None if links cross."""
+    """The faces of the playable network; None if links cross or are one-way."""
     network, n = game.network, game.node_count
     playable = np.flatnonzero(game.playable)
     ends = np.sort(network.edges[playable], axis=1)
     key, link = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
     low, high = np.divmod(key, n)
     count = len(key)
+    ends = network.source, network.target  # no edge enters the one or leaves the other
+    at_end = np.isin(low, ends) | np.isin(high, ends)
+    if not (at_end | (np.bincount(link.ravel()) == 2)).all():
+        return None
     # Half-edges: links from their lower nodes, then the same from their higher ones.
     tail, head = np.concatenate((low, high)), np.concatenate((high, low))
     twin = np.roll(np.arange(2 * count), count)

@@ -11,8 +11,8 @@ import numpy as np
 import scipy
 from scipy.sparse import csr_matrix
 
-from ..arrays import FloatArray
-from ..errors import SolverFailed, TimeLimit
+from ...arrays import FloatArray
+from ...errors import SolverFailed, TimeLimit
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult

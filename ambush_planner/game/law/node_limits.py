@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags, identity
 from scipy.sparse.linalg import splu
 
-from ..arrays import BoolArray, FloatArray, IndexArray, sums
+from ...arrays import BoolArray, FloatArray, IndexArray, sums
 from .gibbs import AcyclicNetwork
 
 # Most rows that may border the system.

@@ -8,17 +8,20 @@ route a mean loss of at least one over the cut's capacity. Both are optimal.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 
-from ..arrays import BoolArray, FloatArray, sums
-from ..errors import SolverFailed
-from .acyclic import without_cycles
-from .game import Game
-from .route_sampler import shortest_route_strategy
+from ...arrays import BoolArray, FloatArray, sums
+from ...errors import BudgetInfeasible, SolverFailed
+from ..budget import Budget
+from ..game import Game
+from ..law.acyclic import without_cycles
+from ..route_sampler import shortest_route_strategy
+from ..two_routes import strategy_within_budgets
+from .several_sites import share_sites
 
 # scipy's maximum flow takes int32. Capacities are scaled so that the missing flow stays below this;
 # several rounds on the residual network reach double precision.
@@ -48,16 +51,61 @@ def solve_by_min_cut(game: Game) -> CutSolution:
         raise SolverFailed('a cut solves games of one ambusher without a reach')
     safe = game.avoiding_all_sites()
     if safe is not None:
-        return CutSolution(0.0, shortest_route_strategy(safe), uniform_ambusher(game))
+        return CutSolution(0.0, shortest_route_strategy(safe), np.zeros(game.node_count))
     return _solve_by_rounds(game)
 
 
-def uniform_ambusher(game: Game) -> FloatArray:
-    """Spread q (N,) over the sites, or over all nodes: optimal when the value is 0."""
-    q: FloatArray = np.zeros(game.node_count)
-    q[game.sites if len(game.sites) >= game.ambushers else slice(None)] = 1.0
-    q *= game.ambushers / q.sum()
-    return q
+class Cut:
+    """The program of games without a reach while no budget binds; for several ambushers as well.
+
+    ``level`` (S,) is what each site may cause, ``flow`` (M,) an acyclic strategy within that. It
+    may exceed a budget.
+    """
+
+    def __init__(self, game: Game, budgets: tuple[Budget, ...]) -> None:
+        self.game, self.budgets = game, budgets
+        self.bound, self.q, self.level = 0.0, np.zeros(len(game.sites)), np.zeros(len(game.sites))
+        self.prices, self.flow = np.zeros(len(budgets)), np.zeros(0)
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Nothing: all sites are nodes of the network."""
+
+    def solve(self) -> None:
+        """Find the least value without budgets."""
+        safe, k, sites = self.game.avoiding_all_sites(), self.game.ambushers, self.game.sites
+        if safe is not None:
+            within = _within(safe, self.budgets)
+            self.flow = shortest_route_strategy(safe) if within is None else within
+            return
+        alone = self.game.with_one_ambusher()
+        cut = solve_by_min_cut(alone)
+        self.bound, self.q, self.flow = k * cut.value, k * cut.q[sites], cut.p
+        self.level = np.full(len(sites), cut.value)
+        if self.q.max() > 1.0:
+            self._share_sites(alone)
+
+    def _share_sites(self, alone: Game) -> None:
+        """Several ambushers of whom some hold single sites for certain."""
+
+        def cut(costs: FloatArray) -> CutSolution:
+            priced = np.zeros(self.game.node_count)
+            priced[self.game.sites] = 1.0 / costs
+            return solve_by_min_cut(replace(alone, loss=priced))
+
+        loss = self.game.loss[self.game.sites]
+        found = share_sites(loss, self.game.ambushers,
+                            lambda costs: np.flatnonzero(cut(costs).q[self.game.sites]))
+        if found is not None:
+            self.bound, self.q, self.level = found.value, found.q, found.level
+            self.flow = cut(found.level / loss).p
+
+
+def _within(game: Game, budgets: tuple[Budget, ...]) -> FloatArray | None:
+    """A strategy (M,) within the budgets; None if there is none."""
+    try:
+        return strategy_within_budgets(game, budgets)
+    except BudgetInfeasible:
+        return None
 
 
 def _solve_by_rounds(game: Game) -> CutSolution:

@@ -17,10 +17,10 @@ from scipy.sparse import coo_matrix, diags
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ..arrays import FloatArray, IndexArray, sums
-from ..network.network import Network
-from ..network.shortest_paths import edge_matrix
-from .game import Game
+from ...arrays import FloatArray, IndexArray, sums
+from ...network.network import Network
+from ...network.shortest_paths import edge_matrix
+from ..game import Game
 from .triangular import Recursion
 
 # Largest number of nodes for which the potential is solved; larger networks use the progress.

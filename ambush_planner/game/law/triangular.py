@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
+from ...arrays import FloatArray, IndexArray
 
 try:
     from scipy.sparse._sparsetools import csr_matvecs

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, IndexArray
-from .budget import Budget
-from .game import Game
+from ...arrays import FloatArray, IndexArray
+from ..budget import Budget
+from ..game import Game
 
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
 # which it stops: about 10, 3 and 0.2 s. The cost reached by then is still a lower bound.

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from ..arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray
 from .gibbs import AcyclicNetwork
 from .node_limits import NodeLimits
 
@@ -31,12 +31,10 @@ from .node_limits import NodeLimits
 # slow, one evaluation per this many nodes.
 FIRST_EVALUATIONS, NODES_PER_EVALUATION = 100, 400
 # Evaluations before it if the sites' multipliers are known, and in each round after it.
-WARM_EVALUATIONS, NEXT_EVALUATIONS = 15, 300
+WARM_EVALUATIONS, NEXT_EVALUATIONS = 50, 300
 # Limits that Newton's method moves at once, its maximum number of steps, and the maximum number of
 # further rounds of L-BFGS before it while more limits have multipliers.
 NEWTON_LIMITS, MOST_STEPS, MORE_ROUNDS = 1500, 500, 3
-# With soft limits: evaluations of L-BFGS; Newton's limits, most steps and least relative decrease.
-SOFT_EVALUATIONS, SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN = 40, 600, 20, 1e-6
 # Relative to 1 + |value|: least decrease per round, else the search ends; sum of the multipliers
 # times the unused shares at which the interior point method ends, and the least decrease that
 # counts as progress there.
@@ -95,26 +93,21 @@ class GibbsStrategy:
 
 
 def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArray, tolerance: float,
-                     deadline: float, softness: float = 0.0, soft: int = 0) -> GibbsStrategy:
-    """Minimise log Z(C' v) + sum v + softness / 2 (sum of the first ``soft`` v)^2 over v >= 0.
+                     deadline: float, sites: int = 0) -> GibbsStrategy:
+    """Minimise log Z(C' v) + sum v over v >= 0.
 
     Every evaluation is a strategy. The search ends when one exceeds the limits C p <= 1, with C =
     ``rows`` (R, m), by at most ``tolerance`` and misses at most ``ENTROPY_TOLERANCE`` of the
     entropy; when the limits are proved infeasible; when the function hardly falls any more; or at
-    ``deadline`` (``time.monotonic``). ``softness`` lets the strategy exceed each of the
-    ``soft`` first limits by softness * the sum of their v, so that a minimum exists if the others
-    can be kept; this search is short.
+    ``deadline`` (``time.monotonic``). The first rows are those of ``sites``: if the ``start`` has
+    multipliers for them, Newton's method begins earlier.
     """
     if rows.shape[0] == 0:
         log_z, p, _ = network.law(np.zeros(len(network.edge)))
         return GibbsStrategy(p, start, 0.0, False, 1, log_z)
-    search = _DualSearch(network, rows, tolerance, deadline, softness, soft)
+    search = _DualSearch(network, rows, tolerance, deadline)
     with contextlib.suppress(_SearchEnded):
-        if softness > 0.0:
-            search.quasi_newton(start, SOFT_EVALUATIONS)
-            search.newton(SOFT_LIMITS, SOFT_STEPS, SOFT_GAIN)
-        else:
-            search.run(start)
+        search.run(start, bool(start[:sites].any()))
     search.found.evaluations = search.count
     return search.found
 
@@ -122,11 +115,10 @@ def maximize_entropy(network: AcyclicNetwork, rows: csr_matrix, start: FloatArra
 class _DualSearch:
     """The dual function, its least evaluation ``found``, and the methods that minimise it."""
 
-    def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float, deadline: float,
-                 softness: float, soft: int) -> None:
+    def __init__(self, network: AcyclicNetwork, rows: csr_matrix, tolerance: float,
+                 deadline: float) -> None:
         self.network, self.rows, self.columns = network, rows, rows.T.tocsr()
         self.tolerance, self.deadline = tolerance, deadline
-        self.softness, self.soft = softness, np.arange(rows.shape[0]) < soft
         self.found, self.least, self.count = GibbsStrategy(np.empty(0), np.empty(0)), np.inf, 0
         self.p = self.share = self.gradient = np.empty(0)
         # A limit used in portions of c has a use with a variance of about c.
@@ -139,33 +131,29 @@ class _DualSearch:
         if not np.abs(weights).max() < MAX_WEIGHT:  # the line search diverges
             raise _SearchEnded
         log_z, self.p, self.share = self.network.law(weights)
-        used, total, hard = self.rows @ self.p, float(v.sum()), self.softness == 0.0
+        used, total = self.rows @ self.p, float(v.sum())
         excess = float(used.max()) - 1.0
         self.count += 1
-        softened = self.softness * float(v[self.soft].sum())
         value = log_z + total
-        if not hard:
-            value += softened**2 / (2.0 * self.softness)
         # The value bounds the greatest entropy from above; p's entropy is v' (1 - C p) below it.
         missing = float(v @ (1.0 - used))
         near = missing <= ENTROPY_TOLERANCE * (1.0 + value - missing)
-        reached = hard and excess <= self.tolerance and near
-        infeasible = hard and not reached and value < -ROUNDING * (1.0 + total)
+        reached = excess <= self.tolerance and near
+        infeasible = not reached and value < -ROUNDING * (1.0 + total)
         if reached or infeasible or not value > self.least:
             self.least = value
             self.found = GibbsStrategy(self.p, v.copy(), excess, infeasible, 0, log_z)
         if reached or infeasible or time.monotonic() > self.deadline:
             raise _SearchEnded
-        self.gradient = 1.0 - used + softened * self.soft
+        self.gradient = 1.0 - used
         return value, self.gradient
 
-    def run(self, start: FloatArray) -> None:
+    def run(self, start: FloatArray, warm: bool) -> None:
         """Minimise by turns with L-BFGS and a Newton method until a round gains next to nothing."""
         limits = NodeLimits(self.network, self.rows)
         fits = limits.fits
         first = max(FIRST_EVALUATIONS, self.network.count // NODES_PER_EVALUATION)
-        warm = not fits and start[self.soft].any()
-        self.quasi_newton(start, WARM_EVALUATIONS if warm else first)
+        self.quasi_newton(start, WARM_EVALUATIONS if warm and not fits else first)
         for _ in range(MORE_ROUNDS):
             if fits or (self.found.multipliers > LEAST_MULTIPLIER).sum() <= NEWTON_LIMITS:
                 break
@@ -251,27 +239,25 @@ class _DualSearch:
             idle = 0 if gains or tried @ unused < product else idle + 1
             v, least = tried, self.least
 
-    def newton(self, limits: int = NEWTON_LIMITS, steps: int = MOST_STEPS,
-               gain: float = 0.0) -> None:
-        """Take damped Newton steps while they gain, in at most ``limits`` limits.
+    def newton(self) -> None:
+        """Take damped Newton steps while they gain, in at most ``NEWTON_LIMITS`` limits.
 
         They are those of the largest multipliers now, or after a step in this limit alone.
         """
         v, damping = self.found.multipliers, DAMPING
         v = np.where(v > LEAST_MULTIPLIER, v, 0.0)
         value, gradient = self(v)
-        for _ in range(steps):
+        for _ in range(MOST_STEPS):
             over = np.where(gradient < -MODEL_EXCESS * self.tolerance, -gradient, 0.0)
             weight = np.maximum(v, over * self.unit**2)
-            counts = np.argsort(-weight)[:limits]
+            counts = np.argsort(-weight)[:NEWTON_LIMITS]
             counts = counts[weight[counts] > 0.0]
             hessian = self.network.covariance(self.share, self.p, self.rows[counts])
-            hessian += self.softness * np.outer(self.soft[counts], self.soft[counts])
             while True:
                 step = _bounded_step(hessian, gradient[counts], v[counts], damping)
                 foreseen = -float(gradient[counts] @ step + step @ hessian @ step / 2.0)
                 scale = 1.0 + abs(value)
-                if abs(foreseen) <= max(gain * scale, np.spacing(scale)):
+                if abs(foreseen) <= np.spacing(scale):
                     return
                 tried = v.copy()
                 tried[counts] += step

@@ -20,13 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, sums
-from ..errors import SolverFailed
+from ...arrays import FloatArray, sums
+from ...errors import SolverFailed
+from ..ambusher import Ambusher
+from ..budget import ROUNDING, Budget
+from ..game import Game
+from ..hits import hits_can_differ, worst_loss
+from ..value.faces import make_faces
 from .best_response import best_response
-from .budget import ROUNDING, Budget
-from .entries import check_ambusher, entry_bound
-from .game import Game
-from .hits import hits_can_differ, worst_loss
+from .curves import curve_bound
 
 # Largest imbalance of the flow at a node.
 CONSERVATION_TOLERANCE = 1e-8
@@ -40,13 +42,12 @@ class Certificate:
     bound: float
 
 
-def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...],
-            prices: tuple[float, ...], bound: float | None = None) -> Certificate:
-    """Certify a strategy p (M,) with an ambusher's q (N,) and the prices of the budgets.
+def certify(game: Game, p: FloatArray, ambusher: Ambusher,
+            budgets: tuple[Budget, ...]) -> Certificate:
+    """Certify a strategy p (M,) and an ambusher.
 
-    ``bound`` is the ``hit_bound`` of q and prices if it is known; to find it can take seconds.
-    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, q is not
-    a strategy, a price is negative, or the bound exceeds the value.
+    Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, the
+    ambusher is none, or the bound exceeds the value.
     """
     _check_flow(game, p)
     for budget in budgets:
@@ -55,26 +56,46 @@ def certify(game: Game, p: FloatArray, q: FloatArray, budgets: tuple[Budget, ...
                 f"the strategy's {budget.name} is {budget.mean(p):.9g} {budget.unit}, over the "
                 f"budget of {budget.limit:.9g}"
             )
-    value = worst_loss(game, p)
-    bound = hit_bound(game, q, budgets, prices) if bound is None else bound
+    value, bound = worst_loss(game, p), lower_bound(game, ambusher, budgets)
     # Rounding may put p over a budget; the bound then holds for strategies as far over it.
-    over = sum(price * budget.overrun(p) for budget, price in zip(budgets, prices, strict=True))
+    over = sum(price * budget.overrun(p)
+               for budget, price in zip(budgets, ambusher.prices, strict=True))
     bound = max(bound - over, 0.0)
     if bound > value * (1.0 + ROUNDING):
         raise SolverFailed(f'the lower bound {bound:.12g} is above the value {value:.12g}')
     return Certificate(value, min(bound, value))
 
 
-def hit_bound(game: Game, q: FloatArray, budgets: tuple[Budget, ...] = (),
-              prices: tuple[float, ...] = ()) -> float:
-    """Value that no strategy within the budgets can beat, given q (N,).
+def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
+    """Value that no strategy within the budgets can beat, as the ambusher proves it.
 
-    Raises SolverFailed if q is not a strategy of the ambusher, or a price is negative.
+    By the closed curves of his circulation if he has one, else by the best response. Raises
+    SolverFailed if he is no ambusher of the game.
     """
+    ambusher.check(game, budgets)
     if not hits_can_differ(game):
-        return entry_bound(game, q, budgets, prices)
-    check_ambusher(game, q, budgets, prices)
-    return best_response(game, q, budgets, prices).bound
+        return entry_bound(game, ambusher, budgets)
+    if ambusher.circulation is None:
+        return best_response(game, ambusher.q, budgets, ambusher.prices).bound
+    faces, used = make_faces(game), [k for k, price in enumerate(ambusher.prices) if price > 0.0]
+    if faces is None or len(used) > 1:
+        raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
+    charge = game.loss * ambusher.q
+    if not used:
+        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, charge, 0.0,
+                           ambusher.circulation)
+    budget, price = budgets[used[0]], ambusher.prices[used[0]]
+    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation)
+
+
+def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
+    """The bound by the route of least cost if every entry is charged: one Dijkstra."""
+    weights, paid = game.mean_loss_on_edges(ambusher.q), 0.0
+    for budget, price in zip(budgets, ambusher.prices, strict=True):
+        if price > 0.0:
+            weights = weights + price * budget.excess
+            paid += price * budget.margin
+    return max(float(game.distances_ahead(weights)[game.network.target]) - paid, 0.0)
 
 
 def _check_flow(game: Game, p: FloatArray) -> None:

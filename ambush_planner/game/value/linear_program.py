@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from ..arrays import FloatArray, IndexArray
-from ..errors import BudgetInfeasible, InvalidOption
+from ...arrays import FloatArray, IndexArray
+from ...errors import BudgetInfeasible, InvalidOption
+from ..ambusher import Ambusher, at_nodes
+from ..budget import Budget
+from ..certificate.certificate import entry_bound
+from ..game import Game
+from ..hits import entry_value
+from ..route_sampler import shortest_route_strategy
 from . import highs
-from .budget import Budget
-from .cut import solve_by_min_cut, uniform_ambusher
-from .entries import best_prices, entry_value
-from .entropy_stage import Solution
-from .flow_program import conservation
-from .game import Game
-from .route_sampler import shortest_route_strategy
+from .cut import solve_by_min_cut
 
 if TYPE_CHECKING:  # loading scipy.optimize is slow, see entropy_search
     from scipy.optimize import OptimizeResult
@@ -47,6 +47,21 @@ class LinearProgram(highs.Program):
     unit: float
 
 
+def conservation(game: Game) -> tuple[csr_matrix, IndexArray]:
+    """Rows of ``A`` over the playable edges, and their nodes.
+
+    The target's row follows from the others and is omitted.
+    """
+    network = game.network
+    tail, head = network.edges[game.playable].T
+    column = np.arange(len(tail))
+    entries = np.concatenate((np.ones(len(tail)), -np.ones(len(tail))))
+    full = csr_matrix((entries, (np.concatenate((tail, head)), np.concatenate((column, column)))),
+                      shape=(game.node_count, len(tail)))
+    node = np.unique(tail)
+    return full[node], node
+
+
 def linear_program(game: Game, length_weight: float, budget: float, unit: float) -> LinearProgram:
     """Build the program: minimise (1 - w) z + w l' p with D p <= z, A p = b and l' p <= budget.
 
@@ -68,13 +83,21 @@ def linear_program(game: Game, length_weight: float, budget: float, unit: float)
     return LinearProgram(cost, inequalities.tocsr(), limits, equalities, rhs, edge, unit)
 
 
+class ProgramSolution(NamedTuple):
+    """p (M,), the ambusher, the budget that his price belongs to, and the solver's iterations."""
+
+    p: FloatArray
+    ambusher: Ambusher
+    budget: Budget
+    iterations: int
+
+
 def linear_program_strategy(game: Game, solver: str, length: Budget, length_weight: float,
-                            deadline: float) -> tuple[Solution, Budget]:
+                            deadline: float) -> ProgramSolution:
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only if the solution without it is too long; otherwise the program is
-    the paper's own. Returns the solution and the budget that its price belongs to: with a length
-    weight, the solution's own expected length. Raises InvalidOption if the game has several
+    the paper's own. With a length weight, the budget is the solution's own expected length. Raises InvalidOption if the game has several
     ambushers, and BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
     """
     if game.ambushers > 1:
@@ -90,16 +113,13 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     p = np.zeros(len(lengths))
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
-    solution = _with_ambusher(game, program, p, result, price)
+    q, price = _ambusher(game, program, result, price)
     if row_added and length_weight == 0.0 and _has_no_margin(length):
-        # Without a price, routes over the other edges would lower the bound to next to nothing.
-        value = entry_value(game, p)
-        prices, _ = best_prices(game, solution.q, (length,), solution.prices[:1], value)
-        solution = replace(solution, prices=(*prices, 0.0))
+        price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
-    if length_weight > 0.0:
-        return solution, own
-    return solution, own if solution.prices[0] == 0.0 and own.limit > length.limit else length
+    limited = length_weight == 0.0 and (price > 0.0 or own.limit <= length.limit)
+    return ProgramSolution(p, Ambusher(q, (price, 0.0)), length if limited else own,
+                           int(result.nit))
 
 
 def _avoiding_all_sites(game: Game, budget: float) -> Game | None:
@@ -160,18 +180,27 @@ def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
     return np.maximum(p, 0.0)
 
 
-def _with_ambusher(game: Game, program: LinearProgram, p: FloatArray, result: OptimizeResult,
-                   price: float) -> Solution:
-    """Add q and the price of length, from the duals of the sites' rows."""
+def _ambusher(game: Game, program: LinearProgram, result: OptimizeResult,
+              price: float) -> tuple[FloatArray, float]:
+    """q (N,) and the price of length, from the duals of the sites' rows."""
     loss = game.loss[game.sites]
     duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)[: len(loss)]
     # The row of a loss far below the unit never binds: its dual is rounding.
-    q = np.zeros(game.node_count)
-    q[game.sites] = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
-    total = q.sum()
-    if total <= 0.0:
-        return Solution(p, uniform_ambusher(game), (0.0, 0.0), int(result.nit))
-    return Solution(p, q / total, (max(price / total, 0.0), 0.0), int(result.nit))
+    duals = np.where(loss * MOST_VISITS > program.unit, duals / loss, 0.0)
+    total = float(duals.sum())
+    return at_nodes(game, duals), max(price / total, 0.0) if total > 0.0 else 0.0
+
+
+def _best_price(game: Game, q: FloatArray, length: Budget, price: float) -> float:
+    """A price of the length at which q (N,) proves more than at the program's.
+
+    Without a price, routes over edges that are no shortest ones would lower the bound.
+    """
+    scale = entry_value(game, shortest_route_strategy(game)) / length.margin
+    prices = [price, *(scale * 10.0**k for k in range(-9, 1))]
+    unlimited = replace(length, limit=np.inf, game=game)
+    return max(prices, key=lambda each: entry_bound(game, Ambusher(q, (each, 0.0)),
+                                                    (length, unlimited)))
 
 
 def _run(program: LinearProgram, solver: str, deadline: float) -> OptimizeResult:

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linprog
 
-from ..arrays import FloatArray, IndexArray
-from ..errors import SolverFailed
+from ...arrays import FloatArray, IndexArray
+from ...errors import SolverFailed
 
 # A set joins if it costs less than this; 1 would prove the value.
 CHEAP = 1.0 - 1e-7

@@ -1,0 +1,74 @@
+"""The ambusher's mixed strategy: where he waits, and what the convoy's budgets are worth to him."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import SolverFailed
+from .budget import ROUNDING, Budget
+from .certificate.curves import Circulation
+from .game import Game
+
+
+@dataclass(frozen=True, eq=False)
+class Ambusher:
+    """An ambusher's strategy that proves a lower bound of the value.
+
+    Attributes
+    ----------
+    q : (N,)
+        How likely he waits at each node; sums to the number of ambushers.
+    prices : (budgets,)
+        Decrease of the bound per unit of each budget.
+    circulation : Circulation or None
+        Closed curves between the faces of a planar network that prove the bound.
+    """
+
+    q: FloatArray
+    prices: tuple[float, ...]
+    circulation: Circulation | None = None
+
+    def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
+        """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""
+        q, most = self.q, 1.0 + ROUNDING
+        if not (q >= 0.0).all() or not (game.at_places(q) <= most).all():
+            raise SolverFailed(f'q must be in [0, 1] at each place, got {q.min()} to {q.max()}')
+        if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
+            raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')
+        for budget, price in zip(budgets, self.prices, strict=True):
+            if not price >= 0.0:
+                raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')
+
+
+def at_nodes(game: Game, q: FloatArray) -> FloatArray:
+    """q (N,) of an ambusher with shares q (S,) of the sites, each capped at 1.
+
+    It sums to the number of ambushers. If there are fewer sites, or no share at all, the others
+    are spread over all places.
+    """
+    few = len(game.sites) < game.ambushers
+    among = game.network.representatives if few else game.sites
+    shares = np.zeros(game.node_count)
+    shares[game.sites] = q
+    nodes = np.zeros(game.node_count)
+    nodes[among] = capped_at_one(shares[among], game.ambushers)
+    return nodes
+
+
+def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:
+    """Cap q (K,) at 1 everywhere and give it the sum ``ambushers``."""
+    q = q * (ambushers / q.sum()) if q.sum() > 0.0 else np.full(len(q), ambushers / len(q))
+    for _ in range(len(q)):
+        over = q >= 1.0
+        missing, rest = ambushers - float(np.minimum(q, 1.0).sum()), float(q[~over].sum())
+        q = np.minimum(q, 1.0)
+        if missing <= ROUNDING * ambushers:
+            break
+        if rest > 0.0:
+            q[~over] *= 1.0 + missing / rest
+        else:
+            q[~over] += missing / max(int((~over).sum()), 1)
+    return q

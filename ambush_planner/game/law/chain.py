@@ -1,0 +1,129 @@
+"""An acyclic strategy as a Markov chain: how likely its routes are hit, each counted once.
+
+Along a route, u_i is how likely it is at node i that the site has not hit the route yet, and V_i
+how likely the site hits it from i on. Both follow from one pass over the edges near the site, in
+topological order. P(hit) is the sum of u_tail p over the edges that enter the disc. It is a smooth
+function of p, and its derivative is a row over the edges (docs/theory.md, Proposition 8.4):
+
+    d P(hit) / d p_e = u_tail  (if e enters)  +  (u_tail (unless e enters) - u_head) V_head.
+
+The row times p is P(hit) itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...arrays import FloatArray, IndexArray, sums
+from ...network.network import Network
+from .acyclic import order_along
+from .gibbs import AcyclicNetwork, acyclic_network
+
+# Nodes that fewer routes visit count as not visited.
+LEAST_VISITS = 1e-13
+# Sites whose expected entries exceed P(hit) by less have a derivative of 1 at their entries.
+LEAST_EXCESS = 1e-9
+
+
+class MarkovChain:
+    """The chain of a strategy p (m,) on an acyclic network.
+
+    ``share`` (m,) is the probability of each edge at its tail, ``visits`` (n,) that of each node.
+    """
+
+    def __init__(self, network: AcyclicNetwork, p: FloatArray) -> None:
+        self.network, self.p = network, p
+        leaving = sums(network.tail, p, network.count)
+        self.share = p / np.maximum(leaving, np.finfo(float).tiny)[network.tail]
+        self._start = np.zeros(network.count)
+        self._start[0] = 1.0
+        self.visits = network.onwards.solve(self.share, self._start.copy())
+        onwards, backwards = network.onwards, network.backwards
+        self._ahead, self._behind = self.share[onwards.order], self.share[backwards.order]
+        self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)
+        self._enters = np.zeros(len(p), dtype=bool)
+        self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
+
+    @property
+    def entropy(self) -> float:
+        """Entropy of a drawn route [nats]."""
+        used = self.p > 0.0
+        return float(0.0 - self.p[used] @ np.log(self.share[used]))
+
+    def hits(self, rows: csr_matrix) -> FloatArray:
+        """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
+        hit = np.zeros(rows.shape[0])
+        for site, entering, _, _, unhit in self._each(rows):
+            hit[site] = unhit[self.network.tail[entering]] @ self.p[entering]
+        return np.minimum(hit, 1.0)
+
+    def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
+        """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""
+        edges, weights = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
+        hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)
+        for site, entering, a, b, unhit in self._each(rows):
+            edge, weight = entering, unhit[self.network.tail[entering]]
+            hit[site] = weight @ self.p[entering]
+            if b > a and hit[site] < self.p[entering].sum() - LEAST_EXCESS:
+                later, more = self._changes_later_hits(entering, a, b, unhit)
+                edge, weight = np.append(edge, later), np.append(weight, more)
+            edges.append(edge), weights.append(weight)
+            count[site + 1] = len(edge)
+        rows = csr_matrix((np.concatenate(weights), np.concatenate(edges), np.cumsum(count)),
+                          rows.shape)
+        return np.minimum(hit, 1.0), rows
+
+    def _each(self, rows: csr_matrix) -> Iterator[tuple[int, IndexArray, int, int, FloatArray]]:
+        """Each site that routes can meet: its entering edges, and P(not hit yet) at each node (n,).
+
+        That is less than 1 only from the first node that an entry leads to, a, and is needed only
+        up to the last node that one leaves, b - 1. The array is the same for all sites.
+        """
+        head, tail = self.network.head, self.network.tail
+        met = np.flatnonzero(np.diff(rows.indptr))
+        if not len(met):
+            return
+        begin = np.minimum.reduceat(head[rows.indices], rows.indptr[met])
+        end = np.maximum.reduceat(tail[rows.indices], rows.indptr[met]) + 1
+        arriving, unhit = self.visits.copy(), np.ones(self.network.count)
+        for site, a, b in zip(met.tolist(), begin.tolist(), end.tolist(), strict=True):
+            entering = rows.indices[rows.indptr[site] : rows.indptr[site + 1]]
+            if a < b:
+                again = self._at_ahead[entering]
+                self._ahead[again] = 0.0
+                arriving[a:b] = self._start[a:b]
+                self.network.onwards.add_rows(self._ahead, arriving, a, b)
+                self._ahead[again] = self.share[entering]
+                visits = self.visits[a:b]
+                np.divide(arriving[a:b], visits, out=unhit[a:b], where=visits > LEAST_VISITS)
+            yield site, entering, a, b, unhit
+            arriving[a:b], unhit[a:b] = self.visits[a:b], 1.0
+
+    def _changes_later_hits(self, entering: IndexArray, a: int, b: int,
+                            unhit: FloatArray) -> tuple[IndexArray, FloatArray]:
+        """The edges with (u_tail unless they enter - u_head) V_head, where that is not 0."""
+        network, last = self.network, self.network.count - 1
+        again = self._at_behind[entering]
+        self._behind[again] = 0.0
+        backwards = sums(last - network.tail[entering], self.share[entering], network.count)
+        network.backwards.add_rows(self._behind, backwards, last + 1 - b, last + 1 - a)
+        self._behind[again] = self.share[entering]
+        edge = network.onwards.order[self._into[a] : self._into[b]]
+        tail, head = network.tail[edge], network.head[edge]
+        self._enters[entering] = True
+        before = np.where(self._enters[edge], 0.0, unhit[tail])
+        self._enters[entering] = False
+        weight = (before - unhit[head]) * backwards[last - head]
+        some = weight != 0.0
+        return edge[some], weight[some]
+
+
+def chain_of(network: Network, p: FloatArray) -> MarkovChain:
+    """The chain of an acyclic strategy p (M,), on the edges that it uses."""
+    rank = order_along(network, p)
+    assert rank is not None  # p is acyclic
+    used = acyclic_network(network, np.flatnonzero(p > 0.0), rank)
+    return MarkovChain(used, p[used.edge])

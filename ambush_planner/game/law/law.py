@@ -1,0 +1,173 @@
+"""The law of routes: the most unpredictable strategy whose losses keep to a level.
+
+P(hit) of each site, every route counted once, is a smooth function of the Markov chain. So the law
+of greatest entropy is found by rounds: each one limits the hits by rows that are exact at the chain
+before (``MarkovChain.hits_with_derivatives``), finds the Gibbs law of greatest entropy within these
+limits and goes a step towards it. What the rows did not foresee at a site is kept as a reserve for
+the next round. Two or three rounds reach the slack. Where no route can meet a site twice, the rows
+are exact for every chain, and one round does it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags, vstack
+
+from ...arrays import FloatArray, IndexArray
+from ..budget import Budget
+from .chain import MarkovChain
+from .entropy_search import maximize_entropy
+from .gibbs import AcyclicNetwork
+
+# Share of the slack that a law aims at, and its tolerance as a share of the slack.
+AIM, TOLERANCE = 0.95, 0.04
+# Sites limit their hits if their entries cost at least this share of their level; else entries.
+NEAR = 0.97
+# Share of a budget's margin that is kept below it.
+KEPT_MARGIN = 1e-3
+# Steps towards a new law: the usual one, and the shortest.
+STEP, SHORTEST = 0.6, 0.05
+# A longer step may put the value this many slacks over its limit, or must reach this share of
+# what it promises.
+OVERSHOOT, PROMISE = 3.0, 0.1
+# Of a reserve: the share kept in the next round, its largest share of a limit, and the share kept
+# if the limits are infeasible with it.
+KEPT_RESERVE, MOST_RESERVE, LESS_RESERVE = 0.5, 0.1, 0.3
+# Most rounds.
+ROUNDS = 12
+# Largest number of doublings of the first multipliers.
+DOUBLINGS = 12
+
+
+class Law:
+    """Rounds on one acyclic network, from a first strategy p (m,); ``value`` is that of ``p``.
+
+    ``level`` (S,) is what each site may cause; the k largest add up to the limit of the value.
+    """
+
+    def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
+                 ambushers: int, slack: float, exact: bool, deadline: float) -> None:
+        self.network, self.p, self.slack, self.exact = network, p, slack, exact
+        self.deadline, self._k = deadline, ambushers
+        binding = [b for b in budgets if b.binds]
+        self._margin = np.array([b.margin * (1.0 - KEPT_MARGIN) for b in binding])
+        self._excess = csr_matrix(np.reshape(
+            [b.excess[network.edge] / m for b, m in zip(binding, self._margin, strict=True)],
+            (len(binding), len(network.edge))))
+        self._entering = csr_matrix((0, len(p)))
+        self._loss, self.level = np.zeros(0), np.zeros(0)
+        self._claimed, self._reserve = np.zeros(0), np.zeros(0)
+        self.multipliers, self.prices = np.zeros(0), np.zeros(len(binding))
+        self.rounds, self.step, self.evaluations, self.entropy_bound = 0, 1.0, 0, np.nan
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
+        self._entering = csr_matrix(vstack((self._entering, self.network.columns(entering))))
+        more = np.zeros(len(loss))
+        self._loss = np.append(self._loss, loss)
+        self._claimed, self._reserve = np.append(self._claimed, more), np.append(self._reserve, more)
+        self.multipliers = np.append(self.multipliers, more)
+
+    def start_from(self, sites: FloatArray, budgets: Sequence[float], level: FloatArray) -> None:
+        """Begin with the multipliers per hit of the first sites (K,) and per unit of cost."""
+        first = slice(len(sites))
+        self.multipliers[first] = sites * level[first] / self._loss[first]
+        self.prices = np.array(budgets) * self._margin
+
+    def unscaled_multipliers(self) -> tuple[FloatArray, FloatArray]:
+        """The multipliers per hit of each site (S,), and per unit of each budget's cost."""
+        most = np.maximum(self.level / self._loss, np.finfo(float).tiny)
+        return self.multipliers / most, self.prices / self._margin
+
+    def measure(self, level: FloatArray) -> None:
+        """Find the value of p, and rows that are exact at p, for the ``level`` (S,) of the bound."""
+        self.level = level
+        limit = level / self._loss
+        entries = self._entering @ self.p
+        counts = self._entering.getnnz(axis=1)
+        self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
+        self._near = self._could[entries[self._could] > NEAR * limit[self._could]]
+        rows = self._entering[self._near]
+        if self.exact:
+            self._hits, self._rows = entries[self._near], rows
+            self.entropy = MarkovChain(self.network, self.p).entropy
+        else:
+            chain = MarkovChain(self.network, self.p)
+            self._hits, self._rows = chain.hits_with_derivatives(rows)
+            self.entropy = chain.entropy
+        hits = np.minimum(entries, np.inf)
+        hits[self._near] = self._hits
+        losses = self._loss * hits
+        k = min(self._k, len(losses))
+        self.value = float(np.partition(losses, len(losses) - k)[-k:].sum()) if k else 0.0
+        self.worst = self._near[np.argmax(self._hits * self._loss[self._near])] if len(
+            self._near) else -1
+
+    @property
+    def limit(self) -> float:
+        """Value at which the law is within the slack."""
+        k = min(self._k, len(self.level))
+        most = float(np.partition(self.level, len(self.level) - k)[-k:].sum()) if k else 0.0
+        return most * (1.0 + self.slack)
+
+    def round(self, q: FloatArray, prices: FloatArray, bound: float) -> bool:
+        """One law within rows that are exact at p, and a step towards it; False if there is none.
+
+        q (S,) and the prices of the budgets are the first multipliers, up to a factor.
+        """
+        near, aim = self._near, self.level * (1.0 + AIM * self.slack) / self._loss
+        if self.rounds:
+            known = self._claimed[near] > 0.0
+            excess = np.where(known, self._hits - self._claimed[near], 0.0)
+            self._reserve[near] = np.maximum(KEPT_RESERVE * self._reserve[near], excess)
+        sites = np.append(near, np.setdiff1d(self._could, near))
+        rows = csr_matrix(vstack((self._rows, self._entering[sites[len(near):]])))
+        for kept in (1.0, LESS_RESERVE, 0.0):
+            reserve = np.minimum(kept * self._reserve[sites], MOST_RESERVE * aim[sites])
+            most = aim[sites] - reserve
+            limits = csr_matrix(vstack((diags(1.0 / most) @ rows, self._excess)))
+            start = self._start(limits, sites, q, prices, bound)
+            found = maximize_entropy(self.network, limits, start, TOLERANCE * self.slack,
+                                     self.deadline, len(sites))
+            self.evaluations += found.evaluations
+            if not found.infeasible or not reserve.any():
+                break
+        if found.infeasible or not len(found.p):
+            return False
+        self._reserve *= kept
+        self.multipliers[:], self.prices = 0.0, found.multipliers[len(sites) :]
+        self.multipliers[sites] = found.multipliers[: len(sites)]
+        self._go_towards(found.p)
+        self._claimed[:] = 0.0
+        self._claimed[sites] = rows @ self.p
+        self.rounds += 1
+        return True
+
+    def _start(self, limits: csr_matrix, sites: IndexArray, q: FloatArray, prices: FloatArray,
+               bound: float) -> FloatArray:
+        """The multipliers of the round before, or the best multiple of the ambusher's strategy."""
+        start = np.concatenate((self.multipliers[sites], self.prices))
+        if start.any() or not q.any() or bound == 0.0:
+            return start
+        ambusher = np.concatenate((q[sites] * self.level[sites], prices * self._margin)) / bound
+        return min((ambusher * 2.0**k for k in range(DOUBLINGS)),
+                   key=lambda v: self.network.law(limits.T @ v)[0] + float(v.sum()))
+
+    def _go_towards(self, newest: FloatArray) -> None:
+        """Take the whole step if the value keeps to its limit, else a shorter one."""
+        before, old = self.value, self.p
+        for step in (1.0, self.step):
+            self.p = (1.0 - step) * old + step * newest
+            if step == 1.0 and self.rounds == 0:
+                return
+            self.measure(self.level)
+            if self.value <= self.limit:
+                return
+        while step > SHORTEST and self.value > max(
+                self.limit * (1.0 + OVERSHOOT * self.slack),
+                before + PROMISE * step * (self.limit - before)):
+            step /= 2.0
+            self.p = (1.0 - step) * old + step * newest
+            self.measure(self.level)

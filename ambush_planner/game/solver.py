@@ -1,0 +1,290 @@
+"""The default strategy: least value within the budgets, then the most unpredictable routes.
+
+1. *Value.* One of three programs finds the least value, a flow that attains it, and an ambusher
+   who proves it (``value``): a cut without a reach while no budget binds, face potentials on a
+   planar two-way network, whole routes otherwise.
+2. *Places.* With a reach, the places of the map that cost the flow most join the program, which
+   goes on from where it is.
+3. *Law.* On an acyclic network around the flow, the law of greatest entropy within the slack of
+   the bound (``law``). Places that cost it more join both the program and the law.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import SolverFailed, TimeLimit
+from .ambusher import Ambusher, at_nodes
+from .budget import ROUNDING, Budget
+from .certificate.curves import Circulation
+from .game import Game
+from .hits import hits_can_differ
+from .law.acyclic import forward_part, order_potential, rank_around
+from .law.gibbs import acyclic_network
+from .law.law import AIM, STEP, Law
+from .value.cut import Cut
+from .value.faces import make_faces
+from .value.potential import Potential
+from .value.routes import Routes
+
+# Smallest risk slack of the search, relative to the value.
+LEAST_SLACK = 9e-6
+# Relative gap at which a program ends, as a share of the slack.
+PROGRAM_GAP = 0.1
+# Rounds in which places join before the first law; more while the value is 0.
+SWEEPS, MOST_SWEEPS = 2, 20
+# Rounds of a law, and its steps if the usual ones do not reach the slack.
+ROUNDS, CAREFUL_STEP = 12, 0.3
+
+
+class Places(Protocol):
+    """Places where an ambusher can wait, and what the edges that enter their discs are."""
+
+    points: FloatArray
+    alpha: FloatArray
+    mean_loss: FloatArray
+    entering: csr_matrix
+
+
+class Ground(Protocol):
+    """A map on which an ambusher may wait at other places than the network's nodes."""
+
+    def worst(self, p: FloatArray, above: float) -> Any:
+        """The ``Places`` that cost an acyclic strategy p (M,) more than ``above``."""
+
+
+@dataclass(frozen=True, eq=False)
+class Multipliers:
+    """Multipliers of the Gibbs law: per hit of each site (N,), per unit of each budget's cost."""
+
+    sites: FloatArray
+    budgets: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A game, its budgets, and how far and how long to search."""
+
+    game: Game
+    budgets: tuple[Budget, ...]
+    slack: float
+    deadline: float
+    ground: Ground | None = None
+    warm: Multipliers | None = None
+
+
+class Solution(NamedTuple):
+    """A strategy p (M,) and an ambusher in a game with more sites.
+
+    ``value`` is the strategy's, ``bound`` what the ambusher proves. ``entropy_bound`` is the most
+    entropy [nats] that a strategy on the same acyclic network can have within the same limits.
+    """
+
+    game: Game
+    p: FloatArray
+    value: float
+    bound: float
+    ambusher: Ambusher
+    multipliers: Multipliers
+    evaluations: int
+    entropy_bound: float
+    within_slack: bool
+
+
+def most_unpredictable(problem: Problem) -> Solution:
+    """Solve by the first program whose law is within the slack; else take the best of all.
+
+    At the deadline the best strategy so far is returned.
+    """
+    slack = max(problem.slack, LEAST_SLACK)
+    found: list[Solution] = []
+    for program in _programs(problem, slack):
+        found.append(_Search(problem, program, slack).run())
+        if found[-1].within_slack or time.monotonic() > problem.deadline:
+            break
+    return max(found, key=lambda each: (each.within_slack, -each.value))
+
+
+def least_value(game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float) -> float:
+    """A lower bound of the least value within the budgets, too low by at most the share ``gap``.
+
+    At the deadline it may be lower.
+    """
+    bound = 0.0
+    for program in _programs(Problem(game, budgets, gap, deadline), gap):
+        program.add_sites(game.hits, game.loss[game.sites])
+        with contextlib.suppress(TimeLimit, SolverFailed):
+            program.solve()
+        bound = max(bound, program.bound)
+        if all(b.keeps(program.flow) for b in budgets):
+            break
+    return bound
+
+
+def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Routes]:
+    """The programs that can solve the game, the fastest first."""
+    game, gap = problem.game, PROGRAM_GAP * slack
+    binding = tuple(b for b in problem.budgets if b.binds)
+    if not hits_can_differ(game):
+        yield Cut(game, binding)
+    if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
+        faces = make_faces(game)
+        if faces:
+            yield Potential(faces, binding[0] if binding else Budget.none(game),
+                            problem.deadline)
+            return
+    yield Routes(game, binding, gap, problem.deadline)
+
+
+class _Search:
+    """One program with its law, and the best strategy so far."""
+
+    def __init__(self, problem: Problem, program: Cut | Potential | Routes, slack: float) -> None:
+        self.problem, self.program, self.slack = problem, program, slack
+        self.game, self.budgets = problem.game, problem.budgets
+        self.points = self.game.network.points[self.game.sites]
+        self.entering, self.loss = self.game.hits, self.game.loss[self.game.sites]
+        # Rating, p (M,), value and the row of its worst site.
+        self.best: tuple[tuple[bool, float], FloatArray, float, int] | None = None
+        self.law: Law | None = None
+
+    def run(self) -> Solution:
+        """Find the value, then the law."""
+        self.program.add_sites(self.entering, self.loss)
+        self._solve_program()
+        for sweep in range(MOST_SWEEPS):
+            if sweep >= SWEEPS and self.program.bound > 0.0:
+                break
+            if not self._add_worst(self.program.flow, self.program.bound * (1.0 + self.slack)):
+                break
+        for step in (STEP, CAREFUL_STEP):
+            self._find_law(step)
+            if self._done():
+                break
+        return self._solution()
+
+    def _solve_program(self) -> None:
+        with contextlib.suppress(TimeLimit, SolverFailed):
+            self.program.solve()
+
+    def _add_worst(self, p: FloatArray, above: float) -> int:
+        """Let the places that cost p (M,) more than ``above`` join; return their number."""
+        if self.problem.ground is None:
+            return 0
+        found = self.problem.ground.worst(p, above)
+        if len(found.points):
+            self._add_sites(found)
+            self.program.add_sites(found.entering, found.alpha)
+            self._solve_program()
+        return len(found.points)
+
+    def _add_sites(self, found: Places) -> None:
+        self.points = np.concatenate((self.points, found.points))
+        self.entering = csr_matrix(vstack((self.entering, found.entering)))
+        self.loss = np.append(self.loss, found.alpha)
+        if self.law:
+            self.law.add_sites(found.entering, found.alpha)
+
+    def _level(self) -> FloatArray:
+        """What each site (S,) may cause; the k largest add up to the value at a slack of 0."""
+        level, k = self.program.level, min(self.game.ambushers, len(self.loss))
+        if not k or not level.any():
+            return level
+        value = float(np.sort(level)[-k:].sum())
+        most = max(self.program.bound, value * (1.0 + self.slack / 2.0) / (1.0 + self.slack))
+        return level * (most / value)
+
+    def _find_law(self, step: float) -> None:
+        """Rounds of a law around the program's flow; each strategy on the way counts."""
+        law = self.law = self._new_law(step)
+        law.measure(self._level())
+        self._keep(law)
+        while law.rounds < ROUNDS and time.monotonic() < self.problem.deadline:
+            q, prices = self.program.q, self.program.prices
+            if not law.round(q, prices, self.program.bound):
+                return
+            known = len(self.loss)
+            self._add_worst(self._whole(law), self.program.bound * (1.0 + AIM * self.slack))
+            law.measure(self._level())
+            self._keep(law)
+            if law.value <= law.limit and (law.exact or law.rounds > 1):
+                return
+            law.step = 1.0 if law.worst >= known else step
+
+    def _new_law(self, step: float) -> Law:
+        game, flow = self.game, self.program.flow
+        if self.program.bound == 0.0:  # no route may be hit at all
+            game = game.avoiding(self.entering) or game
+        rank = rank_around(game, flow, order_potential(game))
+        part = forward_part(game, rank)
+        assert part is not None  # it contains the flow
+        network = acyclic_network(game.network, np.flatnonzero(part.playable), rank)
+        law = Law(network, flow[network.edge], self.budgets, game.ambushers, self.slack,
+                  not hits_can_differ(game), self.problem.deadline)
+        law.add_sites(self.entering, self.loss)
+        law.step = step
+        if self.problem.warm:
+            law.start_from(self.problem.warm.sites[self.game.sites], self.problem.warm.budgets,
+                           self._level())
+        return law
+
+    def _whole(self, law: Law) -> FloatArray:
+        p = np.zeros(len(self.game.network.edges))
+        p[law.network.edge] = law.p
+        return p
+
+    def _keep(self, law: Law) -> None:
+        """Keep the strategy of most entropy within the slack, else the one of least value."""
+        good = law.value <= law.limit * (1.0 + 1e-9) and all(
+            b.keeps(self._whole(law)) for b in self.budgets)
+        rating = good, law.entropy if good else -law.value
+        if self.best is None or rating > self.best[0]:
+            self.best = rating, self._whole(law), law.value, law.worst
+
+    def _done(self) -> bool:
+        assert self.best is not None
+        return self.best[0][0] or time.monotonic() > self.problem.deadline
+
+    def _solution(self) -> Solution:
+        """The best strategy, in the game with all sites that matter for it or for the bound."""
+        assert self.best is not None and self.law is not None
+        (good, _), p, value, worst = self.best
+        if self.problem.ground:
+            found = self.problem.ground.worst(p, value * (1.0 + ROUNDING))
+            if len(found.points):
+                value, worst = float(found.mean_loss[0]), len(self.loss)
+                self._add_sites(found)
+        own = np.arange(len(self.loss)) < len(self.game.sites)
+        q, (weight, prices) = np.zeros(len(self.loss)), self.law.unscaled_multipliers()
+        q[: len(self.program.q)] = self.program.q
+        kept = own | (q > 0.0) | (weight > 0.0)
+        kept[worst] |= worst >= 0
+        added = np.flatnonzero(kept & ~own)
+        game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
+        node, sites = np.full(len(kept), -1), np.zeros(game.node_count)
+        node[kept], sites[game.sites] = game.sites, weight[kept]
+        ambusher = Ambusher(at_nodes(game, q[kept]), self._of_all_budgets(self.program.prices),
+                            self._circulation(node))
+        multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
+        return Solution(game, p, value, self.program.bound, ambusher, multipliers,
+                        self.law.evaluations, self.law.entropy_bound, good)
+
+    def _of_all_budgets(self, binding: Sequence[float]) -> tuple[float, ...]:
+        """Numbers of the budgets that bind, with 0 for the others."""
+        number = iter(binding)
+        return tuple(float(next(number, 0.0)) if b.binds else 0.0 for b in self.budgets)
+
+    def _circulation(self, node: IndexArray) -> Circulation | None:
+        """The program's circulation, if it needs one; the sites' rows become nodes."""
+        found = getattr(self.program, 'circulation', None)
+        if found is None or not hits_can_differ(self.game):
+            return None
+        return Circulation(found.through, node[found.site], found.face, found.flow)

@@ -1,0 +1,170 @@
+"""Circulations of greatest gain on a graph that only grows, by HiGHS.
+
+    minimise cost' x   subject to   A x = 0,   low <= x <= high
+
+Column e of A takes x_e from the node tail_e and brings it to the node head_e. With ``highspy`` the
+model stays in HiGHS' memory: columns that join at 0 and costs that change keep the basis feasible,
+so the primal simplex method goes on from it. Without ``highspy``, scipy's linprog solves each
+program from nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib.util
+import os
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...arrays import FloatArray, IndexArray
+from ...errors import SolverFailed, TimeLimit
+
+HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
+
+# HiGHS' options: primal simplex (4) with devex prices (1), which keeps a feasible basis.
+_OPTIONS = {'output_flag': False, 'threads': 1, 'solver': 'simplex', 'simplex_strategy': 4,
+            'presolve': 'off', 'simplex_primal_edge_weight_strategy': 1}
+
+
+class Circulation(NamedTuple):
+    """x (columns,), the potential (nodes,) of the nodes, 0 at the first, and the cost."""
+
+    x: FloatArray
+    potential: FloatArray
+    cost: float
+
+
+class KeptFlows:
+    """The program in HiGHS' memory."""
+
+    def __init__(self) -> None:
+        import highspy
+
+        self._status, self._infinity = highspy.HighsBasisStatus, highspy.kHighsInf
+        self._new_basis, self._optimal = highspy.HighsBasis, highspy.HighsModelStatus.kOptimal
+        with _nothing_printed():
+            self._model = highspy.Highs()
+        for name, setting in _OPTIONS.items():
+            self._model.setOptionValue(name, setting)
+        self._nodes = 0
+
+    def add_nodes(self, count: int) -> None:
+        """Add nodes; the very first one need not be balanced."""
+        none = np.zeros(0)
+        self._model.addRows(count, np.zeros(count), np.zeros(count), 0, np.zeros(count, np.int32),
+                            none.astype(np.int32), none)
+        if not self._nodes:
+            self._model.changeRowBounds(0, -self._infinity, self._infinity)
+        self._nodes += count
+
+    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
+                    high: FloatArray) -> None:
+        """Add columns (K,)."""
+        count = len(tail)
+        self._model.addCols(count, cost, low, high, 2 * count, 2 * np.arange(count, dtype=np.int32),
+                            np.column_stack((tail, head)).ravel().astype(np.int32),
+                            np.tile([1.0, -1.0], count))
+
+    def start_at(self, limit: IndexArray) -> None:
+        """Begin at the lower (-1) or upper (1) limit of each column, or with it in the basis (0)."""
+        status = {-1: self._status.kLower, 0: self._status.kBasic, 1: self._status.kUpper}
+        basis = self._new_basis()
+        basis.col_status = [status[each] for each in limit.tolist()]
+        basis.row_status = [status[0]] + [status[-1]] * (self._nodes - 1)
+        basis.valid = True
+        self._model.setBasis(basis)
+
+    def change_costs(self, first: int, cost: FloatArray) -> None:
+        """Change the costs of the columns from ``first`` on."""
+        columns = first + np.arange(len(cost), dtype=np.int32)
+        self._model.changeColsCost(len(cost), columns, cost)
+
+    def solve(self, deadline: float) -> Circulation:
+        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
+        left = _time_left(deadline)
+        if np.isfinite(left):  # HiGHS' limit is one for all runs together
+            self._model.setOptionValue('time_limit', self._model.getRunTime() + left)
+        self._model.run()
+        if self._model.getModelStatus() != self._optimal:
+            _time_left(deadline)
+            raise SolverFailed('HiGHS ended the program in potentials with the status '
+                               f'{self._model.modelStatusToString(self._model.getModelStatus())}')
+        found = self._model.getSolution()
+        return _circulation(np.array(found.col_value), np.array(found.row_dual),
+                            self._model.getInfo().objective_function_value)
+
+
+class RepeatedFlows:
+    """The same program, solved from nothing each time."""
+
+    def __init__(self) -> None:
+        self._nodes, self._columns = 0, np.zeros((5, 0))
+
+    def add_nodes(self, count: int) -> None:
+        """Add nodes; the very first one need not be balanced."""
+        self._nodes += count
+
+    def add_columns(self, tail: IndexArray, head: IndexArray, cost: FloatArray, low: FloatArray,
+                    high: FloatArray) -> None:
+        """Add columns (K,)."""
+        self._columns = np.hstack((self._columns, [tail, head, cost, low, high]))
+
+    def start_at(self, limit: IndexArray) -> None:
+        """Nothing: linprog takes no basis."""
+
+    def change_costs(self, first: int, cost: FloatArray) -> None:
+        """Change the costs of the columns from ``first`` on."""
+        self._columns[2, first:] = cost
+
+    def solve(self, deadline: float) -> Circulation:
+        """Solve; raises TimeLimit at the ``deadline`` (``time.monotonic``), or SolverFailed."""
+        from scipy.optimize import linprog  # takes a seventh of the package's loading time
+
+        tail, head, cost, low, high = self._columns
+        each = np.arange(len(tail))
+        places = np.concatenate((tail, head)).astype(np.int64), np.concatenate((each, each))
+        balance = csr_matrix((np.repeat([1.0, -1.0], len(each)), places), (self._nodes, len(each)))
+        found = linprog(cost, A_eq=balance[1:], b_eq=np.zeros(self._nodes - 1),
+                        bounds=np.column_stack((low, high)), method='highs-ds',
+                        options={'time_limit': _time_left(deadline)})
+        if found.status != 0:
+            _time_left(deadline)
+            raise SolverFailed(f'the program in potentials: {found.message}')
+        return _circulation(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
+
+
+def new_flows() -> Any:
+    """An empty program: in HiGHS' memory if ``highspy`` is installed."""
+    return KeptFlows() if HAS_HIGHSPY else RepeatedFlows()
+
+
+def _circulation(x: FloatArray, potential: FloatArray, cost: float) -> Circulation:
+    return Circulation(x, potential - potential[0], cost)
+
+
+def _time_left(deadline: float) -> float:
+    left = deadline - time.monotonic()
+    if left <= 0.0:
+        raise TimeLimit('the time limit passed before the program in potentials was solved')
+    return left
+
+
+@contextlib.contextmanager
+def _nothing_printed() -> Iterator[None]:
+    """Keep what C code prints from the standard output: highspy 1.16 greets there once."""
+    flush = ctypes.CDLL(None).fflush
+    sys.stdout.flush()
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+        flush(None)
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept), os.close(nowhere)

@@ -1,0 +1,191 @@
+"""The least value on a planar two-way network within one budget: a program in face potentials.
+
+Every flow of size 1 is the flow of one reference route plus the differences of a potential of the
+faces. Its level lines, driven as routes, meet disc j at most as often as the potential varies on
+the rim of the disc. So the least value is the least z for which some potential varies by at most
+z / alpha_j on each rim and keeps the budget (docs/theory.md, section 7). For a fixed z this is a
+linear program whose dual is a circulation between faces: through links, at most their share of the
+budget, and through discs. Its discs and their flows are an ambusher, and it proves a bound by
+itself (``certificate.curves``). Newton's method finds z. New sites, and faces at which a disc
+exceeds its share, are new columns of the same model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+from scipy.sparse.csgraph import dijkstra
+
+from ...arrays import BoolArray, FloatArray, IndexArray
+from ..budget import ROUNDING, Budget
+from ..certificate.curves import Circulation
+from ..law.acyclic import conserved_strategy
+from ..route_sampler import shortest_route_strategy
+from .face_flows import new_flows
+from .faces import Faces
+
+# Relative precision of z, and of the share at which faces join.
+PRECISION = 1e-3
+# Factor by which z falls at most in one step, until a budget is exceeded.
+STEP = 0.85
+# Flow through a disc that shows that no potential keeps z.
+ENDLESS = 1e6
+# Share of a route's flow below which it is rounding.
+NEGLIGIBLE = 1e-9
+
+
+class Potential:
+    """The program; ``add_sites`` and ``solve`` go on from where it is.
+
+    ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
+    of the budget. ``level`` (S,) is what each site may cause.
+    """
+
+    def __init__(self, faces: Faces, budget: Budget, deadline: float) -> None:
+        self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
+        self._face, self._site, self._lift = (np.zeros(0, dtype=np.int64) for _ in range(3))
+        self._first, self._loss = np.zeros(1, dtype=np.int64), np.zeros(0)
+        self._around = np.zeros(0, dtype=bool)
+        self._entering = csr_matrix((0, len(faces.link)))
+        self._joined, self._up = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
+        self._z, self.bound, self._height = np.inf, 0.0, np.zeros(0)
+        self._potential: FloatArray | None = None
+        self._kept: FloatArray | None = None  # the latest potential within the budget
+        self.circulation: Circulation | None = None
+        self.q, self.price = np.zeros(0), 0.0
+        self._start_with_links()
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
+        discs = self.faces.discs(entering)
+        self._face = np.append(self._face, discs.face)
+        self._lift = np.append(self._lift, discs.lift)
+        self._site = np.append(self._site, discs.disc + len(self._loss))
+        self._first = np.append(self._first, self._first[-1] + discs.first[1:])
+        self._loss = np.append(self._loss, loss)
+        self._around = np.append(self._around, discs.around)
+        self.q = np.append(self.q, np.zeros(len(loss)))
+        self._flows.add_nodes(len(loss))
+        self._entering = csr_matrix(vstack((self._entering, entering)))
+        worst = np.argmax(np.where(discs.around, loss, 0.0))
+        if discs.around.any() and loss[worst] > self.bound:  # every route meets this one
+            self.bound, self.circulation, self.price = float(loss[worst]), None, 0.0
+            self.q = np.zeros(len(self._loss))
+            self.q[len(self._loss) - len(loss) + worst] = 1.0
+
+    def solve(self) -> None:
+        """Find z: from above in steps, from below by the bounds that circulations prove."""
+        if not len(self._loss):
+            self._z = 0.0
+            return
+        z, height = max(min(self._z, self._loss.max() / 2.0), self.bound), self._heights()
+        if self.bound == 0.0 and self.game.avoiding(self._entering):
+            z = 0.0  # unless the routes that avoid all sites exceed the budget
+        while True:
+            self._join(z, height)
+            endless = self._solve(z)
+            height = self._heights()
+            newer = self.bound * (1.0 + PRECISION) if endless else max(self.bound, STEP * z)
+            close = abs(newer - z) <= PRECISION * z
+            if close and not endless and not len(self._exceeding(z, height)):
+                self._z = z
+                return
+            z = newer
+
+    @property
+    def level(self) -> FloatArray:
+        """Mean loss (S,) that each site may cause."""
+        return np.full(len(self._loss), self.bound)
+
+    @property
+    def prices(self) -> FloatArray:
+        """Price of the budget [loss per unit], none if it is unlimited."""
+        return np.array([self.price] * self.budget.binds)
+
+    @property
+    def flow(self) -> FloatArray:
+        """The level lines' flow (M,), without cycles and within the budget."""
+        shortest = shortest_route_strategy(self.game)
+        if self._kept is None:
+            return shortest
+        p = conserved_strategy(self.game, self.faces.flow(self._kept), NEGLIGIBLE)
+        if p is None:
+            return shortest
+        excess = float(p[p > 0.0] @ self.budget.excess[p > 0.0])
+        share = min(self.budget.margin / excess, 1.0) if excess > 0.0 else 1.0
+        return share * p + (1.0 - share) * shortest
+
+    def _start_with_links(self) -> None:
+        """The model without discs at its optimum: links of the shortest-path tree are full."""
+        faces, game = self.faces, self.game
+        edge = np.flatnonzero(game.playable)
+        most, ends = np.zeros(len(faces.left)), np.zeros((2, len(faces.left)), dtype=np.int64)
+        most[faces.link[edge]] = self.budget.cost[edge]
+        ends[:, faces.link[edge]] = np.sort(game.network.edges[edge], axis=1).T
+        both = np.concatenate((ends, ends[::-1]), axis=1)
+        graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
+        before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
+        most /= self.budget.limit
+        self._real = real = np.flatnonzero(faces.left != faces.right)  # others are bridges
+        low, high = ends[:, real]
+        self._flows = new_flows()
+        self._flows.add_nodes(faces.count)
+        self._flows.add_columns(faces.left[real], faces.right[real],
+                                -faces.crossed[real].astype(np.float64), -most[real], most[real])
+        self._flows.start_at(np.where(before[high] == low, 1, np.where(before[low] == high, -1, 0)))
+
+    def _heights(self) -> FloatArray:
+        """The potential at each pair of a disc and a face, along the rim."""
+        lift = self._lift.astype(np.float64)
+        return lift if self._potential is None else self._potential[self._face] + lift
+
+    def _exceeding(self, z: float, height: FloatArray) -> IndexArray:
+        """Sites on whose rims the potential varies by more than their share, if routes avoid them."""
+        rows = np.flatnonzero(np.diff(self._first))
+        first = self._first[rows]
+        spread = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
+        over = spread > z * (1.0 + PRECISION / 2.0) / self._loss[rows] + ROUNDING
+        return rows[over & ~self._around[rows]]
+
+    def _join(self, z: float, height: FloatArray) -> None:
+        """Add the highest and lowest faces of the discs that exceed, and those just too far apart."""
+        pairs: list[int] = []
+        for j in self._exceeding(z, height):
+            order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
+            ordered, most = height[order], z * (1.0 + PRECISION / 2.0) / self._loss[j]
+            above = order[ordered.searchsorted(ordered[0] + most, 'right')]
+            below = order[ordered.searchsorted(ordered[-1] - most) - 1]
+            pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
+        known = 2 * self._joined + self._up
+        new, up = np.divmod(np.setdiff1d(np.array(pairs, dtype=np.int64), known), 2)
+        face, disc, none = self._face[new], self.faces.count + self._site[new], np.zeros(len(new))
+        self._flows.add_columns(np.where(up, face, disc), np.where(up, disc, face), none, none,
+                                np.full(len(new), ENDLESS))
+        self._joined, self._up = np.append(self._joined, new), np.append(self._up, up == 1)
+
+    def _solve(self, z: float) -> bool:
+        """Solve for a fixed z and keep what it proves; True if a flow is endless."""
+        joined, links = self._joined, len(self._real)
+        loss = self._loss[self._site[joined]]
+        turned = np.where(self._up, -1.0, 1.0)
+        self._flows.change_costs(links, z / loss / 2.0 + turned * self._lift[joined])
+        found = self._flows.solve(self.deadline)
+        flow = np.maximum(found.x[links:], 0.0)
+        ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))
+        total, gain = float(ambush.sum()), -found.cost
+        self._potential = found.potential[: self.faces.count]
+        endless = bool((flow > 0.99 * ENDLESS).any())
+        if gain <= 1.0 + PRECISION and not endless:
+            self._kept = self._potential
+        proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
+        if proved > self.bound:
+            self.bound, self.q = proved, ambush / total
+            self.price = 1.0 / (total * self.budget.limit)
+            self.circulation = self._circulation(found.x[:links] / total, turned * -flow / total)
+        return endless
+
+    def _circulation(self, through: FloatArray, flow: FloatArray) -> Circulation:
+        links, used = np.zeros(len(self.faces.left)), np.flatnonzero(flow)
+        links[self._real] = through
+        pairs = self._joined[used]
+        return Circulation(links, self._site[pairs], self._face[pairs], flow[used])
