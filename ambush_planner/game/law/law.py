@@ -78,39 +78,41 @@ class Law:
 
     def unscaled_multipliers(self) -> tuple[FloatArray, FloatArray]:
         """The multipliers per hit of each site (S,), and per unit of each budget's cost."""
-        most = np.maximum(self.level / self._loss, np.finfo(float).tiny)
-        return self.multipliers / most, self.prices / self._margin
+        known = len(self.level)
+        most = np.maximum(self.level / self._loss[:known], np.finfo(float).tiny)
+        return (np.append(self.multipliers[:known] / most, self.multipliers[known:]),
+                self.prices / self._margin)
 
     def measure(self, level: FloatArray) -> None:
         """Find the value of p, and rows that are exact at p, for the ``level`` (S,) of the bound."""
-        self.level = level
-        limit = level / self._loss
-        entries = self._entering @ self.p
+        self.level, limit = level, level / self._loss
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
-        self._near = self._could[entries[self._could] > NEAR * limit[self._could]]
-        rows = self._entering[self._near]
-        if self.exact:
-            self._hits, self._rows = entries[self._near], rows
-            self.entropy = MarkovChain(self.network, self.p).entropy
-        else:
-            chain = MarkovChain(self.network, self.p)
-            self._hits, self._rows = chain.hits_with_derivatives(rows)
-            self.entropy = chain.entropy
-        hits = np.minimum(entries, np.inf)
-        hits[self._near] = self._hits
-        losses = self._loss * hits
-        k = min(self._k, len(losses))
-        self.value = float(np.partition(losses, len(losses) - k)[-k:].sum()) if k else 0.0
-        self.worst = self._near[np.argmax(self._hits * self._loss[self._near])] if len(
-            self._near) else -1
+        chain, hits = MarkovChain(self.network, self.p), self._entering @ self.p
+        self._near = near = self._could[hits[self._could] > NEAR * limit[self._could]]
+        self._rows = self._entering[near]
+        if not self.exact:
+            hits[near], self._rows = chain.hits_with_derivatives(self._rows)
+        self._hits, self.entropy = hits[near], chain.entropy
+        self.value = self._sum_of_largest(self._loss * hits)
+        losses = self._loss[near] * self._hits
+        self.worst = int(near[np.argmax(losses)]) if len(near) else -1
+
+    def _value_of(self, p: FloatArray) -> float:
+        """The value of a strategy p (m,)."""
+        hits = self._entering @ p
+        if not self.exact:
+            near = self._could[hits[self._could] > NEAR * (self.level / self._loss)[self._could]]
+            hits[near] = MarkovChain(self.network, p).hits(self._entering[near])
+        return self._sum_of_largest(self._loss * hits)
+
+    def _sum_of_largest(self, losses: FloatArray) -> float:
+        return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())
 
     @property
     def limit(self) -> float:
         """Value at which the law is within the slack."""
-        k = min(self._k, len(self.level))
-        most = float(np.partition(self.level, len(self.level) - k)[-k:].sum()) if k else 0.0
-        return most * (1.0 + self.slack)
+        return self._sum_of_largest(self.level) * (1.0 + self.slack)
 
     def round(self, q: FloatArray, prices: FloatArray, bound: float) -> bool:
         """One law within rows that are exact at p, and a step towards it; False if there is none.
@@ -157,17 +159,15 @@ class Law:
 
     def _go_towards(self, newest: FloatArray) -> None:
         """Take the whole step if the value keeps to its limit, else a shorter one."""
-        before, old = self.value, self.p
-        for step in (1.0, self.step):
+        before, old, step = self.value, self.p, 1.0
+        self.p = newest
+        if self.rounds == 0 or self._value_of(newest) <= self.limit:
+            return
+        step = self.step
+        while True:
             self.p = (1.0 - step) * old + step * newest
-            if step == 1.0 and self.rounds == 0:
+            value = self._value_of(self.p) if step > SHORTEST else 0.0
+            if value <= max(self.limit * (1.0 + OVERSHOOT * self.slack),
+                            before + PROMISE * step * (self.limit - before)):
                 return
-            self.measure(self.level)
-            if self.value <= self.limit:
-                return
-        while step > SHORTEST and self.value > max(
-                self.limit * (1.0 + OVERSHOOT * self.slack),
-                before + PROMISE * step * (self.limit - before)):
             step /= 2.0
-            self.p = (1.0 - step) * old + step * newest
-            self.measure(self.level)
