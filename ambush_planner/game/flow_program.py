@@ -119,7 +119,7 @@ def capped_at_places(game: Game, q: FloatArray) -> FloatArray:
     If there are fewer sites than ambushers, the others are spread over all places.
     """
     few = len(game.sites) < game.ambushers
-    among = np.arange(game.network.place_count) if few else game.sites
+    among = game.network.representatives if few else game.sites
     capped = np.zeros(game.node_count)
     capped[among] = capped_at_one(q[among], game.ambushers)
     return capped

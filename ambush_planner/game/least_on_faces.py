@@ -18,7 +18,7 @@ from .gibbs import AcyclicNetwork
 from .hits import worst_loss
 from .least_risk import NEGLIGIBLE, without_excessive_sites
 from .route_sampler import shortest_route_strategy
-from .separate_legs import join_faces, or_by_entries, separate_legs
+from .separate_legs import join_faces, once_at_each_place, or_by_entries, separate_legs
 
 # Relative gaps of the program in potentials of the faces, and of the bound that its ambusher
 # proves, as shares of the slack.
@@ -64,7 +64,8 @@ def along_level_lines(stage: EntropyStage) -> Solution | None:
     if short is None:
         return None
     if found.q is not None:
-        stage.hit_bound(found.q, _priced(stage, binding[0], found.price))
+        q = once_at_each_place(game, found.q) if game.network.legs > 1 else found.q
+        stage.hit_bound(q, _priced(stage, binding[0], found.price))
     q, prices, _ = stage.best_proof()
     lines = or_by_entries(stage, without_cycles(game.network, short))
     stage.level_lines = lines

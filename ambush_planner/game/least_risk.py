@@ -95,7 +95,8 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
     if game.reach > 0.0:
         return None
     cut = solve_by_min_cut(game.with_one_ambusher())
-    q = k * sums(game.network.places, cut.q, game.node_count)
+    first = game.network.representatives[game.network.places]
+    q = k * sums(first, cut.q, game.node_count)
     if q.max() > 1.0:
         return _least_risk_by_cuts(game)
     lean, p = without_excessive_sites(game, cut.value), cut.p
@@ -107,16 +108,18 @@ def least_risk_by_cut(game: Game, budgets: tuple[Budget, ...] = ()) -> LeastRisk
 
 def _least_risk_by_cuts(game: Game) -> LeastRisk | None:
     """The least value against several ambushers who hold some sites for certain."""
-    sites, places = game.sites, game.network.places
+    sites, first = game.sites, game.network.representatives[game.network.places]
     loss, exposed = game.loss[sites], np.flatnonzero(game.loss > 0.0)
+    site_of = np.zeros(game.node_count, dtype=np.int64)
+    site_of[sites] = np.arange(len(sites))
 
     def cut(played: Game, costs: FloatArray) -> CutSolution:
         priced = np.zeros(game.node_count)
-        priced[exposed] = 1.0 / costs[np.searchsorted(sites, places[exposed])]
+        priced[exposed] = 1.0 / costs[site_of[first[exposed]]]
         return solve_by_min_cut(replace(played.with_one_ambusher(), loss=priced))
 
     found = share_sites(loss, game.ambushers, lambda costs: np.unique(
-        np.searchsorted(sites, places[np.flatnonzero(cut(game, costs).q)])))
+        site_of[first[np.flatnonzero(cut(game, costs).q)]]))
     if found is None:
         return None
     q = np.zeros(game.node_count)

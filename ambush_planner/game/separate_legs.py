@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_matrix, diags, vstack
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IndexArray, sums
 from ..errors import SolverFailed, TimeLimit
 from ..network.network import Network
 from .budget import Budget
@@ -62,26 +62,37 @@ def _by_entries(stage: EntropyStage, game: Game, budgets: tuple[Budget, ...],
 def separate_legs(game: Game) -> Game:
     """The game in which each node of each layer is a site of its own."""
     given = game.network
-    network = Network(given.points, given.alpha, given.edges, given.source, given.target,
-                      seconds=given.seconds)
+    first, node = np.tile(given.representatives, given.legs), _node_of_leg(given)
+    network = Network(given.points[first], given.alpha[first], node[given.edges],
+                      int(node[given.source]), int(node[given.target]), seconds=given.seconds)
+    separate = replace(game, network=network, loss=game.loss[first])
     if game.reach == 0.0:
-        return replace(game, network=network)
-    layer = given.tails // given.place_count
+        return separate
+    layer = given.leg[given.tails]
     hits = csr_matrix(vstack([
         game.hits @ diags((layer == leg).astype(np.float64)) for leg in range(given.legs)
     ]))
     hits.eliminate_zeros()
-    return replace(game, network=network, known_hits=hits)
+    return replace(separate, known_hits=hits)
+
+
+def _node_of_leg(network: Network) -> IndexArray:
+    """The node (N,) that stands for each node if every leg has one for each place, in order."""
+    return network.leg * network.place_count + network.places
 
 
 def once_at_each_place(game: Game, q: FloatArray) -> FloatArray:
-    """An ambusher of separate legs, q (N,), with at most one ambusher at all copies of a place."""
-    copies = q.reshape(game.network.legs, -1)
-    total = copies.sum(axis=0)
+    """An ambusher q (N,) from that of separate legs, with at most one ambusher at each place."""
+    network = game.network
+    node = np.tile(network.representatives, network.legs)
+    node[_node_of_leg(network)] = np.arange(game.node_count)
+    found = sums(node, q, game.node_count)
+    total, first = game.at_places(found), network.representatives
     capped = capped_at_one(total, game.ambushers)
-    found = copies * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
-    found[0] += np.where(total > 0.0, 0.0, capped)
-    return np.asarray(found.ravel())
+    ratio = np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
+    found *= ratio[network.places]
+    found[first] += np.where(total > 0.0, 0.0, capped)
+    return found
 
 
 def join_faces(game: Game, legs: Sequence[Faces]) -> Faces:

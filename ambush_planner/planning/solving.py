@@ -23,7 +23,7 @@ from ..game.strategy import (
     solve,
 )
 from ..maps.risk_map import RiskMap
-from ..network.hiding_places import on_places, with_hiding_places, with_places
+from ..network.hiding_places import with_hiding_places, with_places
 from ..network.network import Network
 from .cell_losses import CellLosses
 from .options import PlanningOptions, node_spacing, solved_game
@@ -55,9 +55,9 @@ class WarmStart:
     def sites_beyond(self, network: Network) -> FloatArray:
         """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
         own = self.network
-        binding = self.multipliers.sites[: own.place_count] > 0.0
-        binding[own.edges.ravel() % own.place_count] = False
-        places = np.unique(own.points[np.flatnonzero(binding)], axis=0)
+        binding = self.multipliers.sites[own.representatives] > 0.0
+        binding[own.places[own.edges]] = False
+        places = np.unique(own.points[own.representatives[binding]], axis=0)
         return np.asarray(places[cKDTree(network.points).query(places)[0] > 0.0])
 
 
@@ -153,7 +153,7 @@ def _valued(strategy: Strategy, points: FloatArray, alpha: FloatArray,
         strategy, game=game, value=value, gap=value - strategy.lower_bound,
         visit_probability=frozen_array(game.visits(p), np.float64),
         ambush_probability=frozen_array(
-            on_places(strategy.network, strategy.ambush_probability, none), np.float64),
+            np.append(strategy.ambush_probability, none), np.float64),
         multipliers=_extended(strategy, len(alpha)),
         counting_gap=value > limit and (strategy.counting_gap or strategy.value <= limit),
     )
@@ -162,14 +162,12 @@ def _valued(strategy: Strategy, points: FloatArray, alpha: FloatArray,
 def _proved_by(strategy: Strategy, proof: Strategy, options: PlanningOptions) -> Strategy:
     """The strategy with the ambusher and the bound of another one, on the game with more sites.
 
-    Their edges are the same, and the places of the one are the first places of the other.
+    Their edges are the same, and the nodes of the one are the first nodes of the other.
     """
     count = len(proof.network.points) - len(strategy.network.points)
-    legs, p = strategy.network.legs, strategy.edge_probability
-    larger = proof if count > 0 else strategy
-    none = np.zeros(max(-count, 0) // legs)
-    q, prices = (on_places(proof.network, proof.ambush_probability, none),
-                 (proof.length_price, proof.exposure_price))
+    p, larger = strategy.edge_probability, proof if count > 0 else strategy
+    q = np.append(proof.ambush_probability, np.zeros(max(-count, 0)))
+    prices = proof.length_price, proof.exposure_price
     # The bound also depends on how far rounding puts p over its budgets.
     budgets = make_budgets(larger.game, options.strategy)
     certificate = certify(larger.game, p, q, budgets, prices)
@@ -179,7 +177,7 @@ def _proved_by(strategy: Strategy, proof: Strategy, options: PlanningOptions) ->
         exposure_price=prices[1],
         visit_probability=frozen_array(larger.game.visits(p), np.float64),
         ambush_probability=frozen_array(q, np.float64),
-        multipliers=_extended(strategy, max(count, 0) // legs),
+        multipliers=_extended(strategy, max(count, 0)),
     )
     return replace(proved, counting_gap=proved.counting_gap
                    and proved.value > _limit(proved, options))
@@ -191,11 +189,11 @@ def _limit(strategy: Strategy, options: PlanningOptions) -> float:
 
 
 def _extended(strategy: Strategy, count: int) -> Multipliers | None:
-    """The strategy's multipliers with ``count`` more places."""
+    """The strategy's multipliers with ``count`` more nodes."""
     found = strategy.multipliers
     if found is None:
         return None
-    sites = on_places(strategy.network, found.sites, np.zeros(count))
+    sites = np.append(found.sites, np.zeros(count))
     return Multipliers(frozen_array(sites, np.float64), found.budgets)
 
 
