@@ -152,9 +152,9 @@ def draw_routes(axes: Axes, routes: Sequence[FloatArray]) -> None:
 
 def draw_sites(axes: Axes, strategy: Strategy) -> None:
     """Draw where the ambusher waits, each dot's area in proportion to its probability."""
-    q = strategy.ambush_at_places
+    network, q = strategy.network, strategy.ambush_at_places
     shown = np.flatnonzero(q > LEAST_PROBABILITY * q.max())
-    axes.scatter(*strategy.network.points[shown].T, s=110.0 * q[shown] / q.max(),
+    axes.scatter(*network.points[network.representatives[shown]].T, s=110.0 * q[shown] / q.max(),
                  color=colours.AMBUSHER, edgecolors='white', linewidths=0.7, zorder=9)
 
 

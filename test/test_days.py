@@ -208,7 +208,8 @@ def test_rejects_trips_with_stops():
     """Two convoys there can share a place in different legs."""
     points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
     network = Network(
-        np.concatenate((points, points)), np.zeros(6), np.array([(0, 4), (4, 5)]), 0, 5, legs=2
+        np.concatenate((points, points)), np.zeros(6), np.array([(0, 4), (4, 5)]), 0, 5,
+        np.tile(np.arange(3), 2), np.repeat([0, 1], 3),
     )
     with pytest.raises(InvalidOption, match='cannot have stops'):
         sample_departures(solve(network), 2, np.random.default_rng(0))

@@ -56,7 +56,7 @@ def test_omits_cells_out_of_reach_and_thins_the_others():
     assert 21 < places[:, 1].max() < 27
 
 
-def test_each_layer_of_a_trip_has_hiding_places():
+def test_a_trip_has_one_node_for_each_hiding_place():
     risk_map = walled_map()
     network = build_network(risk_map, START, GOAL, NetworkOptions(spacing=2.0), [(20.0, 15.0)])
     covered = with_hiding_places(network, risk_map, 3.0, 2.0)
@@ -64,7 +64,9 @@ def test_each_layer_of_a_trip_has_hiding_places():
     assert np.array_equal(covered.points[covered.edges], network.points[network.edges])
     assert np.array_equal(covered.points[covered.stops], network.points[network.stops])
     lone = np.setdiff1d(np.arange(len(covered.points)), covered.edges)
-    assert np.isin(np.arange(network.place_count, covered.place_count), lone).all()
+    added = np.arange(len(network.points), len(covered.points))
+    assert len(added) == 40 and np.isin(added, lone).all()
+    assert (covered.places[added] >= network.place_count).all()
 
 
 def test_no_hiding_places_without_an_ambush_radius():

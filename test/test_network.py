@@ -7,7 +7,8 @@ import pytest
 from games import examples, networks
 from hypothesis import given
 
-from ambush_planner import InvalidNetwork, Network
+from ambush_planner import GameOptions, InvalidNetwork, Network
+from ambush_planner.game.game import make_game
 
 GOOD = {
     'points': [[0.0, 0.0], [3.0, 4.0], [6.0, 0.0]], 'alpha': [0.0, 2.0, 0.0],
@@ -29,7 +30,8 @@ def test_arrays_are_private_and_read_only():
     network = Network(**{**GOOD, 'points': points})
     points[0, 0] = 9.0
     assert network.points[0, 0] == 0.0
-    for name in ('points', 'alpha', 'edges', 'lengths', 'dropped_edges', 'tails', 'heads'):
+    for name in ('points', 'alpha', 'edges', 'lengths', 'dropped_edges', 'tails', 'heads', 'places',
+                 'leg', 'stops', 'ends', 'representatives'):
         with pytest.raises(ValueError, match='read-only'):
             getattr(network, name)[...] = 0
     with pytest.raises(AttributeError):
@@ -77,11 +79,31 @@ def test_warns_of_dropped_edges_into_the_source_and_out_of_the_target():
         ({'source': 0.0}, r'source must be a node index \(int\), got 0\.0'),
         ({'source': True}, 'source must be a node index'),
         ({'target': None}, 'target must be a node index .*None'),
-        ({'legs': 0}, '0 legs'),
-        ({'legs': 2}, '2 legs need as many copies'),
+        ({'places': [0, 1]}, r'places must be integers.* 3 nodes, got shape \(2,\)'),
+        ({'places': [0.0, 1.0, 2.0]}, 'places must be integers.*float64'),
+        ({'places': [0, 1, 3]}, r'places must be numbered from 0 without a break.*0\.\.3'),
+        ({'leg': [-1, 0, 0]}, r'leg must be numbered from 0 without a break.*-1\.\.0'),
+        ({'places': [0, 1, 1]}, 'nodes 1 and 2 stand for place 1, but their points'),
+        ({'leg': [1, 0, 0]}, r'edge 0 \(0, 1\) is neither within a leg nor to the next'),
         ({'source': 2}, 'source and target are the same node, 2'),
     ],
 )
 def test_rejects_bad_input(change, words):
     with pytest.raises(InvalidNetwork, match=words):
         Network(**{**GOOD, **change})
+
+
+def test_nodes_of_one_place_are_one_site():
+    """On the second leg, the stop, place 2, has two nodes; place 1 has one on each leg."""
+    at = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0)])
+    places = np.array([0, 1, 2, 1, 2, 3, 2])
+    network = Network(at[places], np.array([0.0, 2.0, 0.0, 0.0])[places],
+                      [(0, 1), (1, 2), (1, 6), (2, 3), (6, 3), (3, 5), (0, 4), (4, 3)], 0, 5,
+                      places, np.array([0, 0, 1, 1, 0, 1, 1]))
+    assert (network.legs, network.place_count) == (2, 4)
+    assert network.representatives.tolist() == [0, 1, 2, 5]
+    assert network.stops.tolist() == [2] and network.ends.tolist() == [0, 2, 4, 5, 6]
+    game = make_game(network, GameOptions())
+    assert game.sites.tolist() == [1]
+    assert game.hits.toarray().tolist() == [[1, 0, 0, 1, 1, 0, 0, 1]]
+    assert game.at_sites(np.arange(7.0)).tolist() == [4.0]

@@ -99,10 +99,11 @@ def said(forger, tmp_path, capsys):
 
 
 def test_a_strategy_of_one_leg_is_no_trip(runs, tmp_path, capsys):
-    """Taken for one leg, the layers' sites are not one: the value would come out too low."""
+    """If each node were a place of its own, the value would come out too low."""
     forger = Forger(by_stops(runs[0]))
-    assert int(forger.arrays()['legs']) == 4
-    forger.set_arrays(legs=np.array(1))
+    leg = forger.arrays()['leg']
+    assert leg.max() == 3
+    forger.set_arrays(places=np.arange(len(leg)), leg=0 * leg)
     assert 'FAILS' in said(forger, tmp_path, capsys)
 
 

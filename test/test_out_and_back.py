@@ -30,7 +30,9 @@ def plan(request):
 @pytest.fixture
 def total(plan):
     """Each place's share of both layers (K,); some places have one in each."""
-    out, back = plan.strategy.ambush_probability.reshape(2, -1)
+    network, q = plan.strategy.network, plan.strategy.ambush_probability
+    out, back = (np.bincount(network.places, np.where(network.leg == leg, q, 0.0))
+                 for leg in range(2))
     assert ((out > 1e-6) & (back > 1e-6)).sum() > 10
     return out + back
 

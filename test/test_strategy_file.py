@@ -14,7 +14,7 @@ def test_a_strategy_comes_back_whole(solver, radius):
     network = terrain_network(3)
     theirs = solve(network, GameOptions(radius), StrategyOptions(solver))
     ours, stated = strategy_from_file(strategy_file(theirs), GameOptions(radius))
-    for name in ('points', 'alpha', 'edges', 'source', 'target', 'legs'):
+    for name in ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg'):
         assert np.array_equal(getattr(ours.network, name), getattr(theirs.network, name))
     for name in ('edge_probability', 'ambush_probability', 'visit_probability'):
         assert np.array_equal(getattr(ours, name), getattr(theirs, name))

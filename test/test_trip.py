@@ -108,7 +108,6 @@ def _hit(site, a, b, radius):
 def check_laws(strategy, visits):
     """Conservation, stops in their order, one value over all legs."""
     network, p = strategy.network, strategy.edge_probability
-    count, legs = network.place_count, network.legs
     balance = np.bincount(network.tails, p, len(network.points))
     balance -= np.bincount(network.heads, p, len(network.points))
     balance[[network.source, network.target]] -= (1.0, -1.0)
@@ -116,14 +115,14 @@ def check_laws(strategy, visits):
     assert np.allclose(strategy.visit_probability[network.stops], 1.0)
     rng = np.random.default_rng(0)
     for route in strategy.sample_routes(20, rng):
-        layer, place = np.divmod(route, count)
-        begins = np.flatnonzero(np.diff(layer)) + 1
+        leg, place = network.leg[route], network.places[route]
+        begins = np.flatnonzero(np.diff(leg)) + 1
         assert [place[0], *place[begins], place[-1]] == list(visits)
-        assert layer[begins].tolist() == list(range(1, legs))
+        assert leg[begins].tolist() == list(range(1, network.legs))
         assert len(set(route.tolist())) == len(route)
     if strategy.game.reach == 0.0:
-        entered = np.arange(count)[:, None] == network.places[network.heads]
-        losses = strategy.game.loss[:count] * hit_once(network, p, entered)
+        entered = np.arange(network.place_count)[:, None] == network.places[network.heads]
+        losses = strategy.game.loss[network.representatives] * hit_once(network, p, entered)
         assert strategy.value == pytest.approx(float(losses.max()))
 
 
@@ -250,10 +249,11 @@ def test_the_path_meets_each_stop_and_keeps_to_the_corridors_of_its_leg(as_given
 
 def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):
     trip = plan_trip(risk_map, START, GOAL, OPTIONS, stops=STOPS[:1])
-    network, count = trip.network, trip.network.place_count
-    leg = Network(network.points[:count], network.alpha[:count],
-                  network.edges[network.tails < count] % count, network.source,
-                  int(network.stops[0]) % count)
+    network = trip.network
+    place, first = network.places, network.representatives
+    leg = Network(network.points[first], network.alpha[first],
+                  place[network.edges[network.leg[network.tails] == 0]], network.source,
+                  int(place[network.stops[0]]))
     alone = make_corridors(leg, risk_map)
     for name in ('uv', 'links', 'widths', 'beyond'):
         assert np.array_equal(getattr(trip.corridors, name), getattr(alone, name))
@@ -263,8 +263,7 @@ def test_a_round_trip(risk_map):
     plan = plan_trip(risk_map, START, START, OPTIONS, stops=STOPS[:2])
     assert plan.goal_xy == START and plan.stops_xy == STOPS[:2]
     check_laws(plan.strategy, [
-        *(np.array([plan.network.source, *plan.network.stops, plan.network.target])
-          % plan.network.place_count)])
+        *plan.network.places[[plan.network.source, *plan.network.stops, plan.network.target]]])
 
 
 def test_without_stops_a_trip_is_the_plain_game(risk_map):

@@ -45,9 +45,9 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     lower bound so far takes its place.
     """
     game, q = strategy.game, strategy.ambush_at_places
-    network = game.network
-    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[: len(q)] > 0.0)
-    sites = np.flatnonzero(decisive & (strategy.value > 0.0))
+    network, first = game.network, game.network.representatives
+    decisive = (q > DECISIVE_SHARE * q.max()) & (game.loss[first] > 0.0)
+    sites = first[decisive & (strategy.value > 0.0)]
     distance = NEAR_EDGES * float(np.median(network.lengths[game.playable]))
     near = near_ends(network, distance)
     secured = strategy.value

@@ -38,7 +38,8 @@ def near_ends(network: Network, radius: float, points: FloatArray | None = None)
 
 def _ends(network: Network) -> FloatArray:
     """Positions (E, 2) of source, stops and target."""
-    return network.points[np.unique(network.ends % network.place_count)]
+    ends = network.representatives[np.unique(network.places[network.ends])]
+    return np.asarray(network.points[ends])
 
 
 class ExposedEdges:

@@ -92,8 +92,8 @@ class Game:
     """A network with the rows of its ambush game.
 
     ``playable`` (M,) marks the edges on some route that avoids forbidden nodes; ``loss`` (N,) is
-    alpha where an ambush is possible, else 0. On a trip of several legs each place is one site,
-    and its hits add up over the layers. ``known_hits`` are the ``hits`` if another game's give
+    alpha where an ambush is possible, else 0. Each place is one site, and its hits add up over the
+    nodes that stand for it. ``known_hits`` are the ``hits`` if another game's give
     them: with a reach, they are slow to find.
     """
 
@@ -124,8 +124,9 @@ class Game:
 
     @cached_property
     def sites(self) -> IndexArray:
-        """Nodes (S,) of the first layer where an ambush causes a loss."""
-        return np.flatnonzero(self.loss[: self.network.place_count] > 0.0)
+        """The first nodes (S,) of the places where an ambush causes a loss."""
+        first = self.network.representatives
+        return np.asarray(first[self.loss[first] > 0.0])
 
     @cached_property
     def hits(self) -> csr_matrix:
@@ -135,9 +136,9 @@ class Game:
         """
         if self.reach > 0.0:
             return self.exposed().entering(self.network.points[self.sites], self.reach)
-        site_of = np.full(self.network.place_count, -1)
-        site_of[self.sites] = np.arange(len(self.sites))
-        site = site_of[self.network.places[self.network.heads]]
+        places, site_of = self.network.places, np.full(self.network.place_count, -1)
+        site_of[places[self.sites]] = np.arange(len(self.sites))
+        site = site_of[places[self.network.heads]]
         edge = np.flatnonzero(site >= 0)
         row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
@@ -153,12 +154,12 @@ class Game:
         return losses
 
     def at_places(self, q: FloatArray) -> FloatArray:
-        """q (N,) at the places (K,); on a trip, all copies of each place added up."""
-        return np.asarray(q.reshape(self.network.legs, -1).sum(axis=0))
+        """q (N,) by place (P,): the sum over the nodes of each."""
+        return sums(self.network.places, q, self.network.place_count)
 
     def at_sites(self, q: FloatArray) -> FloatArray:
-        """q (N,) at the sites (S,); on a trip, all copies of each site added up."""
-        return self.at_places(q)[self.sites]
+        """q (N,) by site (S,): the sum over the nodes of each."""
+        return np.asarray(self.at_places(q)[self.network.places[self.sites]])
 
     def mean_loss_on_edges(self, q: FloatArray) -> FloatArray:
         """``D' q`` (M,): mean loss on each edge against the ambusher's strategy q (N,)."""
@@ -211,15 +212,15 @@ class Game:
         return replace(self, options=replace(self.options, ambushers=1))
 
     def legs(self) -> list[Game]:
-        """The games of the legs of a trip, each on its own layer, with the sites of the trip."""
-        network, count = self.network, self.network.place_count
+        """The games of the legs of a trip, each on all places, with the sites of the trip."""
+        network, place, first = self.network, self.network.places, self.network.representatives
         at = [network.source, *network.stops.tolist(), network.target]
         legs = []
         for leg, (source, target) in enumerate(pairwise(at)):
-            own = network.tails // count == leg
-            layer = Network(network.points[:count], network.alpha[:count],
-                            network.edges[own] % count, source % count, target % count)
-            legs.append(replace(self, network=layer, loss=self.loss[:count],
+            own = network.leg[network.tails] == leg
+            layer = Network(network.points[first], network.alpha[first],
+                            place[network.edges[own]], int(place[source]), int(place[target]))
+            legs.append(replace(self, network=layer, loss=self.loss[first],
                                 playable=frozen_array(self.playable[own], np.bool_),
                                 known_hits=self.hits[:, np.flatnonzero(own)]))
         return legs

@@ -105,9 +105,9 @@ class Strategy(Shown):
         x: expected visits of each node, 1 at the source and the target.
     ambush_probability : (N,)
         q: the ambusher's equilibrium strategy, sums to the number of ambushers. On trips, a place
-        can have a share in each layer: in that of the leg for which the ambusher waits there.
+        can have a share at a node of each leg: the one for which the ambusher waits there.
     ambush_at_places : (K,)
-        q by place, K = ``network.place_count``: the shares of all layers added up.
+        q by place, K = ``network.place_count``: the shares at all nodes of each added up.
     value : float
         z(p): mean loss of the best ambush. A route counts once per site, however often it comes
         back into the site's reach. If p has cycles, every entry counts: an upper bound.
@@ -233,7 +233,7 @@ class Strategy(Shown):
 
     @property
     def ambush_at_places(self) -> FloatArray:
-        """How likely an ambusher waits at each place (K,): q summed over the layers of a trip."""
+        """How likely an ambusher waits at each place (K,): q summed over the nodes of each."""
         return self.game.at_places(self.ambush_probability)
 
     @cached_property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -12,7 +14,7 @@ from .network import Network
 
 def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
                        spacing: float) -> Network:
-    """Append obstacle cells to each layer as nodes without edges.
+    """Append obstacle cells as nodes without edges.
 
     Includes all cells within ``reach`` [m] of an edge, and some slightly further, thinned to one
     per square of half a ``spacing`` [m]. Their loss is that of the nearest free cell.
@@ -31,17 +33,9 @@ def with_hiding_places(network: Network, risk_map: RiskMap, reach: float,
 
 
 def with_places(network: Network, points: FloatArray, alpha: FloatArray) -> Network:
-    """Append places (K, 2) with losses (K,) to each layer as nodes without edges."""
-    legs, number = network.legs, np.arange(len(network.points))
-    moved = number + number // network.place_count * len(points)
-    layers = network.points.reshape(legs, -1, 2), np.tile(points, (legs, 1, 1))
-    return Network(np.concatenate(layers, 1).reshape(-1, 2),
-                   on_places(network, network.alpha, alpha), moved[network.edges],
-                   int(moved[network.source]), int(moved[network.target]), legs=legs,
-                   seconds=network.seconds)
-
-
-def on_places(network: Network, values: FloatArray, added: FloatArray) -> FloatArray:
-    """Values (N,) of nodes with the values (K,) of places appended to each layer."""
-    layers = values.reshape(network.legs, -1), np.tile(added, (network.legs, 1))
-    return np.asarray(np.concatenate(layers, 1).ravel())
+    """Append places (K, 2) with losses (K,) as nodes without edges."""
+    added = np.arange(len(points))
+    return replace(network, points=np.concatenate((network.points, points)),
+                   alpha=np.concatenate((network.alpha, alpha)),
+                   places=np.concatenate((network.places, network.place_count + added)),
+                   leg=np.concatenate((network.leg, 0 * added)))

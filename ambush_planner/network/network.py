@@ -13,6 +13,10 @@ from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidNetwork
 
 
+def _by_default() -> IndexArray:
+    return np.empty(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class Network:
     """A directed network with a loss at each node, validated.
@@ -21,8 +25,9 @@ class Network:
     ``dropped_edges``: they would allow flow circulations that never connect the two, and the value
     would come out too low.
 
-    A trip with stops has several ``legs``. Each leg has a layer, a copy of all places in the same
-    order; the edges that end a leg lead to the stop's copy in the next layer.
+    Nodes stand for places, each node for one; several can stand for the same place. On a trip with
+    stops, the convoy may come back to a place on another leg: each leg has nodes of its own, and
+    the edges that end a leg lead to the first node of the next.
 
     Parameters
     ----------
@@ -34,8 +39,12 @@ class Network:
         (tail, head) of each directed edge; no self-loops, no duplicates.
     source, target : int
         First and last node of every route.
-    legs : int
-        Number of layers: nodes k and k + N / legs are the same place, with the same point and loss.
+    places : (N,) int
+        The place that each node stands for, numbered from 0; each its own by default. Nodes of one
+        place have the same point and the same loss.
+    leg : (N,) int
+        The leg of the trip on which each node lies; 0 by default. Edges lead on within a leg, or to
+        the next.
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
 
@@ -48,7 +57,8 @@ class Network:
     edges: IndexArray
     source: int
     target: int
-    legs: int = 1
+    places: IndexArray = field(default_factory=_by_default)
+    leg: IndexArray = field(default_factory=_by_default)
     seconds: FloatArray | None = None
     dropped_edges: IndexArray = field(init=False, repr=False)
 
@@ -60,8 +70,10 @@ class Network:
         target = _node('target', self.target, len(points))
         _check_ends(alpha, source, target)
         edges = _edge_array(self.edges, len(points))
-        if self.legs < 1 or len(points) % self.legs:
-            raise InvalidNetwork(f'{self.legs} legs need as many copies of all places')
+        places = _numbers('places', self.places, np.arange(len(points)))
+        leg = _numbers('leg', self.leg, np.zeros(len(points)))
+        _check_places(places, points, alpha)
+        _check_legs(leg, edges)
         outside = (edges[:, 1] == source) | (edges[:, 0] == target)
         if outside.any():
             warnings.warn(
@@ -77,6 +89,8 @@ class Network:
         object.__setattr__(self, 'edges', frozen_array(edges[~outside], np.int64))
         object.__setattr__(self, 'source', source)
         object.__setattr__(self, 'target', target)
+        object.__setattr__(self, 'places', places)
+        object.__setattr__(self, 'leg', leg)
         object.__setattr__(self, 'dropped_edges', frozen_array(edges[outside], np.int64))
 
     @cached_property
@@ -110,29 +124,30 @@ class Network:
 
     @property
     def place_count(self) -> int:
-        """Number of distinct places, N / legs; the nodes of the first layer represent them."""
-        return len(self.points) // self.legs
+        """Number of places, P."""
+        return len(self.representatives)
 
-    @property
+    @cached_property
     def representatives(self) -> IndexArray:
-        return np.arange(self.place_count)
+        """The first node (P,) of each place."""
+        return frozen_array(np.unique(self.places, return_index=True)[1], np.int64)
 
     @property
-    def places(self) -> IndexArray:
-        """The place (N,) of each node, as the index of its copy in the first layer."""
-        return np.arange(len(self.points)) % self.place_count
+    def legs(self) -> int:
+        """Number of legs of the trip, one more than stops."""
+        return int(self.leg.max()) + 1
 
     @cached_property
     def stops(self) -> IndexArray:
-        """First nodes (legs - 1,) of all legs but the first, in order."""
-        count = self.place_count
-        return frozen_array(np.unique(self.heads[self.heads // count != self.tails // count]),
-                            np.int64)
+        """The first node (legs - 1,) of each leg but the first."""
+        begins = np.unique(self.heads[self.leg[self.heads] > self.leg[self.tails]])
+        first = np.unique(self.leg[begins], return_index=True)[1]
+        return frozen_array(begins[first], np.int64)
 
     @cached_property
     def ends(self) -> IndexArray:
         """All nodes at the places of the source, the stops and the target."""
-        at = np.array([self.source, *self.stops, self.target]) % self.place_count
+        at = self.places[[self.source, *self.stops, self.target]]
         return frozen_array(np.flatnonzero(np.isin(self.places, at)), np.int64)
 
     @property
@@ -144,6 +159,35 @@ class Network:
     def heads(self) -> IndexArray:
         """Head of each edge (M,)."""
         return self.edges[:, 1]
+
+
+def _numbers(name: str, values: IndexArray, default: npt.ArrayLike) -> IndexArray:
+    numbers = np.asarray(values)
+    if not numbers.size:
+        return frozen_array(default, np.int64)
+    if numbers.shape != np.shape(default) or numbers.dtype.kind not in 'iu':
+        raise InvalidNetwork(f'{name} must be integers, one for each of the {np.size(default)} '
+                             f'nodes, got shape {numbers.shape} and dtype {numbers.dtype}')
+    used = np.unique(numbers)
+    if not np.array_equal(used, np.arange(len(used))):
+        raise InvalidNetwork(f'{name} must be numbered from 0 without a break, got {len(used)} '
+                             f'numbers in {used[0]}..{used[-1]}')
+    return frozen_array(numbers, np.int64)
+
+
+def _check_places(places: IndexArray, points: FloatArray, alpha: FloatArray) -> None:
+    _, first = np.unique(places, return_index=True)
+    same = first[places]
+    bad = (points[same] != points).any(axis=1) | (alpha[same] != alpha)
+    if bad.any():
+        node = int(np.argmax(bad))
+        raise InvalidNetwork(f'places: nodes {same[node]} and {node} stand for place '
+                             f'{places[node]}, but their points or losses differ')
+
+
+def _check_legs(leg: IndexArray, edges: IndexArray) -> None:
+    step = leg[edges[:, 1]] - leg[edges[:, 0]]
+    _refuse_edges(edges, (step < 0) | (step > 1), 'neither within a leg nor to the next')
 
 
 def _floats(name: str, values: npt.ArrayLike) -> FloatArray:

@@ -44,7 +44,7 @@ class TripGraph:
     seconds: FloatArray | None = None
 
     def network(self, visits: Sequence[int]) -> Network:
-        """The network for driving from each of these nodes to the next: a layer for each leg."""
+        """The network for driving from each of these nodes to the next: all places for each leg."""
         count, legs = len(self.points), len(visits) - 1
         layers, used = [], []
         for leg, (source, target) in enumerate(pairwise(visits)):
@@ -59,7 +59,8 @@ class TripGraph:
         order = np.lexsort((edges[:, 1], edges[:, 0]))
         seconds = None if self.seconds is None else self.seconds[np.concatenate(used)[order]]
         return Network(np.tile(self.points, (legs, 1)), np.tile(self.alpha, legs), edges[order],
-                       visits[0], visits[-1] + (legs - 1) * count, legs=legs, seconds=seconds)
+                       visits[0], visits[-1] + (legs - 1) * count,
+                       np.tile(np.arange(count), legs), np.repeat(np.arange(legs), count), seconds)
 
 
 def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPlannerError]]:

@@ -145,7 +145,7 @@ class ChangedGround:
         for node, place in zip((network.source, network.target), ends, strict=True):
             if tuple(network.points[node].tolist()) != place:
                 others = joins if node == network.source else None
-                node %= network.place_count
+                node = int(network.places[node])
                 corner, part = self._around(newest, node, place, others)
                 corridors = with_moved_end(corridors, node, place, part, corner, self._clearance,
                                            plan.tube, options.clear_of_edge, others)

@@ -68,15 +68,15 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     kept = network.tails != network.source
     edges = np.column_stack((np.full(len(at), network.source), at))
     points = network.points.copy()
-    points[network.source % network.place_count::network.place_count] = ends[0]
-    moved = Network(points, look.alpha, np.concatenate((network.edges[kept], edges)),
-                    network.source, network.target, network.legs)
+    points[network.places == network.places[network.source]] = ends[0]
+    moved = replace(network, points=points, alpha=look.alpha,
+                    edges=np.concatenate((network.edges[kept], edges)))
     flow = np.concatenate((ground.conditioned.flow_from(p, begins)[kept], begins[at]))
     try:
         strategy = _valued(ground, newest, moved, flow)
     except AmbushPlannerError:  # no route within the budgets of length or exposure
         return None
-    fitted = ground.fitted(newest, ends, np.unique(at % network.place_count))
+    fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
     joined = replace(fitted, network=moved, strategy=strategy,
                      corridors=replace(fitted.corridors, network=moved))
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
@@ -93,7 +93,7 @@ def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
 
 def _through_start_again(network: Network) -> np.ndarray:
     """Return the edges (M,) by which later legs pass the place of the source."""
-    again = network.places == network.source % network.place_count
+    again = network.places == network.places[network.source]
     again[network.source] = False
     return np.asarray(again[network.edges].any(axis=1))
 

@@ -51,16 +51,18 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     import shapely
 
     held = strategy.game.options.held_radius
-    network, p, q = strategy.network, strategy.edge_probability, strategy.ambush_at_places
+    network, p = strategy.network, strategy.edge_probability
+    q, first = strategy.ambush_at_places, network.representatives
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points
     used = np.flatnonzero(p > LEAST_PROBABILITY)
     waits = np.flatnonzero(q > LEAST_PROBABILITY) if strategy.value > 0.0 else np.zeros(0, int)
+    at = first[waits]
     ends = shapely.points(points[[network.source, *network.stops, network.target]])
     tables = {
         'edges': ({'probability': p[used]}, shapely.linestrings(points[network.edges[used]])),
-        'sites': ({'probability': q[waits], 'loss': strategy.game.loss[waits]},
-                  shapely.points(points[waits])),
+        'sites': ({'probability': q[waits], 'loss': strategy.game.loss[at]},
+                  shapely.points(points[at])),
         'held_ground': ({'radius': [held] * len(ends)}, shapely.buffer(ends, held, quad_segs=32)),
         'forbidden': ({}, _obstacles(risk_map)),
     }

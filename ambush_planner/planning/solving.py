@@ -39,9 +39,9 @@ class WarmStart:
     def sites_beyond(self, network: Network) -> FloatArray:
         """Positions (K, 2) of binding sites without edges that another network lacks [m]."""
         own = self.network
-        binding = self.multipliers.sites[: own.place_count] > 0.0
-        binding[own.edges.ravel() % own.place_count] = False
-        places = np.unique(own.points[np.flatnonzero(binding)], axis=0)
+        binding = self.multipliers.sites[own.representatives] > 0.0
+        binding[own.places[own.edges]] = False
+        places = np.unique(own.points[own.representatives[binding]], axis=0)
         return np.asarray(places[cKDTree(network.points).query(places)[0] > 0.0])
 
 

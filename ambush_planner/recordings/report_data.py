@@ -150,5 +150,6 @@ def _blocks(function: np.ufunc, cells: npt.NDArray[Any], block: int) -> npt.NDAr
 def _sites(strategy: Strategy) -> FloatArray:
     """Position of each ambush site [m], and its probability relative to the likeliest (K, 3)."""
     q = strategy.ambush_at_places if strategy.value > 0.0 else np.zeros(1)
-    at = np.flatnonzero(q > LEAST_SITE * q.max())
-    return np.column_stack((strategy.network.points[at], q[at] / (q.max() or 1.0)))
+    at, network = np.flatnonzero(q > LEAST_SITE * q.max()), strategy.network
+    points = network.points[network.representatives[at]]
+    return np.column_stack((points, q[at] / (q.max() or 1.0)))

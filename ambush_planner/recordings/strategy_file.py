@@ -22,7 +22,7 @@ NUMBERS = (
     'expected_length', 'expected_exposure', 'least_exposure', 'exposure_budget', 'exposure_price',
     'edge_entropy', 'route_entropy',
 )
-_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'legs')
+_NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: the tube of the driven path, and the held ground.
 _PLANNED = ('tube', 'secured_radius')
@@ -55,8 +55,8 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     with np.load(BytesIO(data), allow_pickle=False) as archive:
         content = {name: archive[name] for name in archive.files}
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
-                      int(content['target']), legs=int(content['legs']),
-                      seconds=content.get('seconds'))
+                      int(content['target']), content['places'], content['leg'],
+                      content.get('seconds'))
     tube, held = (float(content[name]) for name in _PLANNED)
     game = make_game(network, replace(options, tube=tube, secured_radius=held))
     stated = {name: float(content[name]) for name in NUMBERS}

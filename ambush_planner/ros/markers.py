@@ -73,7 +73,8 @@ def ambush_sites(strategy: Strategy, header: Header) -> bytes:
     marker.scale = Vector3(x=float(diameter), y=float(diameter), z=0.1 * length)
     if not shown.size:
         marker.action = Marker.DELETE
-    return marker_array(marker, network.points[shown], _colours(_AMBUSHER, q[shown] / often))
+    points = network.points[network.representatives[shown]]
+    return marker_array(marker, points, _colours(_AMBUSHER, q[shown] / often))
 
 
 def stops(network: Network, header: Header) -> bytes:
@@ -109,12 +110,13 @@ def _edge_length(network: Network) -> float:
 
 
 def _pairs(network: Network) -> IndexArray:
-    """Return the pairs (K, 2) of connected places, each once."""
+    """Return the first nodes (K, 2) of connected places, each pair once."""
     count = network.place_count
     tails, heads = network.places[network.edges].T
     # One number per pair: np.unique over rows takes 8 times as long.
     keys = np.unique(np.minimum(tails, heads) * count + np.maximum(tails, heads))
-    return np.stack(np.divmod(keys, count), axis=1)
+    pairs = np.stack(np.divmod(keys, count), axis=1)
+    return np.asarray(network.representatives[pairs])
 
 
 def _colours(ramp: FloatArray, shares: FloatArray) -> npt.NDArray[np.float32]:

@@ -103,7 +103,7 @@ class CachedPlan:
         """
         network, p = self.plan.network, self.plan.strategy.edge_probability
         visits = [network.source, *network.stops.tolist(), network.target]
-        if len({node % network.place_count for node in visits}) < len(visits):
+        if len(set(network.places[visits].tolist())) < len(visits):
             return False  # a place visited twice cannot be moved for one visit only
         start, goal = self.ends(trip)
         if any(one == other for one, other in pairwise((start, *self.plan.stops_xy, goal))):

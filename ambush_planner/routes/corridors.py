@@ -116,7 +116,7 @@ def make_corridors(network: Network, risk_map: RiskMap, clearance: float = 0.0,
     """
     if tube is not None and not 0.0 <= tube < np.inf:
         raise InvalidOption(f'tube must be finite and >= 0 [m], got {tube}')
-    uv = risk_map.to_map_axes(network.points[: network.place_count])
+    uv = risk_map.to_map_axes(network.points[network.representatives])
     edges = np.unique(np.sort(network.places[network.edges], axis=1), axis=0)
     if tube is None and most == np.inf:
         field = ObstacleField(risk_map, clear_of_edge)

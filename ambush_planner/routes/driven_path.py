@@ -110,8 +110,8 @@ def _legs(corridors: Corridors, route: IndexArray, ends: Ends | None) -> list[_L
 def _places(corridors: Corridors, route: IndexArray) -> list[IndexArray]:
     """The places of a route, leg by leg."""
     network = corridors.network
-    at = [0, *np.flatnonzero(np.isin(route, network.stops)).tolist(), len(route) - 1]
-    places = route % network.place_count
+    begins = np.flatnonzero(np.diff(network.leg[route])) + 1
+    at, places = [0, *begins.tolist(), len(route) - 1], network.places[route]
     return [places[first : last + 1] for first, last in pairwise(at)]
 
 

@@ -65,12 +65,13 @@ def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
 def _least_cost_of_legs(game: Game, base: FloatArray, q: FloatArray) -> float:
     """A lower bound of a trip's cost: each site is paid only on the leg for which it waits.
 
-    That is the leg in whose layer q (N,) has it.
+    That is the leg of the node at which q (N,) has it.
     """
-    total, layer = 0.0, game.network.tails // game.network.place_count
-    for number, (leg, own) in enumerate(zip(game.legs(), q.reshape(game.network.legs, -1),
-                                            strict=True)):
-        costs, charge = base[layer == number], (leg.loss * own)[leg.sites]
+    network, total = game.network, 0.0
+    for number, leg in enumerate(game.legs()):
+        own = game.at_places(np.where(network.leg == number, q, 0.0))
+        costs = base[network.leg[network.tails] == number]
+        charge = (leg.loss * own)[leg.sites]
         if leg.reach > 0.0:
             total += _least_cost(leg, costs, charge)[0]
         else:
