@@ -9,7 +9,6 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import BudgetInfeasible, NoRoute
-from .ambusher import Ambusher
 from .budget import Budget, least_cost
 from .certificate.certificate import Certificate, lower_bound
 from .game import Game, make_game
@@ -48,27 +47,8 @@ def revalue(strategy: Strategy, alpha: FloatArray, p: FloatArray | None = None) 
     except (NoRoute, BudgetInfeasible):
         return Certificate(math.inf, 0.0)
     value = worst_loss(game, p) if p.any() else math.inf
-    bound = lower_bound(game, _charging_as_before(strategy, game), budgets)
+    bound = lower_bound(game, strategy.ambusher, budgets)
     return Certificate(value, min(bound, value))
-
-
-def _charging_as_before(strategy: Strategy, game: Game) -> Ambusher:
-    """An ambusher who charges each route a fixed share of what the strategy's did before.
-
-    Then his circulation proves this share of the bound. If he would have to wait where nobody can
-    wait any more, he stays as he is, without a circulation.
-    """
-    ambusher, before = strategy.ambusher, strategy.game.loss
-    used = ambusher.q > 0.0
-    if ambusher.circulation is None:
-        return ambusher
-    if not (game.loss[used] > 0.0).all():
-        return replace(ambusher, circulation=None)
-    q = np.zeros(len(used))
-    q[used] = ambusher.q[used] * before[used] / game.loss[used]
-    share, given = 1.0 / q.sum(), ambusher.circulation
-    return Ambusher(share * q, tuple(share * price for price in ambusher.prices),
-                    replace(given, through=share * given.through, flow=share * given.flow))
 
 
 def open_gap(strategy: Strategy, options: StrategyOptions) -> float:

@@ -20,16 +20,15 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import FloatArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes
 from .budget import ROUNDING, Budget
-from .certificate.curves import Circulation
 from .game import Game
 from .hits import hits_can_differ
 from .law.acyclic import forward_part, order_potential, rank_around
 from .law.gibbs import acyclic_network
-from .law.law import AIM, STEP, Law
+from .law.law import STEP, Law
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
@@ -41,6 +40,8 @@ LEAST_SLACK = 9e-6
 PROGRAM_GAP = 0.1
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MOST_SWEEPS = 2, 20
+# Share of the slack over the bound from which on a place joins; a law ends just below it.
+JOINING = 0.995
 # Rounds of a law, and its steps if the usual ones do not reach the slack.
 ROUNDS, CAREFUL_STEP = 12, 0.3
 
@@ -212,7 +213,7 @@ class _Search:
             if not law.round(q, prices, self.program.bound):
                 return
             known = len(self.loss)
-            self._add_worst(self._whole(law), self.program.bound * (1.0 + AIM * self.slack))
+            self._add_worst(self._whole(law), self.program.bound * (1.0 + JOINING * self.slack))
             law.measure(self._level())
             self._keep(law)
             if law.value <= law.limit and (law.exact or law.rounds > 1):
@@ -269,10 +270,9 @@ class _Search:
         kept[worst] |= worst >= 0
         added = np.flatnonzero(kept & ~own)
         game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
-        node, sites = np.full(len(kept), -1), np.zeros(game.node_count)
-        node[kept], sites[game.sites] = game.sites, weight[kept]
-        ambusher = Ambusher(at_nodes(game, q[kept]), self._of_all_budgets(self.program.prices),
-                            self._circulation(node))
+        sites = np.zeros(game.node_count)
+        sites[game.sites] = weight[kept]
+        ambusher = Ambusher(at_nodes(game, q[kept]), self._of_all_budgets(self.program.prices))
         multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
         return Solution(game, p, value, self.program.bound, ambusher, multipliers,
                         self.law.evaluations, self.law.entropy_bound, good)
@@ -281,10 +281,3 @@ class _Search:
         """Numbers of the budgets that bind, with 0 for the others."""
         number = iter(binding)
         return tuple(float(next(number, 0.0)) if b.binds else 0.0 for b in self.budgets)
-
-    def _circulation(self, node: IndexArray) -> Circulation | None:
-        """The program's circulation, if it needs one; the sites' rows become nodes."""
-        found = getattr(self.program, 'circulation', None)
-        if found is None or not hits_can_differ(self.game):
-            return None
-        return Circulation(found.through, node[found.site], found.face, found.flow)

@@ -26,9 +26,7 @@ from ..ambusher import Ambusher
 from ..budget import ROUNDING, Budget
 from ..game import Game
 from ..hits import hits_can_differ, worst_loss
-from ..value.faces import make_faces
 from .best_response import best_response
-from .curves import curve_bound
 
 # Largest imbalance of the flow at a node.
 CONSERVATION_TOLERANCE = 1e-8
@@ -69,23 +67,12 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher,
 def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
     """Value that no strategy within the budgets can beat, as the ambusher proves it.
 
-    By the closed curves of his circulation if he has one, else by the best response. Raises
-    SolverFailed if he is no ambusher of the game.
+    Raises SolverFailed if he is no ambusher of the game.
     """
     ambusher.check(game, budgets)
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
-    if ambusher.circulation is None:
-        return best_response(game, ambusher.q, budgets, ambusher.prices).bound
-    faces, used = make_faces(game), [k for k, price in enumerate(ambusher.prices) if price > 0.0]
-    if faces is None or len(used) > 1:
-        raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
-    charge = game.loss * ambusher.q
-    if not used:
-        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, charge, 0.0,
-                           ambusher.circulation)
-    budget, price = budgets[used[0]], ambusher.prices[used[0]]
-    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation)
+    return best_response(game, ambusher.q, budgets, ambusher.prices).bound
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

@@ -88,7 +88,7 @@ class Law:
         self.level, limit = level, level / self._loss
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
-        chain, hits = MarkovChain(self.network, self.p), self._entering @ self.p
+        chain, hits = MarkovChain(self.network, self.p), self._most_hits(self.p)
         self._near = near = self._could[hits[self._could] > NEAR * limit[self._could]]
         self._rows = self._entering[near]
         if not self.exact:
@@ -100,11 +100,15 @@ class Law:
 
     def _value_of(self, p: FloatArray) -> float:
         """The value of a strategy p (m,)."""
-        hits = self._entering @ p
+        hits = self._most_hits(p)
         if not self.exact:
             near = self._could[hits[self._could] > NEAR * (self.level / self._loss)[self._could]]
             hits[near] = MarkovChain(self.network, p).hits(self._entering[near])
         return self._sum_of_largest(self._loss * hits)
+
+    def _most_hits(self, p: FloatArray) -> FloatArray:
+        """Bounds (S,) of the hits by p (m,), from the entries."""
+        return np.minimum(self._entering @ p, 1.0)
 
     def _sum_of_largest(self, losses: FloatArray) -> float:
         return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())
