@@ -9,6 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import SolverFailed
 from .budget import ROUNDING, Budget
+from .certificate.curves import Circulation
 from .game import Game
 
 
@@ -22,10 +23,13 @@ class Ambusher:
         How likely he waits at each node; sums to the number of ambushers.
     prices : (budgets,)
         Decrease of the bound per unit of each budget.
+    circulation : Circulation or None
+        Closed curves between the faces of a planar network that prove the bound.
     """
 
     q: FloatArray
     prices: tuple[float, ...]
+    circulation: Circulation | None = None
 
     def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
         """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""

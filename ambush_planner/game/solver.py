@@ -14,16 +14,18 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arrays import FloatArray, frozen_array
+from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes
 from .budget import ROUNDING, Budget
+from .certificate.certificate import lower_bound
+from .certificate.curves import Circulation
 from .game import Game
 from .hits import hits_can_differ
 from .law.acyclic import forward_part, order_potential, rank_around
@@ -40,6 +42,8 @@ LEAST_SLACK = 9e-6
 PROGRAM_GAP = 0.1
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MOST_SWEEPS = 2, 20
+# Share of the slack by which the best response may prove less than the program.
+UNPROVED = 0.02
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
 JOINING = 0.995
 # Rounds of a law, and its steps if the usual ones do not reach the slack.
@@ -257,7 +261,7 @@ class _Search:
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
         assert self.best is not None and self.law is not None
-        (good, _), p, value, worst = self.best
+        _, p, value, worst = self.best
         if self.problem.ground:
             found = self.problem.ground.worst(p, value * (1.0 + ROUNDING))
             if len(found.points):
@@ -270,12 +274,28 @@ class _Search:
         kept[worst] |= worst >= 0
         added = np.flatnonzero(kept & ~own)
         game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
-        sites = np.zeros(game.node_count)
-        sites[game.sites] = weight[kept]
-        ambusher = Ambusher(at_nodes(game, q[kept]), self._of_all_budgets(self.program.prices))
+        node, sites = np.full(len(kept), -1), np.zeros(game.node_count)
+        node[kept], sites[game.sites] = game.sites, weight[kept]
+        ambusher, bound = self._judged(game, at_nodes(game, q[kept]), node)
         multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
-        return Solution(game, p, value, self.program.bound, ambusher, multipliers,
-                        self.law.evaluations, self.law.entropy_bound, good)
+        return Solution(game, p, value, bound, ambusher, multipliers, self.law.evaluations,
+                        self.law.entropy_bound, value <= bound * (1.0 + self.slack + ROUNDING))
+
+    def _judged(self, game: Game, q: FloatArray, node: IndexArray) -> tuple[Ambusher, float]:
+        """The ambusher q (N,) and his bound, with the program's circulation if that proves more.
+
+        ``node`` (S,) has the nodes of the sites.
+        """
+        ambusher = Ambusher(q, self._of_all_budgets(self.program.prices))
+        bound = lower_bound(game, ambusher, self.budgets)
+        found = getattr(self.program, 'circulation', None)
+        if found and bound < self.program.bound * (1.0 - UNPROVED * self.slack):
+            around = replace(ambusher, circulation=Circulation(
+                found.through, node[found.site], found.face, found.flow))
+            more = lower_bound(game, around, self.budgets)
+            if more > bound:
+                return around, more
+        return ambusher, bound
 
     def _of_all_budgets(self, binding: Sequence[float]) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""

@@ -301,8 +301,9 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
     if options.solver != 'max_entropy':
         return _by_linear_program(game, budgets, options, deadline)
     found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm))
-    strategy = strategy_of(found.game, found.p, found.ambusher, budgets, found.evaluations)
-    strategy = replace(strategy, multipliers=found.multipliers, entropy_bound=found.entropy_bound)
+    strategy = strategy_of(found.game, found.p, found.ambusher, budgets, found.bound)
+    strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
+                       entropy_bound=found.entropy_bound)
     if within_slack(strategy, options):
         return strategy
     if time.monotonic() < deadline:
@@ -314,13 +315,13 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
 
 
 def strategy_of(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, Budget],
-                iterations: int = 0) -> Strategy:
-    """The strategy p (M,) with its certificate.
+                bound: float | None = None) -> Strategy:
+    """The strategy p (M,) with its certificate; ``bound`` is the ambusher's, if it is known.
 
     Raises SolverFailed if p or the ambusher is not valid; see ``certify``.
     """
     return Strategy(game, frozen_array(p, np.float64), ambusher, budgets,
-                    certify(game, p, ambusher, budgets), iterations)
+                    certify(game, p, ambusher, budgets, bound))
 
 
 def make_budgets(game: Game, options: StrategyOptions) -> tuple[Budget, Budget]:
@@ -345,7 +346,7 @@ def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: Stra
     found = linear_program_strategy(game, options.solver, budgets[0], options.length_weight,
                                     deadline)
     own = found.budget, budgets[1]
-    strategy = strategy_of(game, found.p, found.ambusher, own, found.iterations)
+    strategy = replace(strategy_of(game, found.p, found.ambusher, own), iterations=found.iterations)
     if within_slack(strategy, options):
         return strategy
     if hits_can_differ(game):

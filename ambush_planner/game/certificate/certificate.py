@@ -26,7 +26,9 @@ from ..ambusher import Ambusher
 from ..budget import ROUNDING, Budget
 from ..game import Game
 from ..hits import hits_can_differ, worst_loss
+from ..value.faces import make_faces
 from .best_response import best_response
+from .curves import curve_bound
 
 # Largest imbalance of the flow at a node.
 CONSERVATION_TOLERANCE = 1e-8
@@ -40,9 +42,9 @@ class Certificate:
     bound: float
 
 
-def certify(game: Game, p: FloatArray, ambusher: Ambusher,
-            budgets: tuple[Budget, ...]) -> Certificate:
-    """Certify a strategy p (M,) and an ambusher.
+def certify(game: Game, p: FloatArray, ambusher: Ambusher, budgets: tuple[Budget, ...],
+            bound: float | None = None) -> Certificate:
+    """Certify a strategy p (M,) and an ambusher; ``bound`` is his ``lower_bound``, if it is known.
 
     Raises SolverFailed if p is not a unit flow from source to target or exceeds a budget, the
     ambusher is none, or the bound exceeds the value.
@@ -54,7 +56,8 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher,
                 f"the strategy's {budget.name} is {budget.mean(p):.9g} {budget.unit}, over the "
                 f"budget of {budget.limit:.9g}"
             )
-    value, bound = worst_loss(game, p), lower_bound(game, ambusher, budgets)
+    value = worst_loss(game, p)
+    bound = lower_bound(game, ambusher, budgets) if bound is None else bound
     # Rounding may put p over a budget; the bound then holds for strategies as far over it.
     over = sum(price * budget.overrun(p)
                for budget, price in zip(budgets, ambusher.prices, strict=True))
@@ -67,12 +70,23 @@ def certify(game: Game, p: FloatArray, ambusher: Ambusher,
 def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:
     """Value that no strategy within the budgets can beat, as the ambusher proves it.
 
-    Raises SolverFailed if he is no ambusher of the game.
+    By the closed curves of his circulation if he has one, else by the best response. Raises
+    SolverFailed if he is no ambusher of the game.
     """
     ambusher.check(game, budgets)
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
-    return best_response(game, ambusher.q, budgets, ambusher.prices).bound
+    if ambusher.circulation is None:
+        return best_response(game, ambusher.q, budgets, ambusher.prices).bound
+    faces, used = make_faces(game), [k for k, price in enumerate(ambusher.prices) if price > 0.0]
+    if faces is None or len(used) > 1:
+        raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')
+    charge = game.loss * ambusher.q
+    if not used:
+        return curve_bound(faces, 0.0 * game.network.lengths, 0.0, charge, 0.0,
+                           ambusher.circulation)
+    budget, price = budgets[used[0]], ambusher.prices[used[0]]
+    return curve_bound(faces, budget.cost, budget.limit, charge, price, ambusher.circulation)
 
 
 def entry_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> float:

@@ -5,9 +5,9 @@ faces. Its level lines, driven as routes, meet disc j at most as often as the po
 the rim of the disc. So the least value is the least z for which some potential varies by at most
 z / alpha_j on each rim and keeps the budget (docs/theory.md, section 7). For a fixed z this is a
 linear program whose dual is a circulation between faces: through links, at most their share of the
-budget, and through discs. The flows through the discs are an ambusher, whose bound the certificate
-finds for itself. Newton's method finds z. New sites, and faces at which a disc exceeds its share,
-are new columns of the same model.
+budget, and through discs. Its discs and their flows are an ambusher, and it proves a bound by
+itself (``certificate.curves``). Newton's method finds z. New sites, and faces at which a disc
+exceeds its share, are new columns of the same model.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ...arrays import BoolArray, FloatArray, IndexArray
 from ..budget import ROUNDING, Budget
+from ..certificate.curves import Circulation
 from ..law.acyclic import conserved_strategy
 from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
@@ -36,8 +37,8 @@ NEGLIGIBLE = 1e-9
 class Potential:
     """The program; ``add_sites`` and ``solve`` go on from where it is.
 
-    ``bound`` is the value that ``q`` (S,) and ``prices`` prove, ``level`` (S,) what each site may
-    cause.
+    ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
+    of the budget. ``level`` (S,) is what each site may cause.
     """
 
     def __init__(self, faces: Faces, budget: Budget, deadline: float) -> None:
@@ -50,6 +51,7 @@ class Potential:
         self._z, self.bound, self._height = np.inf, 0.0, np.zeros(0)
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
+        self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
 
@@ -67,7 +69,7 @@ class Potential:
         self._entering = csr_matrix(vstack((self._entering, entering)))
         worst = np.argmax(np.where(discs.around, loss, 0.0))
         if discs.around.any() and loss[worst] > self.bound:  # every route meets this one
-            self.bound, self.price = float(loss[worst]), 0.0
+            self.bound, self.circulation, self.price = float(loss[worst]), None, 0.0
             self.q = np.zeros(len(self._loss))
             self.q[len(self._loss) - len(loss) + worst] = 1.0
 
@@ -179,4 +181,11 @@ class Potential:
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
             self.price = 1.0 / (total * self.budget.limit)
+            self.circulation = self._circulation(found.x[:links] / total, turned * -flow / total)
         return endless
+
+    def _circulation(self, through: FloatArray, flow: FloatArray) -> Circulation:
+        links, used = np.zeros(len(self.faces.left)), np.flatnonzero(flow)
+        links[self._real] = through
+        pairs = self._joined[used]
+        return Circulation(links, self._site[pairs], self._face[pairs], flow[used])

@@ -1,0 +1,132 @@
+"""The bound that a circulation between faces proves on a planar two-way network.
+
+A closed curve through faces and discs that crosses one route an odd number of times separates the
+source from the target, so every route meets it: the route drives one of the curve's links, or the
+curve's sites hit it. Let curves c of weights w_c go through each link with at most ``price`` times
+its cost, and through disc j with at most q_j alpha_j in all. Then for every route
+
+    price * cost(route) + sum of q_j alpha_j over the sites that hit it  >=  sum of all w_c,
+
+since what the curves through one disc add up to is paid once if the route is hit there. The mean
+over a strategy within the budget is a bound on its value (docs/theory.md, Theorem 7.3). A
+circulation is such curves, added up: it is taken apart into simple cycles, and those that separate
+the ends count.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from ...arrays import FloatArray, IndexArray, sums
+from ...errors import SolverFailed
+from ..value.faces import Faces
+
+# Flows below this share of the largest are rounding.
+NEGLIGIBLE = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Circulation:
+    """Flows between faces.
+
+    Attributes
+    ----------
+    through : (links,)
+        Flow through each link, from its left to its right face [loss].
+    site, face, flow : (T,)
+        Flow from a face into the disc of a site, a node; < 0: out of it [loss].
+    """
+
+    through: FloatArray
+    site: IndexArray
+    face: IndexArray
+    flow: FloatArray
+
+
+def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray, price: float,
+                given: Circulation) -> float:
+    """What a circulation proves about strategies with a mean ``cost`` (M,) of at most ``limit``.
+
+    ``charge`` (N,) is q_j alpha_j at each node. Flow beyond a charge, or beyond a link's share of
+    the price, counts for nothing. Raises SolverFailed if the circulation is that of another
+    network.
+    """
+    game = faces.game
+    if len(given.through) != len(faces.left) or given.site.max(initial=-1) >= len(charge):
+        raise SolverFailed('the circulation is that of another network')
+    edge, most = np.flatnonzero(game.playable), np.full(len(faces.left), np.inf)
+    np.minimum.at(most, faces.link[edge], price * cost[edge])
+    through = np.clip(given.through, -most, most)
+    passed = sums(given.site, np.maximum(given.flow, 0.0), len(charge))
+    fits = np.minimum(charge, passed) / np.where(passed > 0.0, passed, 1.0)
+    inside = np.where(given.flow > 0.0, given.flow * fits[given.site], given.flow)
+    arcs = np.flatnonzero(through), np.flatnonzero(inside)
+    site, row = np.unique(given.site, return_inverse=True)
+    entering = game.hits[np.searchsorted(game.sites, site)]
+    pair, lift = _lifts(faces, csr_matrix(entering), row.ravel(), given.face)
+    tail = np.concatenate((faces.left[arcs[0]], given.face[arcs[1]]))
+    head = np.concatenate((faces.right[arcs[0]], faces.count + row.ravel()[arcs[1]]))
+    gain = np.concatenate((faces.crossed[arcs[0]], lift[arcs[1]]))
+    flow = np.concatenate((through[arcs[0]], (inside * pair)[arcs[1]]))
+    tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
+    gain, size = np.where(flow > 0.0, gain, -gain), np.abs(flow)
+    kept = size > NEGLIGIBLE * size.max(initial=0.0)
+    weights = _weight_of_separating_cycles(tail[kept], head[kept], gain[kept], size[kept])
+    return max(weights - price * limit, 0.0) if price > 0.0 else weights
+
+
+def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
+           face: IndexArray) -> tuple[FloatArray, IndexArray]:
+    """Whether each pair (T,) of a disc and a face exists, as 0 or 1, and its lift.
+
+    Pairs of a disc around an end count as missing: its lifts depend on the way.
+    """
+    discs = faces.discs(entering)
+    key, wanted = discs.disc * faces.count + discs.face, row * faces.count + face
+    at = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
+    found = (key[at] == wanted) & ~discs.around[row] if len(key) else np.zeros(len(row), bool)
+    return found.astype(np.float64), np.where(found, discs.lift[at], 0) if len(key) else row * 0
+
+
+def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: IndexArray,
+                                 size: FloatArray) -> float:
+    """Take a circulation apart into simple cycles; the weight of those with an odd gain.
+
+    What rounding leaves unbalanced ends a walk and is lost.
+    """
+    order = np.argsort(tail, kind='stable')
+    tail, heads = tail[order], head[order].tolist()
+    gains, left = gain[order].tolist(), size[order].tolist()
+    nodes = int(max(tail.max(initial=0), head.max(initial=0))) + 1
+    arcs = np.searchsorted(tail, np.arange(nodes + 1)).tolist()
+    free, ends, weight = arcs[:-1], arcs[1:], 0.0
+    for start in np.unique(tail).tolist():
+        walk: list[int] = []
+        node, place = start, {start: 0}
+        while True:
+            while free[node] < ends[node] and left[free[node]] <= 0.0:
+                free[node] += 1
+            if free[node] == ends[node]:  # nothing leads on
+                if not walk:
+                    break
+                left[walk.pop()] = 0.0
+                del place[node]
+                node = start if not walk else heads[walk[-1]]
+                continue
+            walk.append(free[node])
+            node = heads[walk[-1]]
+            if node in place:
+                cycle = walk[place[node] :]
+                least = min(left[arc] for arc in cycle)
+                weight += least * (sum(gains[arc] for arc in cycle) != 0)
+                for arc in cycle:
+                    left[arc] -= least
+                    del place[heads[arc]]
+                del walk[len(walk) - len(cycle) :]
+                place[node] = len(walk)
+            else:
+                place[node] = len(walk)
+    return weight
