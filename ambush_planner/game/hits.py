@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
+from .game import Game
 from .law.acyclic import is_acyclic
 from .law.chain import chain_of
-from .game import Game
 
 # Most sites whose probabilities are computed before the others are screened again.
 _SITES_AT_ONCE = 64

@@ -11,8 +11,8 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray, sums
 from ..network.network import Network
 from ..network.shortest_paths import shortest_path
-from .law.acyclic import is_acyclic
 from .game import Game
+from .law.acyclic import is_acyclic
 
 # Largest number of poses in a path; serialising more would block the node for seconds.
 MOST_POSES = 20_000

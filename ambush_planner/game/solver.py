@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol
 
@@ -297,7 +297,7 @@ class _Search:
                 return around, more
         return ambusher, bound
 
-    def _of_all_budgets(self, binding: Sequence[float]) -> tuple[float, ...]:
+    def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""
-        number = iter(binding)
-        return tuple(float(next(number, 0.0)) if b.binds else 0.0 for b in self.budgets)
+        number = iter(binding.tolist())
+        return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.budgets)

@@ -7,9 +7,9 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray
 from ..errors import BudgetInfeasible
 from ..network.shortest_paths import shortest_path
-from .law.acyclic import without_cycles
 from .budget import ROUNDING, Budget
 from .game import Game
+from .law.acyclic import without_cycles
 from .route_sampler import route_strategy, shortest_route_strategy
 
 # Bisection steps for the weight between the costs of the two budgets.

@@ -21,7 +21,7 @@ from ..maps.risk_map import RiskMap
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
-from .cell_losses import LatestLosses
+from .cell_losses import CellSearch, LatestLosses
 from .conditioning import ConditionedStrategy
 from .plan import Plan, Route, depart
 from .solving import holds_anywhere
@@ -267,8 +267,8 @@ class ChangedGround:
         among = None
         if on_others and not self._hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
-        worst = cells.worst(game, p, at_sites.value, max(newest.values.shape) * newest.resolution,
-                            among)
+        search = CellSearch(cells, game, np.flatnonzero(p > 0.0))
+        worst = search.worst(p, at_sites.value, among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,

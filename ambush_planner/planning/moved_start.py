@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, frozen_array
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError
-from ..game.certificate.certificate import Certificate, lower_bound
 from ..game.ambusher import Ambusher
 from ..game.game import make_game
 from ..game.strategy import Strategy, make_budgets, strategy_of

@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidNetwork, InvalidOption, NoRoute, TimeLimit
-from ..game.value.cut import solve_by_min_cut
 from ..game.ambusher import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
+from ..game.value.cut import solve_by_min_cut
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network

@@ -12,8 +12,8 @@ import numpy as np
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
-from ..game.law.acyclic import is_acyclic
 from ..game.hits import worst_loss
+from ..game.law.acyclic import is_acyclic
 from ..game.strategy import Strategy
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
@@ -218,9 +218,9 @@ def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
     share, p = ConditionedStrategy(strategy).avoiding(lost)
     if share <= 0.0:
         raise ValueError('no route of the recorded strategy is clear')
+    certificate = replace(strategy.certificate, value=worst_loss(strategy.game, p))
     return newest, replace(strategy, edge_probability=frozen_array(p, np.float64),
-                           visit_probability=frozen_array(strategy.game.visits(p), np.float64),
-                           value=worst_loss(strategy.game, p))
+                           certificate=certificate)
 
 
 def _joined(strategy: Strategy, planned_on: OccupancyMap, newest: OccupancyMap,

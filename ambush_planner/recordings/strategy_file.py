@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from io import BytesIO
@@ -10,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..arrays import frozen_array
+from ..game.ambusher import Ambusher
 from ..game.budget import Budget
-from ..game.entropy_stage import Solution
+from ..game.certificate.curves import Circulation
 from ..game.game import GameOptions, make_game
-from ..game.strategy import Strategy, strategy_from_solution
+from ..game.strategy import Strategy, strategy_of
 from ..network.network import Network
 
 STRATEGY_FILE = 'strategy.npz'
@@ -24,8 +26,10 @@ NUMBERS = (
 )
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
-# What a plan adds to the game's options [m]: the tube of the driven path, and the held ground.
-_PLANNED = ('tube', 'secured_radius')
+# What a plan adds to the game's options [m]: tube, what a site stands for, and held ground.
+_PLANNED = ('tube', 'widened', 'secured_radius')
+# The flows of the ambusher's circulation, if he has one.
+_CIRCULATION = ('through', 'site', 'face', 'flow')
 # Whether counting each route once left the gap open.
 _COUNTING_GAP = 'counting_gap'
 
@@ -39,6 +43,8 @@ def strategy_file(strategy: Strategy) -> bytes:
         **{name: getattr(strategy.game.options, name) for name in _PLANNED},
         _COUNTING_GAP: strategy.counting_gap,
     }
+    if strategy.ambusher.circulation is not None:
+        arrays |= {name: getattr(strategy.ambusher.circulation, name) for name in _CIRCULATION}
     if strategy.network.seconds is not None:
         arrays['seconds'] = strategy.network.seconds
     np.savez_compressed(stream, **arrays)
@@ -57,18 +63,17 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
     network = Network(content['points'], content['alpha'], content['edges'], int(content['source']),
                       int(content['target']), content['places'], content['leg'],
                       content.get('seconds'))
-    tube, held = (float(content[name]) for name in _PLANNED)
-    game = make_game(network, replace(options, tube=tube, secured_radius=held))
+    planned: dict[str, Any] = {name: float(content[name]) for name in _PLANNED}
+    game = make_game(network, replace(options, **planned))
     stated = {name: float(content[name]) for name in NUMBERS}
     p, q = (frozen_array(content[name], np.float64) for name in _PROBABILITIES)
     if len(p) != len(network.edges) or not ((p >= 0.0).all() and (q >= 0.0).all()):
         raise ValueError('its probabilities are not those of its network')
-    budgets = (
-        Budget(game, network.travel_costs, stated['length_budget'], stated['shortest_length'],
-               'detour', network.travel_unit),
-        Budget(game, network.edge_exposure, stated['exposure_budget'], stated['least_exposure'],
-               'exposure', 'loss x m'),
-    )
-    prices = stated['length_price'], stated['exposure_price']
-    strategy = strategy_from_solution(game, Solution(p, q, prices, 0), budgets)
+    length, exposure = Budget.length(game, math.inf), Budget.exposure(game, math.inf)
+    budgets = (replace(length, limit=stated['length_budget']),
+               replace(exposure, limit=stated['exposure_budget']))
+    circulation = Circulation(*(content[name] for name in _CIRCULATION)) if (
+        _CIRCULATION[0] in content) else None
+    ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']), circulation)
+    strategy = strategy_of(game, p, ambusher, budgets)
     return replace(strategy, counting_gap=bool(content[_COUNTING_GAP])), stated

@@ -22,7 +22,7 @@ from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
-from ..planning.cell_losses import CellLosses
+from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.options import PlanningOptions, solved_game
 from ..planning.plan import Route, depart, departure_path
 from ..planning.solving import add_hiding_places, holds_anywhere
@@ -163,9 +163,9 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     if strategy.game.options != solved_game(risk_map, planning):
         return ['strategy: its reach or held ground is not that of the parameters']
     problems = []
-    if holds_anywhere(strategy.game, planning) and len(worst := cells.worst(
-        strategy.game, strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE),
-        max(risk_map.size)
+    search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))
+    if holds_anywhere(strategy.game, planning) and len(worst := search.worst(
+        strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE)
     ).mean_loss):
         problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
                         f'its value {strategy.value:.9g}')

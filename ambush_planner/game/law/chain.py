@@ -70,7 +70,8 @@ class MarkovChain:
             if b > a and hit[site] < self.p[entering].sum() - LEAST_EXCESS:
                 later, more = self._changes_later_hits(entering, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
-            edges.append(edge), weights.append(weight)
+            edges.append(edge)
+            weights.append(weight)
             count[site + 1] = len(edge)
         rows = csr_matrix((np.concatenate(weights), np.concatenate(edges), np.cumsum(count)),
                           rows.shape)

@@ -108,7 +108,7 @@ class Law:
 
     def _most_hits(self, p: FloatArray) -> FloatArray:
         """Bounds (S,) of the hits by p (m,), from the entries."""
-        return np.minimum(self._entering @ p, 1.0)
+        return np.asarray(np.minimum(self._entering @ p, 1.0))
 
     def _sum_of_largest(self, losses: FloatArray) -> float:
         return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())

@@ -28,7 +28,7 @@ from ...errors import SolverFailed, TimeLimit
 HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
 # HiGHS' options: primal simplex (4) with devex prices (1), which keeps a feasible basis.
-_OPTIONS = {'output_flag': False, 'threads': 1, 'solver': 'simplex', 'simplex_strategy': 4,
+_OPTIONS: dict[str, Any] = {'output_flag': False, 'threads': 1, 'solver': 'simplex', 'simplex_strategy': 4,
             'presolve': 'off', 'simplex_primal_edge_weight_strategy': 1}
 
 
@@ -49,7 +49,7 @@ class KeptFlows:
         self._status, self._infinity = highspy.HighsBasisStatus, highspy.kHighsInf
         self._new_basis, self._optimal = highspy.HighsBasis, highspy.HighsModelStatus.kOptimal
         with _nothing_printed():
-            self._model = highspy.Highs()
+            self._model: Any = highspy.Highs()  # type: ignore[no-untyped-call]
         for name, setting in _OPTIONS.items():
             self._model.setOptionValue(name, setting)
         self._nodes = 0
@@ -139,7 +139,7 @@ class RepeatedFlows:
         return _circulation(found.x, np.append(0.0, found.eqlin.marginals), float(found.fun))
 
 
-def new_flows() -> Any:
+def new_flows() -> KeptFlows | RepeatedFlows:
     """An empty program: in HiGHS' memory if ``highspy`` is installed."""
     return KeptFlows() if HAS_HIGHSPY else RepeatedFlows()
 
@@ -167,4 +167,5 @@ def _nothing_printed() -> Iterator[None]:
         flush(None)
     finally:
         os.dup2(kept, 1)
-        os.close(kept), os.close(nowhere)
+        os.close(kept)
+        os.close(nowhere)

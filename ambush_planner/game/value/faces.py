@@ -125,8 +125,8 @@ def make_faces(game: Game) -> Faces | None:
     key, link = np.unique(ends[:, 0] * n + ends[:, 1], return_inverse=True)
     low, high = np.divmod(key, n)
     count = len(key)
-    ends = network.source, network.target  # no edge enters the one or leaves the other
-    at_end = np.isin(low, ends) | np.isin(high, ends)
+    terminals = network.source, network.target  # no edge enters the one or leaves the other
+    at_end = np.isin(low, terminals) | np.isin(high, terminals)
     if not (at_end | (np.bincount(link.ravel()) == 2)).all():
         return None
     # Half-edges: links from their lower nodes, then the same from their higher ones.

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import csr_matrix, vstack
 from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import BoolArray, FloatArray, IndexArray
+from ...arrays import FloatArray, IndexArray
 from ..budget import ROUNDING, Budget
 from ..certificate.curves import Circulation
 from ..law.acyclic import conserved_strategy
