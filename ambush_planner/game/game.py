@@ -282,6 +282,7 @@ def _no_route(network: Network, options: GameOptions, forbidden: int) -> NoRoute
 
 def _possible_sites(network: Network, options: GameOptions) -> BoolArray:
     """Nodes (N,) where the ambusher can wait."""
-    if options.held_radius == 0.0:  # other nodes may be at the same place as an end
+    held = options.held_radius - options.widened  # sites stand for places around them
+    if held <= 0.0:  # other nodes may be at the same place as an end
         return np.ones(len(network.points), dtype=bool)
-    return ~near_ends(network, options.held_radius)
+    return ~near_ends(network, held)

@@ -42,10 +42,10 @@ LEAST_SLACK = 9e-6
 PROGRAM_GAP = 0.1
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MOST_SWEEPS = 2, 20
-# Share of the slack by which the best response may prove less than the program.
+# Share of the slack by which a circulation may prove less than the program says.
 UNPROVED = 0.02
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
-JOINING = 0.995
+JOINING = 0.5
 # Rounds of a law, and its steps if the usual ones do not reach the slack.
 ROUNDS, CAREFUL_STEP = 12, 0.3
 
@@ -282,20 +282,20 @@ class _Search:
                         self.law.entropy_bound, value <= bound * (1.0 + self.slack + ROUNDING))
 
     def _judged(self, game: Game, q: FloatArray, node: IndexArray) -> tuple[Ambusher, float]:
-        """The ambusher q (N,) and his bound, with the program's circulation if that proves more.
+        """The ambusher q (N,) and his bound: by the program's circulation if that proves enough.
 
         ``node`` (S,) has the nodes of the sites.
         """
-        ambusher = Ambusher(q, self._of_all_budgets(self.program.prices))
-        bound = lower_bound(game, ambusher, self.budgets)
-        found = getattr(self.program, 'circulation', None)
-        if found and bound < self.program.bound * (1.0 - UNPROVED * self.slack):
-            around = replace(ambusher, circulation=Circulation(
-                found.through, node[found.site], found.face, found.flow))
-            more = lower_bound(game, around, self.budgets)
-            if more > bound:
-                return around, more
-        return ambusher, bound
+        alone = Ambusher(q, self._of_all_budgets(self.program.prices))
+        found, proofs = getattr(self.program, 'circulation', None), []
+        if found and hits_can_differ(game):
+            around = replace(alone, circulation=Circulation(found.through, node[found.site],
+                                                            found.face, found.flow))
+            proofs.append((around, lower_bound(game, around, self.budgets)))
+            if proofs[0][1] >= self.program.bound * (1.0 - UNPROVED * self.slack):
+                return proofs[0]
+        proofs.append((alone, lower_bound(game, alone, self.budgets)))
+        return max(proofs, key=lambda each: each[1])
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""

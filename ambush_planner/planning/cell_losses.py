@@ -105,8 +105,11 @@ class CellSearch:
     def __init__(self, cells: CellLosses, game: Game, edges: IndexArray | None = None) -> None:
         self._cells, self._game = cells, game
         edges = np.flatnonzero(game.playable) if edges is None else edges
-        self._exposed, self._parts = game.exposed(edges), parts_of_cells(cells.resolution, game)
+        self._exposed, self._widened = game.exposed(edges), game.options.widened
+        # Inverse of what a plan chooses in ``solved_game``.
+        self._parts = max(round(cells.resolution / (np.sqrt(2.0) * self._widened)), 1)
         self._kept: dict[float, _KeptRows] = {}
+        self._returned = np.zeros(0, dtype=np.int64)  # rows of the parts
         self._first = 1
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
@@ -114,7 +117,8 @@ class CellSearch:
     def worst(self, p: FloatArray, above: float, among: IndexArray | None = None) -> Places:
         """Places that cost an acyclic strategy p (M,) more than ``above``, the worst first.
 
-        Of each cell only the worst part is returned. Without ``among`` (K, 2) all cells count.
+        Of each cell only the worst part is returned that was not returned before. Without
+        ``among`` (K, 2) all cells count.
         """
         chain, side = chain_of(self._game.network, p), self._first if among is None else 1
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
@@ -147,29 +151,27 @@ class CellSearch:
         if n > 1:
             parts = (cells[:, None] * n + np.indices((n, n)).reshape(2, -1).T).reshape(-1, 2)
             which = np.repeat(which, n * n)
-        options = self._game.options
         points = self._cells.centres(parts, 1.0 / n)
-        out = ~near_ends(self._game.network, options.held_radius - options.widened, points)
+        held = self._game.options.held_radius - self._widened
+        out = ~near_ends(self._game.network, held, points)
         parts, which, points = parts[out], which[out], points[out]
         rows, row = self._rows(parts, 1.0 / n)
         most = loss[which] * np.minimum((rows @ p)[row], 1.0)
-        some = np.flatnonzero(most > above)
+        some = np.flatnonzero((most > above) & ~np.isin(row, self._returned))
         which, points, row = which[some], points[some], row[some]
         losses = loss[which] * chain.hits(chain.network.columns(rows[row]))
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
         found = order[np.sort(first)]
+        self._returned = np.append(self._returned, row[found])
         return Places(points[found], loss[which[found]], losses[found], csr_matrix(rows[row[found]]))
 
     def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
         """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""
         if side not in self._kept:
-            options = self._game.options
             around = side * self._cells.resolution / np.sqrt(2.0)
-            reach = options.reach - options.widened + around if side >= 1.0 else options.reach
-            if not options.widened:  # only centres of cells count
-                reach = options.reach + (side - 1.0) * self._cells.resolution / np.sqrt(2.0)
+            reach = self._game.reach - self._widened + around
             self._kept[side] = _KeptRows(self._exposed, reach)
         kept = self._kept[side]
         return kept.find(blocks, lambda some: self._cells.centres(some, side))
@@ -200,12 +202,6 @@ class _KeptRows:
             self._rows, self._keys, self._row = rows, all_keys[order], row[order]
             at = np.searchsorted(self._keys, keys)
         return self._rows, self._row[at]
-
-
-def parts_of_cells(resolution: float, game: Game) -> int:
-    """Into how many parts a side of each cell is divided, from what the game's discs are widened."""
-    widened = game.options.widened
-    return max(1, round(resolution / (np.sqrt(2.0) * widened))) if widened else 1
 
 
 class LatestLosses:

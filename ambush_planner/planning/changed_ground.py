@@ -24,7 +24,7 @@ from ..routes.driven_path import Ends
 from .cell_losses import CellSearch, LatestLosses
 from .conditioning import ConditionedStrategy
 from .plan import Plan, Route, depart
-from .solving import holds_anywhere
+from .options import holds_anywhere
 
 _Cells = npt.NDArray[np.int64]
 # Maximum number of new obstacle cells; with more, no route is kept.
@@ -251,7 +251,7 @@ class ChangedGround:
         Only at cells that have changed if ``at_sites`` holds ``on_others``.
         """
         planned_on, options = self._planned_on, self.plan.options
-        if not holds_anywhere(game, options) or math.isinf(at_sites.value):
+        if not holds_anywhere(options) or math.isinf(at_sites.value):
             return at_sites
         now, before = newest.values.ravel(), planned_on.values.ravel()
         changed = np.flatnonzero(now != before)

@@ -12,6 +12,9 @@ from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, chosen_spacing
 from ..option_checks import check_at_least
 
+# Largest distance of a place from the site that stands for it, as a share of the reach, and the
+# most parts of a cell's side that this may take.
+WIDENED, MOST_PARTS = 0.02, 10
 # Default tube if the game has a reach, in node spacings.
 DEFAULT_TUBE = 0.35
 # Largest distance of paths from the line of a road, unless a tube is set [m].
@@ -77,11 +80,36 @@ class PlanningOptions:
 
 
 def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
-    """The game of a plan: with its tube, and with held ground for all starts that it serves."""
+    """The game of a plan: with its tube, and with held ground for all starts that it serves.
+
+    If an ambusher may wait anywhere, his sites stand for all places around them.
+    """
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
+    if holds_anywhere(options):
+        side = risk_map.resolution / parts_of_cells(risk_map.resolution, game.reach)
+        game = replace(game, widened=side / math.sqrt(2.0))
     held = game.held_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))
+
+
+def holds_anywhere(options: PlanningOptions) -> bool:
+    """Whether a plan's value holds wherever on free ground the ambusher waits, not only at nodes.
+
+    Several ambushers could surround one place, and cyclic strategies have no hit probabilities.
+    """
+    game = options.game
+    return (game.ambush_radius > 0.0 and game.ambushers == 1
+            and options.strategy.solver == 'max_entropy')
+
+
+def parts_of_cells(resolution: float, reach: float) -> int:
+    """Into how many parts a side of each cell is divided, whose centres are the sites.
+
+    The farthest place of a part is within ``WIDENED`` of the ``reach`` [m] from its centre, unless
+    that takes more than ``MOST_PARTS``.
+    """
+    return min(math.ceil(resolution / (math.sqrt(2.0) * WIDENED * reach)), MOST_PARTS)
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:

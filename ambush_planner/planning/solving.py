@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, frozen_array
 from ..errors import TimeLimit
-from ..game.game import Game, GameOptions, make_game
+from ..game.game import make_game
 from ..game.revaluation import open_gap
 from ..game.solver import Multipliers
 from ..game.strategy import Strategy, solve_game
@@ -17,7 +17,7 @@ from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places
 from ..network.network import Network
 from .cell_losses import CellLosses, CellSearch
-from .options import PlanningOptions, node_spacing, solved_game
+from .options import PlanningOptions, holds_anywhere, node_spacing, solved_game
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +59,13 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
         places = warm.sites_beyond(network)
         network = with_places(network, places, cells.at(places))
     game = make_game(network, solved_game(risk_map, options))
-    ground = CellSearch(cells, game) if holds_anywhere(game, options) else None
+    ground = CellSearch(cells, game) if holds_anywhere(options) else None
     try:
         return solve_game(game, options.strategy, ground, warm.on(network) if warm else None)
     except TimeLimit as late:
         if late.strategy is None:
             raise
         return _within_max_gap(late.strategy, late, options)
-
-
-def holds_anywhere(game: Game | GameOptions, options: PlanningOptions) -> bool:
-    """Whether a plan's value holds for an ambusher at any cell of the map, not only at its sites.
-
-    Several ambushers could surround one cell, and cyclic strategies have no hit probabilities.
-    """
-    return game.reach > 0.0 and game.ambushers == 1 and options.strategy.solver == 'max_entropy'
 
 
 def _within_max_gap(strategy: Strategy, late: TimeLimit, options: PlanningOptions) -> Strategy:

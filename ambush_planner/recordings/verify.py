@@ -25,7 +25,7 @@ from ..network.hiding_places import with_places
 from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.options import PlanningOptions, solved_game
 from ..planning.plan import Route, depart, departure_path
-from ..planning.solving import add_hiding_places, holds_anywhere
+from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network
 from .recorded_departure import (
     RecordedDeparture,
@@ -150,7 +150,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
-    if holds_anywhere(strategy.game, planning):
+    if holds_anywhere(planning):
         added = slice(len(network.points), None)
         points = recorded.points[added]
         network = with_places(network, points, cells.at(points))
@@ -164,7 +164,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
         return ['strategy: its reach or held ground is not that of the parameters']
     problems = []
     search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))
-    if holds_anywhere(strategy.game, planning) and len(worst := search.worst(
+    if holds_anywhere(planning) and len(worst := search.worst(
         strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE)
     ).mean_loss):
         problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '

@@ -15,7 +15,7 @@ from ..game.game import Game
 from ..game.revaluation import open_gap
 from ..planning.changed_ground import Assessment
 from ..planning.plan import DRAWN, Plan
-from ..planning.solving import holds_anywhere
+from ..planning.options import holds_anywhere
 from ..worker.solve_errors import SolveCancelled
 from .error_codes import OK_CODE, code_of
 
@@ -215,7 +215,7 @@ def _strategy_values(plan: Plan | None) -> dict[str, str]:
         'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
         'value_holds_at': ('any cell of the map'
-                           if holds_anywhere(plan.strategy.game, plan.options)
+                           if holds_anywhere(plan.options)
                            else "the network's nodes"),
         'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
         'nodes': str(len(plan.network.points)),
