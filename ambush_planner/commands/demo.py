@@ -19,7 +19,7 @@ from ..figures import as_png
 from ..game.strategy import Strategy, StrategyOptions
 from ..maps.ros_messages import path_from_ros
 from ..planning.evaluation import evaluate
-from ..planning.frontier import frontier
+from ..planning.frontier import trip_frontier
 from ..recordings import recordings_in
 from . import cli
 from . import report_words as words
@@ -77,8 +77,10 @@ def _work(options: argparse.Namespace, console: cli.Console) -> cli.Exit:
                            fixed_routes(strategy))
     cli.write_private(folder, {'routes.png': as_png(figure)})
     console.step('solving for other budgets')
-    budgets = StrategyOptions(time_limit=SWEEP_SECONDS)
-    rows = frontier(strategy.network, strategy.game.options, slacks=SLACKS, options=budgets)
+    last, budgets = section.departures[-1], StrategyOptions(time_limit=SWEEP_SECONDS)
+    planning = replace(last.parameters.planning, strategy=budgets)
+    rows = trip_frontier(section.risk_map, last.trip.start_xy, last.trip.goal_xy, planning,
+                         slacks=SLACKS)
     write_frontier(folder / 'frontier.csv', rows, budgets.max_detour, budgets.risk_slack)
     total = console.seconds
     console.line(table(strategy, paths, seconds, total))

@@ -16,8 +16,7 @@ from matplotlib.figure import Figure
 from ..colours import AMBUSHER
 from ..errors import InvalidOption
 from ..figures import HALO, PROBABILITY, WIDTH, as_png
-from ..network.construction import build_network
-from ..planning.frontier import DETOURS, SLACKS, FrontierRow, frontier
+from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
 from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
 
@@ -58,16 +57,14 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     if output.suffix == '.png':
         raise InvalidOption(f'{output}: the picture gets this name; name the table .csv')
     risk_map = risk_map_from(arguments.map, options.map, console)
-    network = build_network(risk_map, tuple(arguments.start), tuple(arguments.goal),
-                            options.network)
+    ends = tuple(arguments.start), tuple(arguments.goal)
     detours, slacks = arguments.detours, arguments.slacks
     show, solved = console.bar('budgets solved'), count(1)
-    rows = frontier(network, options.game, detours, slacks, options.strategy,
-                    lambda _: show(next(solved) / (len(detours) + len(slacks))))
+    rows = trip_frontier(risk_map, *ends, options.planning, detours, slacks,
+                         lambda _: show(next(solved) / (len(detours) + len(slacks))))
     write_frontier(output, rows, options.strategy.max_detour, options.strategy.risk_slack)
     console.line(_as_text(rows))
-    console.line(f'\n{cli.place(output)}, {output.with_suffix(".png").name}: '
-                 f'{len(network.points)} nodes')
+    console.line(f'\n{cli.place(output)}, {output.with_suffix(".png").name}')
     console.result = {'table': cli.place(output), 'rows': [asdict(row) for row in rows]}
     return cli.Exit.FINDING if any(row.error for row in rows) else cli.Exit.HOLDS
 

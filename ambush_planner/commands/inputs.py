@@ -19,6 +19,7 @@ from ..maps.occupancy import NO_RISK, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
+from ..planning.options import DriveOptions, PlanningOptions
 from .console import Console
 
 MAP_HELP = """\
@@ -26,7 +27,7 @@ MAP is a YAML file for map_server, as ambush risk and ambush terrain write it, a
 same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
 [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
-Options are named like the node's parameters (map., network., game., strategy.), which
+Options are named like the node's parameters (map., network., game., strategy., route.), which
 docs/ros_interface.md explains, and have the defaults of the Python functions."""
 
 
@@ -38,6 +39,12 @@ class SolveOptions:
     network: NetworkOptions = field(default_factory=NetworkOptions)
     game: GameOptions = field(default_factory=GameOptions)
     strategy: StrategyOptions = field(default_factory=StrategyOptions)
+    route: DriveOptions = field(default_factory=DriveOptions)
+
+    @property
+    def planning(self) -> PlanningOptions:
+        """All of them but those of the map, as ``plan_trip`` takes them."""
+        return PlanningOptions(self.network, self.game, self.strategy, self.route)
 
 
 def add_set(parser: argparse.ArgumentParser) -> None:

@@ -101,8 +101,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
                 else risk_map_from(arguments.map, occupancy, console))
     with console.waiting('solving the game'):
-        plan = _plan(arguments, risk_map,
-                     PlanningOptions(options.network, options.game, options.strategy))
+        plan = _plan(arguments, risk_map, options.planning)
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')

@@ -54,7 +54,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments.set)
     pairs = list(product(read_places(arguments.depots), read_places(arguments.customers)))
     risk_map = risk_map_from(arguments.map, options.map, console)
-    problems = [Problem(risk_map, start, goal, options.network, options.game, options.strategy)
+    problems = [Problem(risk_map, start, goal, options.planning)
                 for (_, start), (_, goal) in pairs]
     show, solved = console.bar('pairs solved'), count(1)
     # On Ctrl-C, this process cancels the other pairs and waits for those that are being solved.

@@ -44,7 +44,8 @@ def largest_losses(game: Game, p: FloatArray) -> tuple[FloatArray, IndexArray]:
     least, done, size = 0.0, 0, max(8, k)
     while done < len(order) and losses[order[done]] > least:
         rows = order[done : done + size]
-        exact[rows] = game.loss[game.sites[rows]] * chain.hits(chain.network.columns(game.hits[rows]))
+        entering = chain.network.columns(game.hits[rows])
+        exact[rows] = game.loss[game.sites[rows]] * chain.hits(entering)
         done += len(rows)
         size = min(2 * size, _SITES_AT_ONCE)
         least = float(np.partition(exact, -k)[-k]) if k else np.inf

@@ -149,66 +149,82 @@ class Strategy(Shown):
 
     @property
     def value(self) -> float:
+        """z(p): mean loss of the best ambush."""
         return self.certificate.value
 
     @property
     def lower_bound(self) -> float:
+        """No strategy within the budgets has a smaller value."""
         return self.certificate.bound
 
     @property
     def gap(self) -> float:
+        """Value minus lower bound."""
         return self.value - self.lower_bound
 
     @cached_property
     def visit_probability(self) -> FloatArray:
+        """x (N,): expected visits of each node."""
         return frozen_array(self.game.visits(self.edge_probability), np.float64)
 
     @property
     def ambush_probability(self) -> FloatArray:
+        """q (N,): the ambusher's strategy."""
         return self.ambusher.q
 
     @property
     def edge_entropy(self) -> float:
+        """-sum p ln p [nats]."""
         return entropy(self.edge_probability, np.ones_like(self.edge_probability))
 
     @cached_property
     def route_entropy(self) -> float:
+        """Entropy of a drawn route [nats]."""
         return route_entropy(self.network, self.edge_probability)
 
     @property
     def entropy_gap(self) -> float:
+        """How much more route entropy the same part could have [nats]."""
         return max(self.entropy_bound - self.route_entropy, 0.0)
 
     @property
     def expected_length(self) -> float:
+        """Mean length [m], or time [s]."""
         return self.budgets[0].mean(self.edge_probability)
 
     @property
     def shortest_length(self) -> float:
+        """Length of the network's shortest route [m or s]."""
         return self.budgets[0].least
 
     @property
     def length_budget(self) -> float:
+        """Largest mean length [m or s]; inf: unlimited."""
         return self.budgets[0].limit
 
     @property
     def length_price(self) -> float:
+        """Decrease of the bound per unit of length."""
         return self.ambusher.prices[0]
 
     @property
     def expected_exposure(self) -> float:
+        """Mean exposure [loss x m]."""
         return self.budgets[1].mean(self.edge_probability)
 
     @property
     def least_exposure(self) -> float:
+        """Least exposure of any route [loss x m]."""
         return self.budgets[1].least
 
     @property
     def exposure_budget(self) -> float:
+        """Largest mean exposure [loss x m]; inf: unlimited."""
         return self.budgets[1].limit
 
     @property
     def exposure_price(self) -> float:
+        """Decrease of the bound per unit of exposure."""
         return self.ambusher.prices[1]
 
     def _summary(self) -> dict[str, str]:

@@ -165,7 +165,8 @@ class CellSearch:
         _, first = np.unique(which[order], return_index=True)
         found = order[np.sort(first)]
         self._returned = np.append(self._returned, row[found])
-        return Places(points[found], loss[which[found]], losses[found], csr_matrix(rows[row[found]]))
+        return Places(points[found], loss[which[found]], losses[found],
+                      csr_matrix(rows[row[found]]))
 
     def _rows(self, blocks: IndexArray, side: float) -> tuple[csr_matrix, IndexArray]:
         """Rows of edges that enter the discs of blocks, and those of ``blocks`` (K, 2) in them."""

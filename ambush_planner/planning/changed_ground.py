@@ -23,8 +23,8 @@ from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
 from .cell_losses import CellSearch, LatestLosses
 from .conditioning import ConditionedStrategy
-from .plan import Plan, Route, depart
 from .options import holds_anywhere
+from .plan import Plan, Route, depart
 
 _Cells = npt.NDArray[np.int64]
 # Maximum number of new obstacle cells; with more, no route is kept.

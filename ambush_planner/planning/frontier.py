@@ -8,9 +8,12 @@ from dataclasses import dataclass, replace
 
 from ..errors import BudgetInfeasible, TimeLimit
 from ..game.game import GameOptions
-from ..game.solver import Multipliers
-from ..game.strategy import StrategyOptions, solve
+from ..game.strategy import Strategy, StrategyOptions, solve
+from ..maps.risk_map import RiskMap
+from ..network.construction import build_network
 from ..network.network import Network
+from .options import PlanningOptions
+from .solving import WarmStart, solve_on_network
 
 DETOURS = (1.02, 1.05, 1.1, 1.15, 1.2, 1.3, 1.5)
 SLACKS = (0.0, 0.01, 0.03, 0.1, 0.3)
@@ -48,30 +51,75 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
              on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
     """Solve for each of ``detours``, then for each of ``slacks``, the rest as in ``options``.
 
-    Each solve starts from the previous one, the longest detour first. ``on_row`` is called with
-    each finished row; the result has the requested order. ``options.time_limit`` applies to
+    The values are those of ``solve``, at the network's nodes; ``trip_frontier`` gives those of
+    plans. Each solve starts from the previous one, the longest detour first. ``on_row`` is called
+    with each finished row; the result has the requested order. ``options.time_limit`` applies to
     each solve; at the limit the row is that of the best strategy so far, with its bound. Raises
     InvalidNetwork, InvalidOption and NoRoute as ``solve``, before the first solve.
     """
-    options = options or StrategyOptions()
-    game = game or GameOptions()
+    def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
+        return solve(network, game, budgets, before.multipliers if before else None)
+
+    return _rows(solved, detours, slacks, options or StrategyOptions(), on_row)
+
+
+def trip_frontier(risk_map: RiskMap, start_xy: tuple[float, float], goal_xy: tuple[float, float],
+                  options: PlanningOptions, detours: Sequence[float] = DETOURS,
+                  slacks: Sequence[float] = SLACKS,
+                  on_row: Callable[[FrontierRow], None] | None = None) -> tuple[FrontierRow, ...]:
+    """The rows of ``frontier`` for the plans of a trip: their values are those of ``plan_trip``.
+
+    Raises the errors of ``plan_trip`` that do not depend on the budgets.
+    """
+    network = build_network(risk_map, start_xy, goal_xy, options.network)
+
+    def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
+        warm = WarmStart(before.network, before.multipliers) if (
+            before and before.multipliers) else None
+        return solve_on_network(risk_map, network, replace(options, strategy=budgets), warm)
+
+    return _rows(solved, detours, slacks, options.strategy, on_row)
+
+
+def _rows(solved: Callable[[StrategyOptions, Strategy | None], Strategy], detours: Sequence[float],
+          slacks: Sequence[float], options: StrategyOptions,
+          on_row: Callable[[FrontierRow], None] | None) -> tuple[FrontierRow, ...]:
     tasks = [('max_detour', replace(options, max_detour=detour)) for detour in detours]
     tasks += [('risk_slack', replace(options, risk_slack=slack)) for slack in slacks]
     # Looser budgets make the better warm start.
     looseness = [(task.max_detour, task.risk_slack) for _, task in tasks]
     order = sorted(range(len(tasks)), key=looseness.__getitem__, reverse=True)
     rows: dict[int, FrontierRow] = {}
-    solved: dict[StrategyOptions, FrontierRow] = {}
-    warm: Multipliers | None = None
+    known: dict[StrategyOptions, FrontierRow] = {}
+    before: Strategy | None = None
     for k in order:
         swept, budgets = tasks[k]
-        if budgets not in solved:  # both sweeps may contain the budgets of ``options``
-            solved[budgets], found = _row(network, game, swept, budgets, warm)
-            warm = found or warm
-        rows[k] = replace(solved[budgets], swept=swept)
+        row = FrontierRow(swept, budgets.max_detour, budgets.risk_slack)
+        if budgets not in known:  # both sweeps may contain the budgets of ``options``
+            try:
+                before = _best_in_time(solved, budgets, before)
+                known[budgets] = _measured(row, before)
+            except (BudgetInfeasible, TimeLimit) as error:
+                known[budgets] = replace(row, error=str(error))
+        rows[k] = replace(known[budgets], swept=swept)
         if on_row is not None:
             on_row(rows[k])
     return tuple(_best_within(rows[k], rows.values()) for k in range(len(tasks)))
+
+
+def _best_in_time(solved: Callable[[StrategyOptions, Strategy | None], Strategy],
+                  budgets: StrategyOptions, before: Strategy | None) -> Strategy:
+    """The strategy, or the best one at the time limit; raises TimeLimit if there is none."""
+    try:
+        return solved(budgets, before)
+    except TimeLimit as late:
+        if late.strategy is None:
+            raise
+        return late.strategy
+
+
+def _measured(row: FrontierRow, strategy: Strategy) -> FrontierRow:
+    return replace(row, **{name: getattr(strategy, name) for name in MEASURED})
 
 
 def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
@@ -87,18 +135,3 @@ def _best_within(row: FrontierRow, rows: Iterable[FrontierRow]) -> FrontierRow:
     bound = max((each.lower_bound for each in same if each.max_detour >= row.max_detour),
                 default=row.lower_bound)
     return row if row.error else replace(row, lower_bound=max(row.lower_bound, bound))
-
-
-def _row(network: Network, game: GameOptions, swept: str, options: StrategyOptions,
-         warm: Multipliers | None) -> tuple[FrontierRow, Multipliers | None]:
-    row = FrontierRow(swept, options.max_detour, options.risk_slack)
-    try:
-        strategy = solve(network, game, options, warm=warm)
-    except BudgetInfeasible as error:
-        return replace(row, error=str(error)), None
-    except TimeLimit as error:
-        if error.strategy is None:
-            return replace(row, error=str(error)), None
-        strategy = error.strategy
-    measured = {name: getattr(strategy, name) for name in MEASURED}
-    return replace(row, **measured), strategy.multipliers

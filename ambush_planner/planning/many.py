@@ -19,10 +19,11 @@ from itertools import islice
 from typing import Any
 
 from ..errors import InvalidOption
-from ..game.game import GameOptions
-from ..game.strategy import Strategy, StrategyOptions, solve
+from ..game.strategy import Strategy
 from ..maps.risk_map import RiskMap
-from ..network.construction import NetworkOptions, build_network
+from ..network.construction import build_network
+from .options import PlanningOptions
+from .solving import solve_on_network
 
 # Number of maps that a process keeps.
 _KEPT_MAPS = 4
@@ -30,14 +31,12 @@ _KEPT_MAPS = 4
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A map, a start and a goal (x, y) [m], and the options."""
+    """A map, a start and a goal (x, y) [m], and the options, as ``plan_trip`` takes them."""
 
     risk_map: RiskMap
     start_xy: tuple[float, float]
     goal_xy: tuple[float, float]
-    network: NetworkOptions = field(default_factory=NetworkOptions)
-    game: GameOptions = field(default_factory=GameOptions)
-    strategy: StrategyOptions = field(default_factory=StrategyOptions)
+    options: PlanningOptions = field(default_factory=PlanningOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
                answer: Callable[[Strategy], Any] | None = None,
                on_result: Callable[[Solved], None] | None = None,
                in_flight: int = 0) -> list[Solved]:
-    """Solve problems in parallel; the results have the problems' order.
+    """Solve problems in parallel, as ``plan_trip`` does; the results have the problems' order.
 
     An error replaces only its own result. If the executor breaks (a process of a pool was killed),
     the unsolved problems get its error.
@@ -84,7 +83,7 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
         if problem.risk_map not in packed:
             packed[problem.risk_map] = _packed(problem.risk_map)
         key, content = packed[problem.risk_map]
-        rest = (problem.start_xy, problem.goal_xy, problem.network, problem.game, problem.strategy)
+        rest = problem.start_xy, problem.goal_xy, problem.options
         try:
             future = executor.submit(_solve, key, content if with_map else None, rest, answer)
         except Exception as error:  # the pool broke or was shut down
@@ -148,7 +147,7 @@ def _solve(key: bytes, content: bytes | None, rest: tuple[Any, ...],
         if key not in _maps:
             return _MapMissing()
         risk_map = _maps[key]
-    start_xy, goal_xy, network_options, game, options = rest
-    network = build_network(risk_map, start_xy, goal_xy, network_options)
-    strategy = solve(network, game, options)
+    start_xy, goal_xy, options = rest
+    network = build_network(risk_map, start_xy, goal_xy, options.network)
+    strategy = solve_on_network(risk_map, network, options)
     return strategy if answer is None else answer(strategy)

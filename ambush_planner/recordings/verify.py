@@ -23,7 +23,7 @@ from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..planning.cell_losses import CellLosses, CellSearch
-from ..planning.options import PlanningOptions, solved_game
+from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.plan import Route, depart, departure_path
 from ..planning.solving import add_hiding_places
 from ..planning.trip import trip_network

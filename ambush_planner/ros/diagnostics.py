@@ -14,8 +14,8 @@ from std_msgs.msg import Header
 from ..game.game import Game
 from ..game.revaluation import open_gap
 from ..planning.changed_ground import Assessment
-from ..planning.plan import DRAWN, Plan
 from ..planning.options import holds_anywhere
+from ..planning.plan import DRAWN, Plan
 from ..worker.solve_errors import SolveCancelled
 from .error_codes import OK_CODE, code_of
 

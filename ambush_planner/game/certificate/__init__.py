@@ -1,0 +1,1 @@
+"""The judge: value and lower bound from a strategy and an ambusher alone."""

@@ -1,0 +1,1 @@
+"""The law of routes: the most unpredictable strategy within limits, on an acyclic network."""

@@ -1,0 +1,4 @@
+"""The least value, and an ambusher who proves it: by a cut, face potentials, or whole routes.
+
+``linear_program`` has the paper's own programs.
+"""

@@ -28,8 +28,10 @@ from ...errors import SolverFailed, TimeLimit
 HAS_HIGHSPY = importlib.util.find_spec('highspy') is not None
 
 # HiGHS' options: primal simplex (4) with devex prices (1), which keeps a feasible basis.
-_OPTIONS: dict[str, Any] = {'output_flag': False, 'threads': 1, 'solver': 'simplex', 'simplex_strategy': 4,
-            'presolve': 'off', 'simplex_primal_edge_weight_strategy': 1}
+_OPTIONS: dict[str, Any] = {
+    'output_flag': False, 'threads': 1, 'solver': 'simplex', 'simplex_strategy': 4,
+    'presolve': 'off', 'simplex_primal_edge_weight_strategy': 1,
+}
 
 
 class Circulation(NamedTuple):
@@ -72,7 +74,7 @@ class KeptFlows:
                             np.tile([1.0, -1.0], count))
 
     def start_at(self, limit: IndexArray) -> None:
-        """Begin at the lower (-1) or upper (1) limit of each column, or with it in the basis (0)."""
+        """Begin with each column at its lower (-1) or upper (1) limit, or in the basis (0)."""
         status = {-1: self._status.kLower, 0: self._status.kBasic, 1: self._status.kUpper}
         basis = self._new_basis()
         basis.col_status = [status[each] for each in limit.tolist()]

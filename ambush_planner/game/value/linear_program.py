@@ -97,8 +97,9 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     """Solve by 'interior_point' (no crossover: near the centre of the optima) or 'simplex'.
 
     The budget's row is added only if the solution without it is too long; otherwise the program is
-    the paper's own. With a length weight, the budget is the solution's own expected length. Raises InvalidOption if the game has several
-    ambushers, and BudgetInfeasible, TimeLimit or SolverFailed as HiGHS reports.
+    the paper's own. With a length weight, the budget is the solution's own expected length. Raises
+    InvalidOption if the game has several ambushers, and BudgetInfeasible, TimeLimit or SolverFailed
+    as HiGHS reports.
     """
     if game.ambushers > 1:
         raise InvalidOption(f'the solver {solver} takes one ambusher; use max_entropy for more')
