@@ -27,10 +27,12 @@ from .budget import ROUNDING, Budget
 from .certificate.certificate import lower_bound
 from .certificate.curves import Circulation
 from .game import Game
-from .hits import hits_can_differ
+from .hits import hits_can_differ, worst_loss
 from .law.acyclic import forward_part, order_potential, rank_around
 from .law.gibbs import acyclic_network
 from .law.law import STEP, Law
+from .route_sampler import shortest_route_strategy
+from .two_routes import strategy_within_budgets
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
@@ -247,21 +249,30 @@ class _Search:
         return p
 
     def _keep(self, law: Law) -> None:
-        """Keep the strategy of most entropy within the slack, else the one of least value."""
-        good = law.value <= law.limit * (1.0 + 1e-9) and all(
-            b.keeps(self._whole(law)) for b in self.budgets)
+        """Keep the strategy of most entropy within the slack, else the one of least value.
+
+        A strategy over a budget counts for nothing.
+        """
+        if not all(b.keeps(self._whole(law)) for b in self.budgets):
+            return
+        good = law.value <= law.limit * (1.0 + ROUNDING)
         rating = good, law.entropy if good else -law.value
         if self.best is None or rating > self.best[0]:
             self.best = rating, self._whole(law), law.value, law.worst
 
     def _done(self) -> bool:
-        assert self.best is not None
-        return self.best[0][0] or time.monotonic() > self.problem.deadline
+        good = self.best is not None and self.best[0][0]
+        return good or time.monotonic() > self.problem.deadline
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
-        assert self.best is not None and self.law is not None
-        _, p, value, worst = self.best
+        assert self.law is not None
+        if self.best is None:
+            p = strategy_within_budgets(self.game, self.budgets)
+            p = shortest_route_strategy(self.game) if p is None else p
+            value, worst = worst_loss(self.game, p), -1
+        else:
+            _, p, value, worst = self.best
         if self.problem.ground:
             found = self.problem.ground.worst(p, value * (1.0 + ROUNDING))
             if len(found.points):
