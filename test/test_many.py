@@ -38,7 +38,8 @@ def field(seed=0, cells=20):
 
 def problem(risk_map, k, **options):
     start = (15.0, 15.0 + 10.0 * (k % 17))
-    return Problem(risk_map, start, (185.0, 95.0), NetworkOptions(spacing=20.0), **options)
+    planning = PlanningOptions(network=NetworkOptions(spacing=20.0), **options)
+    return Problem(risk_map, start, (185.0, 95.0), planning)
 
 
 def numbers(strategy):

@@ -127,7 +127,6 @@ def least_value(game: Game, budgets: tuple[Budget, ...], gap: float, deadline: f
     """
     bound = 0.0
     for program in _programs(Problem(game, budgets, gap, deadline), gap):
-        program.add_sites(game.hits, game.loss[game.sites])
         with contextlib.suppress(TimeLimit, SolverFailed):
             program.solve()
         bound = max(bound, program.bound)
@@ -165,7 +164,6 @@ class _Search:
 
     def run(self) -> Solution:
         """Find the value, then the law."""
-        self.program.add_sites(self.entering, self.loss)
         self._solve_program()
         for sweep in range(MOST_SWEEPS):
             if sweep >= SWEEPS and self.program.bound > 0.0:
@@ -239,8 +237,9 @@ class _Search:
         law.add_sites(self.entering, self.loss)
         law.step = step
         if self.problem.warm:
-            law.start_from(self.problem.warm.sites[self.game.sites], self.problem.warm.budgets,
-                           self._level())
+            prices = zip(self.problem.warm.budgets, self.budgets, strict=True)
+            law.start_from(self.problem.warm.sites[self.game.sites],
+                           np.array([price for price, b in prices if b.binds]), self._level())
         return law
 
     def _whole(self, law: Law) -> FloatArray:

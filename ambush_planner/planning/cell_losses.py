@@ -22,6 +22,7 @@ from ..game.game import Game
 from ..game.law.chain import MarkovChain, chain_of
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap, to_map_axes, to_world
+from .options import parts_of_cells
 
 # A block of cells is divided into this many along each side.
 _DIVISION = 4
@@ -106,8 +107,7 @@ class CellSearch:
         self._cells, self._game = cells, game
         edges = np.flatnonzero(game.playable) if edges is None else edges
         self._exposed, self._widened = game.exposed(edges), game.options.widened
-        # Inverse of what a plan chooses in ``solved_game``.
-        self._parts = max(round(cells.resolution / (np.sqrt(2.0) * self._widened)), 1)
+        self._parts = parts_of_cells(cells.resolution, game.options)
         self._kept: dict[float, _KeptRows] = {}
         self._returned = np.zeros(0, dtype=np.int64)  # rows of the parts
         self._first = 1

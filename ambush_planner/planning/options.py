@@ -87,7 +87,7 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
     if holds_anywhere(options):
-        side = risk_map.resolution / parts_of_cells(risk_map.resolution, game.reach)
+        side = risk_map.resolution / parts_of_cells(risk_map.resolution, game)
         game = replace(game, widened=side / math.sqrt(2.0))
     held = game.held_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))
@@ -103,13 +103,16 @@ def holds_anywhere(options: PlanningOptions) -> bool:
             and options.strategy.solver == 'max_entropy')
 
 
-def parts_of_cells(resolution: float, reach: float) -> int:
+def parts_of_cells(resolution: float, game: GameOptions) -> int:
     """Into how many parts a side of each cell is divided, whose centres are the sites.
 
-    The farthest place of a part is within ``WIDENED`` of the ``reach`` [m] from its centre, unless
-    that takes more than ``MOST_PARTS``.
+    The farthest place of a part is within ``WIDENED`` times the reach from its centre, unless that
+    takes more than ``MOST_PARTS``. One if nobody waits between nodes.
     """
-    return min(math.ceil(resolution / (math.sqrt(2.0) * WIDENED * reach)), MOST_PARTS)
+    if game.ambush_radius == 0.0:
+        return 1
+    farthest = WIDENED * (game.ambush_radius + game.tube)
+    return min(math.ceil(resolution / (math.sqrt(2.0) * farthest)), MOST_PARTS)
 
 
 def start_tolerance(options: PlanningOptions, spacing: float) -> float:

@@ -70,11 +70,11 @@ class Law:
         self._reserve = np.append(self._reserve, more)
         self.multipliers = np.append(self.multipliers, more)
 
-    def start_from(self, sites: FloatArray, budgets: Sequence[float], level: FloatArray) -> None:
+    def start_from(self, sites: FloatArray, budgets: FloatArray, level: FloatArray) -> None:
         """Begin with the multipliers per hit of the first sites (K,) and per unit of cost."""
         first = slice(len(sites))
         self.multipliers[first] = sites * level[first] / self._loss[first]
-        self.prices = np.array(budgets) * self._margin
+        self.prices = budgets * self._margin
 
     def unscaled_multipliers(self) -> tuple[FloatArray, FloatArray]:
         """The multipliers per hit of each site (S,), and per unit of each budget's cost."""

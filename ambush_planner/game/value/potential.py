@@ -35,7 +35,7 @@ NEGLIGIBLE = 1e-9
 
 
 class Potential:
-    """The program; ``add_sites`` and ``solve`` go on from where it is.
+    """The program, at first with the game's sites; ``solve`` goes on from where it is.
 
     ``bound`` is proved by ``circulation``, ``q`` (S,) is its ambusher and ``prices`` has the price
     of the budget. ``level`` (S,) is what each site may cause.
@@ -54,6 +54,7 @@ class Potential:
         self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
         self._start_with_links()
+        self.add_sites(self.game.hits, self.game.loss[self.game.sites])
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with the edges that enter their discs, (K, M), and their losses (K,)."""
