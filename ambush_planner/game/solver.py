@@ -101,21 +101,23 @@ class Solution(NamedTuple):
     multipliers: Multipliers
     evaluations: int
     entropy_bound: float
+    within_budgets: bool
     within_slack: bool
 
 
 def most_unpredictable(problem: Problem) -> Solution:
     """Solve by the first program whose law is within the slack; else take the best of all.
 
-    At the deadline the best strategy so far is returned.
+    At the deadline the best strategy within the budgets so far is returned.
     """
     slack = max(problem.slack, LEAST_SLACK)
     found: list[Solution] = []
     for program in _programs(problem, slack):
-        found.append(_Search(problem, program, slack).run())
-        if found[-1].within_slack or time.monotonic() > problem.deadline:
+        found.append(newest := _Search(problem, program, slack).run())
+        late = time.monotonic() > problem.deadline
+        if newest.within_budgets and (newest.within_slack or late):
             break
-    return max(found, key=lambda each: (each.within_slack, -each.value))
+    return max(found, key=lambda each: (each.within_budgets, each.within_slack, -each.value))
 
 
 def least_value(game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float) -> float:
@@ -157,8 +159,9 @@ class _Search:
         self.game, self.budgets = problem.game, problem.budgets
         self.points = self.game.network.points[self.game.sites]
         self.entering, self.loss = self.game.hits, self.game.loss[self.game.sites]
-        # Rating, p (M,), value and the row of its worst site.
-        self.best: tuple[tuple[bool, float], FloatArray, float, int] | None = None
+        # Rating (within the budgets, within the slack, goodness), p (M,), value and the row of its
+        # worst site.
+        self.best: tuple[tuple[bool, bool, float], FloatArray, float, int] | None = None
         self.law: Law | None = None
 
     def run(self) -> Solution:
@@ -248,20 +251,20 @@ class _Search:
 
     def _keep(self, law: Law) -> None:
         """Keep the strategy of most entropy within the slack, else the one of least value."""
-        good = law.value <= law.limit * (1.0 + 1e-9) and all(
-            b.keeps(self._whole(law)) for b in self.budgets)
-        rating = good, law.entropy if good else -law.value
+        kept = all(b.keeps(self._whole(law)) for b in self.budgets)
+        good = kept and law.value <= law.limit * (1.0 + ROUNDING)
+        rating = kept, good, law.entropy if good else -law.value
         if self.best is None or rating > self.best[0]:
             self.best = rating, self._whole(law), law.value, law.worst
 
     def _done(self) -> bool:
         assert self.best is not None
-        return self.best[0][0] or time.monotonic() > self.problem.deadline
+        return self.best[0][1] or time.monotonic() > self.problem.deadline
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
         assert self.best is not None and self.law is not None
-        _, p, value, worst = self.best
+        (within_budgets, _, _), p, value, worst = self.best
         if self.problem.ground:
             found = self.problem.ground.worst(p, value * (1.0 + ROUNDING))
             if len(found.points):
@@ -271,7 +274,8 @@ class _Search:
         q, (weight, prices) = np.zeros(len(self.loss)), self.law.unscaled_multipliers()
         q[: len(self.program.q)] = self.program.q
         kept = own | (q > 0.0) | (weight > 0.0)
-        kept[worst] |= worst >= 0
+        if worst >= 0:
+            kept[worst] = True
         added = np.flatnonzero(kept & ~own)
         game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
         node, sites = np.full(len(kept), -1), np.zeros(game.node_count)
@@ -279,7 +283,8 @@ class _Search:
         ambusher, bound = self._judged(game, at_nodes(game, q[kept]), node)
         multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
         return Solution(game, p, value, bound, ambusher, multipliers, self.law.evaluations,
-                        self.law.entropy_bound, value <= bound * (1.0 + self.slack + ROUNDING))
+                        self.law.entropy_bound, within_budgets,
+                        value <= bound * (1.0 + self.slack + ROUNDING))
 
     def _judged(self, game: Game, q: FloatArray, node: IndexArray) -> tuple[Ambusher, float]:
         """The ambusher q (N,) and his bound, with the program's circulation if that proves more.
