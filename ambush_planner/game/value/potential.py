@@ -75,8 +75,8 @@ class Potential:
 
     def solve(self) -> None:
         """Find z: from above in steps, from below by the bounds that circulations prove."""
-        if not len(self._loss):
-            self._z = 0.0
+        if not len(self._loss) or not len(self._real):  # or there is but one route
+            self._z = self.bound
             return
         z, height = max(min(self._z, self._loss.max() / 2.0), self.bound), self._heights()
         if self.bound == 0.0 and self.game.avoiding(self._entering):
