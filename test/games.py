@@ -9,6 +9,7 @@ import heapq
 import os
 import warnings
 from fractions import Fraction
+from itertools import pairwise
 
 import networkx
 import numpy as np
@@ -16,6 +17,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import Delaunay
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -111,6 +113,29 @@ terrain_networks = st.builds(terrain_network, st.integers(0, 10**6), st.sampled_
                              st.integers(5, 10))
 
 
+def planar_network(seed: int, inside: bool = False) -> Network:
+    """Delaunay's edges between a few random points, both ways; source and target on the hull.
+
+    Or anywhere if ``inside``, and a fifth of the edges are missing.
+    """
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
+    mesh = Delaunay(points)
+    pairs = {tuple(sorted((int(t[a]), int(t[b])))) for t in mesh.simplices
+             for a, b in ((0, 1), (1, 2), (0, 2))}
+    hull = np.unique(mesh.convex_hull)
+    apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
+    source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
+    if inside:
+        source, target = (int(k) for k in rng.choice(len(points), 2, replace=False))
+        pairs = {pair for pair in sorted(pairs) if rng.random() < 0.8}
+    edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
+             if e[1] != source and e[0] != target]
+    alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
+    alpha[[source, target]] = 0.0
+    return Network(points, alpha, edges, source, target)
+
+
 def paper_example() -> Network:
     """The paper's 8-node network: two columns of 3 between source and target, 7 routes."""
     points = [(0, 1), *((1, k) for k in range(3)), *((2, k) for k in range(3)), (3, 1)]
@@ -178,6 +203,11 @@ def may_wait(network: Network, held: float) -> np.ndarray:
     return (network.alpha > 0.0) & ((apart > held).all(axis=1) | (held == 0.0))
 
 
+def reached(network: Network, reach: float, held: float) -> np.ndarray:
+    """(N, M): whether an edge comes into reach of a node outside held ground, where it counts."""
+    return meets(network, network.points, reach, held) & may_wait(network, held)[:, None]
+
+
 def geometric_hits(network: Network, radius: float, held: float | None = None) -> csr_matrix:
     """(N, M): edges that bring a route into the disc of a node; held ground: as far as it."""
     held = radius if held is None else held
@@ -236,6 +266,34 @@ def program_value(network: Network, hits: csr_matrix | None = None, budget: floa
     limits = np.concatenate((np.zeros(n), np.ones(budgets)))
     found = linprog(cost, rows, limits, balance, supply, method='highs-ds', options=tolerances)
     assert found.status == 0, found.message
+    return float(found.fun)
+
+
+def routes_of(network: Network) -> list[list[int]]:
+    """All simple routes as edge indices."""
+    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
+    graph = networkx.DiGraph(list(number))
+    graph.add_nodes_from((network.source, network.target))
+    return [[number[step] for step in pairwise(route)]
+            for route in networkx.all_simple_paths(graph, network.source, network.target)]
+
+
+def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf,
+                    ambushers: int = 1) -> float:
+    """Least value over all mixtures of routes within a budget [m], each hit once by each site.
+
+    The sum of the k largest losses is the least k t + sum s with losses of at most t + s.
+    """
+    hit = np.array([near[:, route].any(axis=1) for route in routes]).T
+    losses = network.alpha[:, None] * hit
+    sites = len(losses)
+    rows = np.hstack((losses, -np.ones((sites, 1)), -np.eye(sites)))
+    limits, none = np.zeros(sites), np.zeros(sites + 1)
+    if np.isfinite(budget):
+        lengths = [network.lengths[route].sum() for route in routes]
+        rows, limits = np.vstack((rows, [*lengths, *none])), np.append(limits, budget)
+    found = linprog(np.r_[np.zeros(len(routes)), ambushers, np.ones(sites)], rows, limits,
+                    np.r_[np.ones(len(routes)), none][None], [1.0], method='highs-ds')
     return float(found.fun)
 
 

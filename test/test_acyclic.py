@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions
-from ambush_planner.game import acyclic
-from ambush_planner.game.acyclic import (
+from ambush_planner.game.law import acyclic
+from ambush_planner.game.law.acyclic import (
     conserved_strategy,
     forward_part,
     order_along,

@@ -17,7 +17,7 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
-from ambush_planner.game.certificate import certify
+from ambush_planner.game.certificate.certificate import certify
 from ambush_planner.game.route_sampler import route_edges
 from ambush_planner.game.strategy import make_budgets
 from ambush_planner.maps.occupancy import (

@@ -20,7 +20,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate import certify, hit_bound
+from ambush_planner.game.certificate.certificate import certify, hit_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets

@@ -14,8 +14,8 @@ import pytest
 from scipy.sparse import csr_matrix
 
 from ambush_planner import SolverFailed, TimeLimit
-from ambush_planner.game import highs
-from ambush_planner.game.highs import Program, run
+from ambush_planner.game.value import highs
+from ambush_planner.game.value.highs import Program, run
 
 SOLVERS = ('interior_point', 'simplex')
 

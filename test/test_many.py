@@ -12,13 +12,13 @@ from ambush_planner import (
     InvalidOption,
     NetworkOptions,
     NoRoute,
+    PlanningOptions,
     Problem,
     RiskMap,
     StartBlocked,
     Strategy,
     StrategyOptions,
-    build_network,
-    solve,
+    plan_trip,
     solve_many,
 )
 from ambush_planner.planning import many
@@ -47,8 +47,7 @@ def numbers(strategy):
 
 
 def expected(each):
-    network = build_network(each.risk_map, each.start_xy, each.goal_xy, each.network)
-    return numbers(solve(network, each.game, each.strategy))
+    return numbers(plan_trip(each.risk_map, each.start_xy, each.goal_xy, each.options).strategy)
 
 
 @pytest.fixture(scope='module')

@@ -25,11 +25,11 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.game import best_response
-from ambush_planner.game.certificate import hit_bound
+from ambush_planner.game.certificate.certificate import hit_bound
 from ambush_planner.game.disc_chain import chain_ambusher
 from ambush_planner.game.entries import entry_value
 from ambush_planner.game.face_program import FaceProgram
-from ambush_planner.game.faces import make_faces
+from ambush_planner.game.value.faces import make_faces
 from ambush_planner.game.game import make_game
 from ambush_planner.game.route_program import solve_on_routes
 from ambush_planner.game.route_sampler import route_edges
@@ -39,93 +39,6 @@ ROUTES = 10_000
 # Chance that any of the sites exceeds the value by luck: 5 standard deviations for each.
 DEVIATIONS = 5.0
 EXACT = StrategyOptions(max_detour=np.inf, risk_slack=0.0)
-
-
-def planar_network(seed: int, inside: bool = False) -> Network:
-    """Delaunay's edges between a few random points, both ways; source and target on the hull.
-
-    Or anywhere if ``inside``, and a fifth of the edges are missing.
-    """
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(0, 4, (rng.integers(8, 12), 2))
-    mesh = Delaunay(points)
-    pairs = {tuple(sorted((int(t[a]), int(t[b])))) for t in mesh.simplices
-             for a, b in ((0, 1), (1, 2), (0, 2))}
-    hull = np.unique(mesh.convex_hull)
-    apart = np.linalg.norm(points[hull][:, None] - points[hull], axis=2)
-    source, target = (int(hull[k]) for k in np.unravel_index(apart.argmax(), apart.shape))
-    if inside:
-        source, target = (int(k) for k in rng.choice(len(points), 2, replace=False))
-        pairs = {pair for pair in sorted(pairs) if rng.random() < 0.8}
-    edges = [e for a, b in sorted(pairs) for e in ((a, b), (b, a))
-             if e[1] != source and e[0] != target]
-    alpha = rng.choice([0.5, 1.0, 2.0, 5.0], len(points))
-    alpha[[source, target]] = 0.0
-    return Network(points, alpha, edges, source, target)
-
-
-def reached(network: Network, reach: float, held: float) -> np.ndarray:
-    """(N, M): whether an edge comes into reach of a node outside held ground, where it counts."""
-    return meets(network, network.points, reach, held) & may_wait(network, held)[:, None]
-
-
-def routes_of(network: Network) -> list[list[int]]:
-    """All simple routes as edge indices."""
-    number = {tuple(e): k for k, e in enumerate(network.edges.tolist())}
-    graph = networkx.DiGraph(list(number))
-    graph.add_nodes_from((network.source, network.target))
-    return [[number[step] for step in pairwise(route)]
-            for route in networkx.all_simple_paths(graph, network.source, network.target)]
-
-
-def value_by_routes(network: Network, near: np.ndarray, routes, budget: float = np.inf,
-                    ambushers: int = 1) -> float:
-    """Least value over all mixtures of routes within a budget [m], each hit once by each site.
-
-    The sum of the k largest losses is the least k t + sum s with losses of at most t + s.
-    """
-    hit = np.array([near[:, route].any(axis=1) for route in routes]).T
-    losses = network.alpha[:, None] * hit
-    sites = len(losses)
-    rows = np.hstack((losses, -np.ones((sites, 1)), -np.eye(sites)))
-    limits, none = np.zeros(sites), np.zeros(sites + 1)
-    if np.isfinite(budget):
-        lengths = [network.lengths[route].sum() for route in routes]
-        rows, limits = np.vstack((rows, [*lengths, *none])), np.append(limits, budget)
-    found = linprog(np.r_[np.zeros(len(routes)), ambushers, np.ones(sites)], rows, limits,
-                    np.r_[np.ones(len(routes)), none][None], [1.0], method='highs-ds')
-    return float(found.fun)
-
-
-def value_by_chain(network: Network, near: np.ndarray) -> float:
-    """1 / F, F the cheapest chain of discs through faces from one side of the hull to the other.
-
-    A disc joins all faces with an edge that it reaches, at cost 1 / alpha.
-    """
-    mesh = Delaunay(network.points)
-    side_of: dict[frozenset, list] = {}
-    for face, corners in enumerate(mesh.simplices.tolist()):
-        for a, b in ((0, 1), (1, 2), (0, 2)):
-            side_of.setdefault(frozenset((corners[a], corners[b])), []).append(face)
-    rim = networkx.Graph([tuple(e) for e in mesh.convex_hull.tolist()])
-    rim.remove_nodes_from([network.source, network.target])
-    left = next(iter(networkx.connected_components(rim)), set())
-    for edge, faces in side_of.items():
-        if len(faces) == 1:  # on the hull
-            inner = edge - {network.source, network.target}
-            faces.append('left' if inner and inner <= left else 'right')
-    graph = networkx.DiGraph()
-    graph.add_nodes_from(('left', 'right'))
-    for site in np.flatnonzero(near.any(axis=1)):
-        graph.add_edge(('in', site), ('out', site), weight=1.0 / network.alpha[site])
-        for k in np.flatnonzero(near[site]):
-            for face in side_of[frozenset(network.edges[k].tolist())]:
-                graph.add_edge(face, ('in', site), weight=0.0)
-                graph.add_edge(('out', site), face, weight=0.0)
-    try:
-        return 1.0 / networkx.dijkstra_path_length(graph, 'left', 'right')
-    except networkx.NetworkXNoPath:
-        return 0.0
 
 
 @examples(40)

@@ -39,7 +39,7 @@ from ambush_planner import (
     build_network,
     solve,
 )
-from ambush_planner.game.cut import uniform_ambusher
+from ambush_planner.game.value.cut import uniform_ambusher
 from ambush_planner.game.entropy_stage import Solution
 from ambush_planner.game.route_sampler import route_strategy, shortest_route
 

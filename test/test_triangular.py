@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ambush_planner.game import triangular
-from ambush_planner.game.triangular import Recursion
+from ambush_planner.game.law import triangular
+from ambush_planner.game.law.triangular import Recursion
 
 
 def refused(*_):

@@ -281,7 +281,8 @@ class _Search:
         q, (weight, prices) = np.zeros(len(self.loss)), self.law.unscaled_multipliers()
         q[: len(self.program.q)] = self.program.q
         kept = own | (q > 0.0) | (weight > 0.0)
-        kept[worst] |= worst >= 0
+        if worst >= 0:
+            kept[worst] = True
         added = np.flatnonzero(kept & ~own)
         game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
         node, sites = np.full(len(kept), -1), np.zeros(game.node_count)

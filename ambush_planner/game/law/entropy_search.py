@@ -40,7 +40,7 @@ NEWTON_LIMITS, MOST_STEPS, MORE_ROUNDS = 1500, 500, 3
 # counts as progress there.
 LEAST_GAIN, LEAST_PRODUCT = 1e-5, 1e-6
 # Missing entropy at which the search ends, relative and in nats.
-ENTROPY_TOLERANCE = 2e-3
+ENTROPY_TOLERANCE = 5e-4
 # Rounding of the function's value, relative to its terms.
 ROUNDING = 1e-9
 # Largest weight of an edge; beyond, sums along a route lose all decimals.

@@ -21,12 +21,10 @@ from .chain import MarkovChain
 from .entropy_search import maximize_entropy
 from .gibbs import AcyclicNetwork
 
-# Share of the slack that a law aims at, and its tolerance as a share of the slack.
-AIM, TOLERANCE = 0.95, 0.04
+# Share of the slack that a law aims at; its tolerance as a share of the slack, and the largest.
+AIM, TOLERANCE, MOST_TOLERANCE = 0.95, 0.04, 4e-4
 # Sites limit their hits if their entries cost at least this share of their level; else entries.
 NEAR = 0.97
-# Share of a budget's margin that is kept below it.
-KEPT_MARGIN = 1e-3
 # Steps towards a new law: the usual one, and the shortest.
 STEP, SHORTEST = 0.6, 0.05
 # A longer step may put the value this many slacks over its limit, or must reach this share of
@@ -51,8 +49,10 @@ class Law:
                  ambushers: int, slack: float, exact: bool, deadline: float) -> None:
         self.network, self.p, self.slack, self.exact = network, p, slack, exact
         self.deadline, self._k = deadline, ambushers
+        self._tolerance = min(TOLERANCE * slack, MOST_TOLERANCE)
         binding = [b for b in budgets if b.binds]
-        self._margin = np.array([b.margin * (1.0 - KEPT_MARGIN) for b in binding])
+        # A law may exceed its limits by the tolerance, but not a budget.
+        self._margin = np.array([b.margin * (1.0 - self._tolerance) for b in binding])
         self._excess = csr_matrix(np.reshape(
             [b.excess[network.edge] / m for b, m in zip(binding, self._margin, strict=True)],
             (len(binding), len(network.edge))))
@@ -135,7 +135,7 @@ class Law:
             most = aim[sites] - reserve
             limits = csr_matrix(vstack((diags(1.0 / most) @ rows, self._excess)))
             start = self._start(limits, sites, q, prices, bound)
-            found = maximize_entropy(self.network, limits, start, TOLERANCE * self.slack,
+            found = maximize_entropy(self.network, limits, start, self._tolerance,
                                      self.deadline, len(sites))
             self.evaluations += found.evaluations
             if not found.infeasible or not reserve.any():

@@ -68,16 +68,16 @@ class Potential:
         self.q = np.append(self.q, np.zeros(len(loss)))
         self._flows.add_nodes(len(loss))
         self._entering = csr_matrix(vstack((self._entering, entering)))
-        worst = np.argmax(np.where(discs.around, loss, 0.0))
-        if discs.around.any() and loss[worst] > self.bound:  # every route meets this one
-            self.bound, self.circulation, self.price = float(loss[worst]), None, 0.0
-            self.q = np.zeros(len(self._loss))
-            self.q[len(self._loss) - len(loss) + worst] = 1.0
+        certain = np.where(self._around, self._loss, 0.0)  # every route meets these
+        if certain.max(initial=0.0) > self.bound:
+            self.bound, self.circulation, self.price = float(certain.max()), None, 0.0
+            self.q = np.zeros(len(certain))
+            self.q[certain.argmax()] = 1.0
 
     def solve(self) -> None:
         """Find z: from above in steps, from below by the bounds that circulations prove."""
-        if not len(self._loss):
-            self._z = 0.0
+        if not len(self._loss) or not len(self._real):  # or there is but one route
+            self._z = self.bound
             return
         z, height = max(min(self._z, self._loss.max() / 2.0), self.bound), self._heights()
         if self.bound == 0.0 and self.game.avoiding(self._entering):
@@ -127,7 +127,9 @@ class Potential:
         graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
         before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
         most /= self.budget.limit
-        self._real = real = np.flatnonzero(faces.left != faces.right)  # others are bridges
+        self._real = real = np.flatnonzero(faces.left != faces.right)
+        # The others are bridges, each between a face and itself.
+        self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
         low, high = ends[:, real]
         self._flows = new_flows()
         self._flows.add_nodes(faces.count)
@@ -173,7 +175,7 @@ class Potential:
         found = self._flows.solve(self.deadline)
         flow = np.maximum(found.x[links:], 0.0)
         ambush = np.bincount(self._site[joined], flow / 2.0 / loss, len(self._loss))
-        total, gain = float(ambush.sum()), -found.cost
+        total, gain = float(ambush.sum()), float(np.abs(self._bridges).sum()) - found.cost
         self._potential = found.potential[: self.faces.count]
         endless = bool((flow > 0.99 * ENDLESS).any())
         if gain <= 1.0 + PRECISION and not endless:
@@ -182,11 +184,12 @@ class Potential:
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
             self.price = 1.0 / (total * self.budget.limit)
-            self.circulation = self._circulation(found.x[:links] / total, turned * -flow / total)
+            through = self._bridges.copy()
+            through[self._real] = found.x[:links]
+            self.circulation = self._circulation(through / total, turned * -flow / total)
         return endless
 
     def _circulation(self, through: FloatArray, flow: FloatArray) -> Circulation:
-        links, used = np.zeros(len(self.faces.left)), np.flatnonzero(flow)
-        links[self._real] = through
+        used = np.flatnonzero(flow)
         pairs = self._joined[used]
-        return Circulation(links, self._site[pairs], self._face[pairs], flow[used])
+        return Circulation(through, self._site[pairs], self._face[pairs], flow[used])

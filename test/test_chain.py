@@ -1,0 +1,121 @@
+"""P(hit) of a Markov chain and its derivatives, against the enumeration of all routes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from games import examples, planar_network, routes_of, terrain_network
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions
+from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import hit_probabilities
+from ambush_planner.game.law.acyclic import forward_part, rank_by
+from ambush_planner.game.law.chain import MarkovChain
+from ambush_planner.game.law.gibbs import acyclic_network
+from ambush_planner.network.network import Network
+
+
+def small_grid(seed: int) -> Network:
+    """An 8-connected grid of 3 x 4 places: links cross, and discs are entered again and again."""
+    rng = np.random.default_rng(seed)
+    points = np.argwhere(np.ones((4, 3))) + rng.uniform(-0.1, 0.1, (12, 2))
+    step = np.abs(np.round(points[:, None]) - np.round(points)).max(axis=2)
+    edges = [(a, b) for a, b in np.argwhere(step == 1).tolist() if b != 0 and a != 11]
+    return Network(points, np.r_[0.0, rng.choice([1.0, 2.0, 5.0], 10), 0.0], edges, 0, 11)
+
+
+class Case:
+    """A game with discs, an acyclic part of it in a random order, and all of that part's routes."""
+
+    def __init__(self, seed: int, reach: float) -> None:
+        self.rng = np.random.default_rng(seed)
+        network = small_grid(seed) if seed % 3 == 0 else planar_network(seed, inside=seed % 3 == 1)
+        self.game = make_game(network, GameOptions(reach, [0.0, -1.0][seed % 2]))
+        ahead = self.game.distances_ahead(network.lengths)
+        order = ahead + self.rng.uniform(0.0, 2.0, len(ahead)) * self.rng.integers(0, 2)
+        order[[network.source, network.target]] = -np.inf, np.inf
+        rank = rank_by(order)
+        part = forward_part(self.game, rank)
+        self.network = acyclic_network(network, np.flatnonzero(part.playable), rank)
+        self.entering = self.network.columns(self.game.hits)
+        place = {edge: k for k, edge in enumerate(self.network.edge.tolist())}
+        self.routes = [[place[edge] for edge in route] for route in routes_of(network)
+                       if all(edge in place for edge in route)]
+
+    def strategy(self) -> np.ndarray:
+        """A random strategy p (m,), in which some edges are never used."""
+        share = self.rng.random(len(self.network.edge)) * (self.rng.random(1) < 0.9)
+        share = np.where(self.rng.random(len(share)) < 0.2, 0.0, share)
+        total = np.bincount(self.network.tail, share)[self.network.tail]
+        count = np.bincount(self.network.tail)[self.network.tail]
+        share = np.where(total > 0.0, share / np.where(total > 0.0, total, 1.0), 1.0 / count)
+        used = np.zeros(len(share))
+        for route in self.routes:
+            used[route] += share[route].prod()
+        return used
+
+    def by_enumeration(self, p: np.ndarray) -> tuple[np.ndarray, float]:
+        """P(hit) (S,), each route counted once, and the entropy of the routes."""
+        leaving = np.bincount(self.network.tail, p)[self.network.tail]
+        share = np.where(p > 0.0, p / np.where(leaving > 0.0, leaving, 1.0), 0.0)
+        likely = np.array([share[route].prod() for route in self.routes])
+        met = np.array([self.entering[:, route].getnnz(axis=1) > 0 for route in self.routes])
+        some = likely[likely > 0.0]
+        return likely @ met, float(-(some * np.log(some)).sum())
+
+
+cases = st.builds(Case, st.integers(0, 10**6), st.sampled_from((0.0, 0.3, 0.7, 1.2, 2.0)))
+
+
+@examples(40)
+@given(cases)
+def test_hits_and_entropy_are_those_of_all_routes(case):
+    p = case.strategy()
+    chain, (hits, entropy) = MarkovChain(case.network, p), case.by_enumeration(p)
+    assert chain.hits(case.entering) == pytest.approx(hits, abs=1e-12)
+    assert chain.entropy == pytest.approx(entropy, abs=1e-9)
+    whole = np.zeros(len(case.game.network.edges))
+    whole[case.network.edge] = p
+    assert hit_probabilities(case.game, whole) == pytest.approx(hits, abs=1e-12)
+
+
+@examples(40)
+@given(cases)
+def test_rows_are_derivatives_and_add_up_to_the_hits(case):
+    """Towards another strategy; where hits are rare, the difference quotient is rounding."""
+    p, other = case.strategy(), case.strategy()
+    p = 0.9 * p + 0.1 * other  # so that the difference keeps every edge's sign
+    hits, rows = MarkovChain(case.network, p).hits_with_derivatives(case.entering)
+    assert hits == pytest.approx(case.by_enumeration(p)[0], abs=1e-12)
+    assert rows @ p == pytest.approx(hits, abs=1e-12)
+    ahead, behind = (case.by_enumeration(p + h * (other - p))[0] for h in (1e-5, -1e-5))
+    assert rows @ (other - p) == pytest.approx((ahead - behind) / 2e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize('method', ['uniform_delaunay', 'uniform_grid8'])
+def test_a_route_drawn_is_hit_as_often_as_computed(method):
+    """A larger network; 6 standard deviations for each of some hundred sites."""
+    network = terrain_network(5, method, 16)
+    game = make_game(network, GameOptions(2.5))
+    rng, draws = np.random.default_rng(1), 20_000
+    part = forward_part(game, rank_by(game.distances_ahead(network.lengths)))
+    edge = np.flatnonzero(part.playable)
+    rank = rank_by(game.distances_ahead(network.lengths))
+    acyclic = acyclic_network(network, edge, rank)
+    _, p, share = acyclic.law(rng.random(len(edge)))
+    entering = acyclic.columns(game.hits)
+    node, hit = np.zeros(draws, dtype=np.int64), np.zeros((draws, entering.shape[0]), bool)
+    going = np.arange(draws)
+    while len(going):
+        taken = np.empty(len(going), dtype=np.int64)
+        for at in np.unique(node[going]):
+            here, leaving = node[going] == at, np.flatnonzero(acyclic.tail == at)
+            taken[here] = rng.choice(leaving, here.sum(), p=share[leaving])
+        hit[going] |= entering[:, taken].T.toarray() > 0
+        node[going] = acyclic.head[taken]
+        going = going[node[going] != acyclic.count - 1]
+    hits = MarkovChain(acyclic, p).hits(entering)
+    error = np.sqrt(np.maximum(hits * (1.0 - hits), 1.0 / draws) / draws)
+    assert (np.abs(hit.mean(axis=0) - hits) <= 6.0 * error).all()

@@ -1,0 +1,170 @@
+"""What circulations prove, against the best response and against all routes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from games import (
+    examples,
+    planar_network,
+    reached,
+    routes_of,
+    terrain_network,
+    value_by_routes,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions, SolverFailed
+from ambush_planner.game.ambusher import Ambusher, at_nodes
+from ambush_planner.game.budget import Budget
+from ambush_planner.game.certificate.certificate import lower_bound
+from ambush_planner.game.certificate.curves import Circulation
+from ambush_planner.game.game import make_game
+from ambush_planner.game.value.faces import make_faces
+from ambush_planner.game.value.potential import Potential
+
+
+def proof(game, detour):
+    """The ambusher whom the program in potentials finds, the budgets, and the program's bound."""
+    budget = Budget.length(game, detour)
+    program = Potential(make_faces(game), budget, math.inf)
+    program.add_sites(game.hits, game.loss[game.sites])
+    program.solve()
+    curves, prices = program.circulation, tuple(program.prices) or (0.0,)
+    if curves is not None:
+        curves = replace(curves, site=game.sites[curves.site])
+    ambusher = Ambusher(at_nodes(game, program.q), prices, curves)
+    return ambusher, (budget,), program.bound
+
+
+class Case:
+    """A small planar game with all its routes, and an ambusher with a circulation; or nothing."""
+
+    def __init__(self, seed: int, reach: float, detour: float) -> None:
+        network = planar_network(seed, inside=seed % 2 == 1)
+        routes = routes_of(network)
+        self.ambusher = None
+        if not 0 < len(routes) <= 1000:
+            return
+        self.game = make_game(network, GameOptions(reach))
+        self.near = reached(network, reach, self.game.options.held_radius)
+        self.routes, self.detour = routes, detour
+        self.ambusher, self.budgets, self.bound = proof(self.game, detour)
+        self.met = np.array([self.near[:, route].any(axis=1) for route in routes])
+        self.length = np.array([network.lengths[route].sum() for route in routes])
+
+    def least_cost(self, ambusher: Ambusher) -> float:
+        """The best response among all routes, less what the budget is worth."""
+        (price,), limit = ambusher.prices, self.budgets[0].limit
+        costs = self.met @ (ambusher.q * self.game.network.alpha) + price * self.length
+        return float(costs.min()) - (price * limit if price > 0.0 else 0.0)
+
+    def bound_of(self, ambusher: Ambusher) -> float:
+        """What the ambusher proves; 0 if he is refused."""
+        try:
+            return lower_bound(self.game, ambusher, self.budgets)
+        except SolverFailed:
+            return 0.0
+
+
+cases = st.builds(Case, st.integers(0, 10**6), st.floats(0.2, 1.5),
+                  st.sampled_from((1.02, 1.1, 1.3, np.inf)))
+
+
+@examples(40)
+@given(cases)
+def test_a_circulation_proves_what_its_program_says_and_never_more_than_the_optimum(case):
+    if case.ambusher is None or case.ambusher.circulation is None:
+        return
+    once = value_by_routes(case.game.network, case.near, case.routes, case.budgets[0].limit)
+    bound = lower_bound(case.game, case.ambusher, case.budgets)
+    assert bound == pytest.approx(case.bound, rel=1e-9)
+    assert bound <= once * (1.0 + 1e-9)
+    assert bound <= case.least_cost(case.ambusher) + 1e-9
+
+
+def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
+    """The ambusher with something changed: his q, his prices, or his circulation."""
+    q, (price,), curves = ambusher.q.copy(), ambusher.prices, ambusher.circulation
+    kind = rng.integers(0, 8)
+    sites = game.sites
+    if kind == 0:
+        j, k = rng.choice(sites, 2)
+        moved = rng.uniform(0.0, q[j])
+        q[j], q[k] = q[j] - moved, q[k] + moved
+    elif kind == 1:
+        q = q * rng.choice([0.5, 0.999, 1.001, 2.0])
+    elif kind == 2:
+        price = price * rng.choice([0.0, 0.5, 1.5, 3.0]) + rng.choice([0.0, 0.1])
+    elif kind == 3:
+        curves = replace(curves, through=curves.through * rng.choice([-1.0, 0.0, 1.1, 10.0])
+                         + rng.choice([0.0, 1.0]) * rng.normal(size=len(curves.through)))
+    elif kind == 4:
+        curves = replace(curves, flow=curves.flow * rng.uniform(-2.0, 3.0, len(curves.flow)))
+    elif kind == 5:
+        curves = replace(curves, face=rng.permutation(curves.face))
+    elif kind == 6:
+        curves = replace(curves, site=rng.choice(sites, len(curves.site)))
+    else:
+        count, faces = 60, make_faces(game)
+        curves = Circulation(rng.normal(size=len(curves.through)), rng.choice(sites, count),
+                             rng.integers(0, faces.count, count), rng.normal(size=count))
+    return Ambusher(q, (price,), curves)
+
+
+@examples(40)
+@given(cases, st.integers(0, 10**6))
+def test_a_perturbed_ambusher_is_refused_or_proves_no_more_than_is_true(case, seed):
+    """Neither for this ambusher, nor for any."""
+    if case.ambusher is None or case.ambusher.circulation is None or len(case.game.sites) < 2:
+        return
+    rng, ambusher = np.random.default_rng(seed), case.ambusher
+    once = value_by_routes(case.game.network, case.near, case.routes, case.budgets[0].limit)
+    for _ in range(12):
+        ambusher = perturbed(ambusher if rng.random() < 0.5 else case.ambusher, case.game, rng)
+        bound = case.bound_of(ambusher)
+        assert bound <= max(case.least_cost(ambusher), 0.0) + 1e-9
+        assert bound <= once * (1.0 + 1e-9)
+
+
+def test_less_of_any_kind_proves_less():
+    """Half of the flow through every link and disc is worth half."""
+    game = make_game(terrain_network(3, cells=14), GameOptions(2.0))
+    ambusher, budgets, bound = proof(game, np.inf)
+    curves = ambusher.circulation
+    half = replace(curves, through=0.5 * curves.through, flow=0.5 * curves.flow)
+    assert lower_bound(game, ambusher, budgets) == pytest.approx(bound)
+    assert lower_bound(game, replace(ambusher, circulation=half), budgets) == pytest.approx(
+        bound / 2.0)
+    none = replace(curves, through=0.0 * curves.through, flow=0.0 * curves.flow)
+    assert lower_bound(game, replace(ambusher, circulation=none), budgets) == 0.0
+
+
+@pytest.mark.parametrize('detour', [1.05, 1.2, np.inf])
+@pytest.mark.parametrize('seed', [1, 3, 4])
+def test_on_terrain_the_curves_and_the_best_response_agree(seed, detour):
+    game = make_game(terrain_network(seed, cells=14), GameOptions(2.0))
+    ambusher, budgets, bound = proof(game, detour)
+    assert ambusher.circulation is not None
+    assert lower_bound(game, ambusher, budgets) == pytest.approx(bound, rel=1e-9)
+    by_response = lower_bound(game, replace(ambusher, circulation=None), budgets)
+    assert by_response == pytest.approx(bound, rel=1e-6)
+
+
+def test_the_circulation_of_another_network_is_refused():
+    game = make_game(terrain_network(3, cells=14), GameOptions(2.0))
+    ambusher, budgets, _ = proof(game, 1.2)
+    curves = ambusher.circulation
+    for wrong in (replace(curves, through=curves.through[:-1]),
+                  replace(curves, site=curves.site + len(game.loss))):
+        with pytest.raises(SolverFailed, match='another network'):
+            lower_bound(game, replace(ambusher, circulation=wrong), budgets)
+    crossing = make_game(terrain_network(5, 'uniform_grid8', 14), GameOptions(2.0))
+    q = np.zeros(crossing.node_count)
+    q[crossing.sites[0]] = 1.0
+    with pytest.raises(SolverFailed, match='links cross'):
+        lower_bound(crossing, Ambusher(q, (0.0,), curves), (Budget.length(crossing, 1.2),))

@@ -1,0 +1,227 @@
+"""The program in face potentials, against all mixtures of routes and against linear programs."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import networkx
+import numpy as np
+import pytest
+from games import (
+    examples,
+    is_acyclic,
+    least_weight,
+    planar_network,
+    program_value,
+    reached,
+    routes_of,
+    terrain_network,
+    unbalanced,
+    value_by_routes,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import GameOptions, Network, SolverFailed, TimeLimit
+from ambush_planner.game.ambusher import Ambusher, at_nodes
+from ambush_planner.game.budget import Budget
+from ambush_planner.game.certificate.certificate import lower_bound
+from ambush_planner.game.game import make_game
+from ambush_planner.game.value import potential
+from ambush_planner.game.value.face_flows import KeptFlows, RepeatedFlows
+from ambush_planner.game.value.faces import make_faces
+from ambush_planner.game.value.potential import PRECISION, Potential
+
+FLOWS = [pytest.param(KeptFlows, marks=pytest.mark.skipif(
+    not potential.new_flows.__globals__['HAS_HIGHSPY'], reason='highspy is not installed')),
+    RepeatedFlows]
+
+
+def program_of(game, detour=np.inf, parts=1, solve=True) -> Potential:
+    """The program of a game; its sites join in ``parts``, each of which is solved."""
+    faces = make_faces(game)
+    program = Potential(faces, Budget.length(game, detour), math.inf)
+    loss = game.loss[game.sites]
+    for some in np.array_split(np.arange(len(loss)), parts):
+        program.add_sites(game.hits[some], loss[some])
+        if solve:
+            program.solve()
+    return program
+
+
+def small_game(seed, reach, held=-1.0, inside=True):
+    """A game on a small planar network and its routes; None if there are none or too many."""
+    network = planar_network(seed, inside)
+    routes = routes_of(network)
+    if not 0 < len(routes) <= 1000:
+        return None
+    return make_game(network, GameOptions(reach, held)), routes
+
+
+@examples(60)
+@given(st.integers(0, 10**6), st.floats(0.2, 1.5), st.sampled_from((-1.0, 0.0, 0.5)),
+       st.sampled_from((1.0, 1.02, 1.1, 1.3, np.inf)), st.booleans())
+def test_the_least_value_is_that_of_all_mixtures_of_routes(seed, reach, held, detour, inside):
+    """Each route hit once by each site; the flow keeps the budget and goes round no circle."""
+    case = small_game(seed, reach, held, inside)
+    if case is None:
+        return
+    game, routes = case
+    network, program = game.network, program_of(game, detour)
+    near = reached(network, reach, game.options.held_radius)
+    once = value_by_routes(network, near, routes, program.budget.limit)
+    assert program.bound <= once * (1.0 + 1e-6)
+    assert program.bound == pytest.approx(once, rel=2.0 * PRECISION, abs=1e-9)
+    assert program.q.sum() == pytest.approx(float(program.bound > 0.0))
+    flow = program.flow
+    assert unbalanced(network, flow) < 1e-9 and is_acyclic(network, flow)
+    assert flow @ network.lengths <= program.budget.limit * (1.0 + 1e-6)
+
+
+@examples(20)
+@given(st.integers(0, 10**6), st.sampled_from((1.02, 1.2, np.inf)),
+       st.sampled_from(('uniform_delaunay', 'random_delaunay', 'lattice_delaunay')))
+def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, method):
+    network = terrain_network(seed, method, 14)
+    program = program_of(make_game(network, GameOptions()), detour)
+    budget = detour * least_weight(network, network.lengths)
+    assert program.bound == pytest.approx(program_value(network, None, budget), rel=PRECISION)
+    assert program.bound <= program_value(network, None, budget) * (1.0 + 1e-6)
+
+
+@examples(20)
+@given(st.integers(0, 10**6), st.floats(0.8, 3.0), st.sampled_from((1.05, 1.2, np.inf)),
+       st.integers(2, 4))
+def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
+    game = make_game(terrain_network(seed, cells=12), GameOptions(reach))
+    once, later = program_of(game, detour), program_of(game, detour, parts)
+    assert later.bound == pytest.approx(once.bound, rel=PRECISION)
+    assert len(later.q) == len(later.level) == len(game.sites)
+
+
+@examples(12)
+@given(st.integers(0, 10**6), st.sampled_from((0.0, 2.0)), st.sampled_from((1.05, np.inf)))
+def test_highspy_and_linprog_find_the_same_value(seed, reach, detour):
+    game = make_game(terrain_network(seed, cells=11), GameOptions(reach))
+    bounds = []
+    for flows in (KeptFlows, RepeatedFlows):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(potential, 'new_flows', flows)
+            program = program_of(game, detour, 2)
+        bounds.append(program.bound)
+        ambusher = Ambusher(at_nodes(game, program.q), tuple(program.prices) or (0.0,))
+        proved = lower_bound(game, ambusher, (program.budget,))
+        assert proved == pytest.approx(program.bound, rel=1e-6, abs=1e-9)
+    assert bounds[0] == pytest.approx(bounds[1], rel=PRECISION)
+
+
+def test_with_no_site_to_limit_the_value_is_0():
+    game = make_game(terrain_network(3, cells=10), GameOptions(1.0, 99.0))
+    assert len(game.sites) == 0
+    for detour in (1.0, 1.2, np.inf):
+        program = program_of(game, detour)
+        assert program.bound == 0.0 and len(program.q) == 0
+        assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)
+
+
+def corridor(width: float) -> Network:
+    """Two roads between the ends, ``width`` apart in the middle, where a site lies between them."""
+    points = [[0, 0], [2, width / 2], [2, -width / 2], [4, 0], [2, 0]]
+    edges = [(0, 1), (0, 2), (1, 3), (2, 3), (1, 2), (2, 1)]
+    return Network(points, [0, 1, 1, 0, 7.0], edges, 0, 3)
+
+
+def test_a_disc_that_every_route_meets_proves_its_loss():
+    program = program_of(make_game(corridor(1.0), GameOptions(0.6)), 1.2)
+    assert program.bound == pytest.approx(7.0)
+    assert program.q.tolist() == [0.0, 0.0, 1.0]
+    # Also one that lies around an end.
+    game = make_game(planar_network(5), GameOptions(0.7, 0.0))
+    start = game.network.points[game.network.source]
+    near = np.linalg.norm(game.network.points[game.sites] - start, axis=1) <= 0.7
+    if near.any():
+        assert program_of(game).bound >= game.loss[game.sites][near].max()
+
+
+def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
+    """Five sites around the start, each over two fifths of the ways out: 2/5, not 1/3."""
+    turn = np.arange(10) * np.pi / 5
+    ring = np.stack((np.cos(turn), np.sin(turn)), axis=1)
+    aim = (np.arange(5) * 4 + 3) * np.pi / 10
+    sites = 3.0 * np.stack((np.cos(aim), np.sin(aim)), axis=1)
+    points = np.vstack(([[0.0, 0.0]], 2.0 * ring, 6.0 * ring, sites, [[9.0, 0.0]]))
+    pairs = [(0, k) for k in range(1, 11)] + [(k, k + 10) for k in range(1, 11)]
+    pairs += [(11 + k, 11 + (k + 1) % 10) for k in range(10)] + [(11, 26)]
+    edges = [e for a, b in pairs for e in ((a, b), (b, a)) if e[1] != 0 and e[0] != 26]
+    alpha = np.zeros(27)
+    alpha[21:26] = 1.0
+    network = Network(points, alpha, edges, 0, 26)
+    game = make_game(network, GameOptions(2.5, 0.4))
+    assert value_by_routes(network, reached(network, 2.5, 0.4), routes_of(network)) == (
+        pytest.approx(2 / 5))
+    assert program_of(game).bound == pytest.approx(2 / 5, rel=PRECISION)
+    ambusher = Ambusher(np.repeat([0.0, 0.2, 0.0], [21, 5, 1]), ())
+    assert lower_bound(game, ambusher, ()) == pytest.approx(2 / 5)
+
+
+def test_at_the_deadline_the_flow_is_the_shortest_route():
+    game = make_game(terrain_network(3, cells=12), GameOptions(2.0))
+    program = Potential(make_faces(game), Budget.length(game, 1.2), time.monotonic() - 1.0)
+    program.add_sites(game.hits, game.loss[game.sites])
+    with pytest.raises(TimeLimit, match='before the program in potentials'):
+        program.solve()
+    assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)
+
+
+def test_links_that_cross_or_are_one_way_have_no_faces():
+    points = [[0, 0], [1, 1], [0, 1], [1, 0]]
+    pairs = [(0, 1), (2, 3), (0, 2), (1, 2), (1, 3), (0, 3)]
+    edges = [e for a, b in pairs for e in ((a, b), (b, a)) if e[1] != 0 and e[0] != 1]
+    game = make_game(Network(points, [0, 0, 1, 1], edges, 0, 1), GameOptions(ambush_radius=0.1))
+    assert make_faces(game) is None
+    one_way = [e for e in edges if e not in ((0, 1), (3, 2))]
+    game = make_game(Network(points, [0, 0, 1, 1], one_way, 0, 1), GameOptions(ambush_radius=0.1))
+    assert make_faces(game) is None
+
+
+@pytest.mark.parametrize('flows', FLOWS)
+def test_circulations_on_a_graph_that_grows(flows):
+    """Against networkx' least cost flow, after each of three additions and a change of costs."""
+    rng, program = np.random.default_rng(4), flows()
+    program.add_nodes(4)
+    tails, heads, costs, highs = (np.zeros(0, dtype=np.int64) for _ in range(4))
+    for round_, nodes in enumerate((0, 3, 2)):
+        if nodes:
+            program.add_nodes(nodes)
+        count = 4 + 3 * (round_ > 0) + 2 * (round_ > 1)
+        tail, head = rng.integers(0, count, (2, 12))
+        tail, head = tail[tail != head], head[tail != head]
+        cost, high = rng.integers(-9, 9, len(tail)), rng.integers(1, 9, len(tail))
+        program.add_columns(tail, head, cost.astype(float), np.zeros(len(tail)), high.astype(float))
+        tails, heads = np.append(tails, tail), np.append(heads, head)
+        costs, highs = np.append(costs, cost), np.append(highs, high)
+        if round_:
+            costs[5:] = rng.integers(-9, 9, len(costs) - 5)
+            program.change_costs(5, costs[5:].astype(float))
+        graph = networkx.MultiDiGraph()
+        for a, b, c, h in zip(tails, heads, costs, highs, strict=True):
+            graph.add_edge(int(a), int(b), weight=int(c), capacity=int(h))
+        found = program.solve(math.inf)
+        assert found.cost == pytest.approx(networkx.capacity_scaling(graph)[0], abs=1e-6)
+        reduced = costs - found.potential[tails] + found.potential[heads]
+        assert (found.x[reduced > 1e-6] < 1e-6).all()
+        assert (found.x[reduced < -1e-6] > highs[reduced < -1e-6] - 1e-6).all()
+        assert found.potential[0] == 0.0
+
+
+@pytest.mark.parametrize('flows', FLOWS)
+def test_a_program_without_time_or_without_an_optimum_ends_by_name(flows):
+    program = flows()
+    program.add_nodes(2)
+    ends = np.array([0, 1])
+    program.add_columns(ends, ends[::-1], -np.ones(2), np.zeros(2), np.full(2, np.inf))
+    with pytest.raises(SolverFailed, match='program in potentials'):
+        program.solve(math.inf)
+    with pytest.raises(TimeLimit):
+        program.solve(time.monotonic() - 1.0)
