@@ -23,12 +23,15 @@ class Ambusher:
         How likely he waits at each node; sums to the number of ambushers.
     prices : (budgets,)
         Decrease of the bound per unit of each budget.
+    by_leg : (legs, S) or None
+        On a trip: for which leg he waits at each site, adding up to q there.
     circulation : Circulation or None
         Closed curves between the faces of a planar network that prove the bound.
     """
 
     q: FloatArray
     prices: tuple[float, ...]
+    by_leg: FloatArray | None = None
     circulation: Circulation | None = None
 
     def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
@@ -38,6 +41,11 @@ class Ambusher:
             raise SolverFailed(f'q must be in [0, 1] at each place, got {q.min()} to {q.max()}')
         if not abs(q.sum() - game.ambushers) <= ROUNDING * game.ambushers:
             raise SolverFailed(f'q must sum to {game.ambushers}, got {q.sum()}')
+        if self.by_leg is not None and not (
+            (self.by_leg >= 0.0).all()
+            and (self.by_leg.sum(axis=0) <= game.at_sites(q) * (1.0 + ROUNDING)).all()
+        ):
+            raise SolverFailed('the shares of the legs do not add up to q')
         for budget, price in zip(budgets, self.prices, strict=True):
             if not price >= 0.0:
                 raise SolverFailed(f'the price of the {budget.name} budget is {price}, not >= 0')

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
 
-from ..arrays import FloatArray, IndexArray, frozen_array
+from ..arrays import BoolArray, FloatArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes
 from .budget import ROUNDING, Budget
@@ -285,28 +285,36 @@ class _Search:
             kept[worst] = True
         added = np.flatnonzero(kept & ~own)
         game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
-        node, sites = np.full(len(kept), -1), np.zeros(game.node_count)
-        node[kept], sites[game.sites] = game.sites, weight[kept]
-        ambusher, bound = self._judged(game, at_nodes(game, q[kept]), node)
+        sites = np.zeros(game.node_count)
+        sites[game.sites] = weight[kept]
+        ambusher, bound = self._judged(game, q, kept)
         multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
         return Solution(game, p, value, bound, ambusher, multipliers, self.law.evaluations,
                         self.law.entropy_bound, value <= bound * (1.0 + self.slack + ROUNDING))
 
-    def _judged(self, game: Game, q: FloatArray, node: IndexArray) -> tuple[Ambusher, float]:
-        """The ambusher q (N,) and his bound: by the program's circulation if that proves enough.
+    def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
+        """The ambusher q (S,) in the game with the ``kept`` sites, and his bound.
 
-        ``node`` (S,) has the nodes of the sites.
+        The bound is that of the program's circulation if this proves enough.
         """
-        alone = Ambusher(q, self._of_all_budgets(self.program.prices))
-        found, proofs = getattr(self.program, 'circulation', None), []
-        if found and hits_can_differ(game):
-            around = replace(alone, circulation=Circulation(found.through, node[found.site],
-                                                            found.face, found.flow))
-            proofs.append((around, lower_bound(game, around, self.budgets)))
-            if proofs[0][1] >= self.program.bound * (1.0 - UNPROVED * self.slack):
-                return proofs[0]
-        proofs.append((alone, lower_bound(game, alone, self.budgets)))
-        return max(proofs, key=lambda each: each[1])
+        alone = Ambusher(frozen_array(at_nodes(game, q[kept]), np.float64),
+                         self._of_all_budgets(self.program.prices))
+        if isinstance(self.program, Routes) and game.network.legs > 1:
+            by_leg = np.zeros((game.network.legs, len(q)))
+            by_leg[:, : self.program.by_leg.shape[1]] = self.program.by_leg
+            alone = replace(alone, by_leg=frozen_array(by_leg[:, kept], np.float64))
+        found = getattr(self.program, 'circulation', None)
+        if not found or not hits_can_differ(game):
+            return alone, lower_bound(game, alone, self.budgets)
+        node = np.full(len(kept), -1)
+        node[kept] = game.sites
+        around = replace(alone, circulation=Circulation(found.through, node[found.site],
+                                                        found.face, found.flow))
+        bound = lower_bound(game, around, self.budgets)
+        if bound >= self.program.bound * (1.0 - UNPROVED * self.slack):
+            return around, bound
+        other = lower_bound(game, alone, self.budgets)
+        return (alone, other) if other > bound else (around, bound)
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""

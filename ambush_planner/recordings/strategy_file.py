@@ -28,6 +28,8 @@ _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: tube, what a site stands for, and held ground.
 _PLANNED = ('tube', 'widened', 'secured_radius')
+# For which leg the ambusher waits at each site, on trips.
+_BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
 _CIRCULATION = ('through', 'site', 'face', 'flow')
 # Whether counting each route once left the gap open.
@@ -45,6 +47,8 @@ def strategy_file(strategy: Strategy) -> bytes:
     }
     if strategy.ambusher.circulation is not None:
         arrays |= {name: getattr(strategy.ambusher.circulation, name) for name in _CIRCULATION}
+    if strategy.ambusher.by_leg is not None:
+        arrays[_BY_LEG] = strategy.ambusher.by_leg
     if strategy.network.seconds is not None:
         arrays['seconds'] = strategy.network.seconds
     np.savez_compressed(stream, **arrays)
@@ -74,6 +78,7 @@ def strategy_from_file(data: bytes, options: GameOptions) -> tuple[Strategy, Map
                replace(exposure, limit=stated['exposure_budget']))
     circulation = Circulation(*(content[name] for name in _CIRCULATION)) if (
         _CIRCULATION[0] in content) else None
-    ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']), circulation)
+    ambusher = Ambusher(q, (stated['length_price'], stated['exposure_price']),
+                        content.get(_BY_LEG), circulation)
     strategy = strategy_of(game, p, ambusher, budgets)
     return replace(strategy, counting_gap=bool(content[_COUNTING_GAP])), stated

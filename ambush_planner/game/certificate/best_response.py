@@ -1,6 +1,6 @@
 """The convoy's best response to an ambusher's mixed strategy when each site hits a route once.
 
-For q (N,) >= 0 and prices of the budgets, the least of
+For q >= 0 and prices of the budgets, the least of
 
     sum over sites j that the route meets of q_j alpha_j  +  sum over budgets of price * excess
 
@@ -12,6 +12,10 @@ a search keeps only a few of them. A further label replaces the one most similar
 as having met that one's sites as well. This only lowers the cost further on, so the least cost
 remains a lower bound. If the route that is found costs more than this bound, the next search keeps
 more labels.
+
+A trip that is hit at j pays at least q_jl alpha_j for each leg l that meets j, if the q_jl add up
+to q_j over the legs. So what the legs cost at least, each on its own, is a bound, too
+(docs/theory.md, Proposition 13.1).
 """
 
 from __future__ import annotations
@@ -22,14 +26,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
-from ...arrays import FloatArray, IndexArray
+from ...arrays import BoolArray, FloatArray, IndexArray
 from ..budget import Budget
 from ..game import Game
 
 # For each search, the most labels that it keeps at a node, and the comparisons of labels after
-# which it stops: about 10, 3 and 0.2 s. The cost reached by then is still a lower bound.
-SEARCHES = ((1, 20_000_000), (2, 5_000_000), (math.inf, 300_000))
+# which it stops: about 10 s, then 2 s or less. The cost reached by then is still a lower bound.
+SEARCHES = ((1, 20_000_000), (3, 5_000_000), (9, 1_000_000), (81, 1_000_000), (math.inf, 4_000_000))
+Searches = Sequence[tuple[float, int]]
 # Relative rounding of a route's cost.
 _ROUNDING = 1e-12
 # Sites that the ambusher uses less than this, as a share of the costliest, are not counted.
@@ -49,77 +56,140 @@ class BestResponse:
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
                   prices: tuple[float, ...]) -> BestResponse:
-    """Find the route that costs least against q (N,) with each site counted once."""
+    """Find the route that costs least against q with each site counted once.
+
+    q is (N,) by node; or (legs, S) by the leg for which the ambusher waits, and the site.
+    """
     base, paid = np.zeros(len(game.network.edges)), 0.0
     for budget, price in zip(budgets, prices, strict=True):
         if price > 0.0:
             base = base + price * budget.excess
             paid += price * budget.margin
-    charge = game.loss[game.sites] * game.at_sites(q)
-    least, edges = _least_cost(game, base, charge)
-    if game.network.legs > 1:
-        least = max(least, _least_cost_of_legs(game, base, q))
+    charge = game.loss[game.sites] * (q if q.ndim == 2 else _by_leg(game, q))
+    least, edges = Grounds(game, game.hits).least_cost(base, charge, SEARCHES)
     return BestResponse(max(least - paid, 0.0), edges)
 
 
-def _least_cost_of_legs(game: Game, base: FloatArray, q: FloatArray) -> float:
-    """A lower bound of a trip's cost: each site is paid only on the leg for which it waits.
+def _by_leg(game: Game, q: FloatArray) -> FloatArray:
+    """q (N,) as shares (legs, S): each node waits for its own leg."""
+    leg = game.network.leg
+    return np.array([game.at_sites(np.where(leg == k, q, 0.0)) for k in range(game.network.legs)])
 
-    That is the leg of the node at which q (N,) has it.
+
+class Grounds:
+    """The ground of each leg of a trip, and of the whole trip, with the sites' rows (S, M)."""
+
+    def __init__(self, game: Game, hits: csr_matrix) -> None:
+        network = game.network
+        leg, used = network.leg, network.edges[game.playable]
+        begins = np.unique(used[leg[used[:, 1]] > leg[used[:, 0]], 1])
+        at = [np.array([network.source]), *(begins[leg[begins] == k]
+                                            for k in range(1, network.legs))]
+        at.append(np.array([network.target]))
+        self.legs = [Ground(game, hits, leg[network.tails] == k, at[k], at[k + 1])
+                     for k in range(network.legs)]
+        every = np.ones(len(network.edges), dtype=bool)
+        self.whole = self.legs[0] if network.legs == 1 else Ground(game, hits, every, at[0], at[-1])
+
+    def least_cost(self, base: FloatArray, charge: FloatArray,
+                   searches: Searches) -> tuple[float, IndexArray | None]:
+        """A lower bound of the least base cost (M,) plus charges (legs, S), and a route near it."""
+        least, route = self.whole.least_cost(base, charge.sum(axis=0), searches)
+        if len(self.legs) > 1:
+            least = max(least, sum(ground.least_cost(base, own, searches)[0]
+                                   for ground, own in zip(self.legs, charge, strict=True)))
+        return least, route
+
+
+class Ground:
+    """Some edges of a game between some first and some last nodes, and the sites that they meet.
+
+    ``edge`` (m,) are sorted by tail and head; ``tail`` and ``head`` (m,) number their nodes anew.
     """
-    network, total = game.network, 0.0
-    for number, leg in enumerate(game.legs()):
-        own = game.at_places(np.where(network.leg == number, q, 0.0))
-        costs = base[network.leg[network.tails] == number]
-        charge = (leg.loss * own)[leg.sites]
-        if leg.reach > 0.0:
-            total += _least_cost(leg, costs, charge)[0]
-        else:
-            costs = costs + leg.mean_loss_on_edges(own)
-            total += float(leg.distances_ahead(costs)[leg.network.target])
-    return total
 
+    def __init__(self, game: Game, hits: csr_matrix, edges: BoolArray, first: IndexArray,
+                 last: IndexArray) -> None:
+        network = game.network
+        edge = np.flatnonzero(game.playable & edges)
+        self.edge = edge[np.lexsort((network.heads[edge], network.tails[edge]))]
+        nodes, ends = np.unique(network.edges[self.edge], return_inverse=True)
+        self.tail, self.head = ends.reshape(-1, 2).T
+        self.first, self.last = np.searchsorted(nodes, first), np.searchsorted(nodes, last)
+        self.count, self._key = len(nodes), self.tail * len(nodes) + self.head
+        self.out = np.searchsorted(self.tail, np.arange(self.count + 1))
+        self.hits, self.entering = hits, csr_matrix(hits[:, self.edge])
+        by_edge = hits.tocsc()
+        self._met_by = by_edge.indices, by_edge.indptr.tolist()
+        # Whether no way can meet a site more than once.
+        self.exact = game.reach == 0.0 and not np.ptp(network.leg[network.tails[self.edge]])
 
-def _least_cost(game: Game, base: FloatArray,
-                charge: FloatArray) -> tuple[float, IndexArray | None]:
-    """A lower bound of the least base cost plus charges (S,) of a route, and a route near it."""
-    rows = np.argsort(-charge, kind='stable')
-    rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
-    labels = _Labels(game, base, rows, charge[rows])
-    least, best, edges = 0.0, math.inf, None
-    for kept, comparisons in SEARCHES:
-        bound, route = labels.search(kept, comparisons)
-        least = max(least, bound)
-        if route is None:
-            break
-        met = game.hits[rows][:, route].getnnz(axis=1) > 0
-        cost = float(base[route].sum() + charge[rows][met].sum())
-        if cost < best:
-            best, edges = cost, route
-        if best <= least * (1.0 + _ROUNDING):
-            break
-    return least, edges
+    def met(self, route: IndexArray) -> BoolArray:
+        """Which sites (S,) a route meets, given by its edges (K,)."""
+        met, (sites, first) = np.zeros(self.hits.shape[0], dtype=bool), self._met_by
+        for edge in route.tolist():
+            met[sites[first[edge] : first[edge + 1]]] = True
+        return met
+
+    def cost(self, route: IndexArray, base: FloatArray, charge: FloatArray) -> float:
+        """What a route costs, each site counted once."""
+        return float(base[route].sum() + charge[self.met(route)].sum())
+
+    def shortest(self, base: FloatArray, charge: FloatArray) -> IndexArray:
+        """The edges (K,) of the way of least cost if every entry is charged."""
+        weights = base[self.edge] + charge @ self.entering
+        # By far less than costs differ, so that of equal ways the one of fewest edges is taken.
+        weights += _ROUNDING * (float(weights.max()) or 1.0)
+        graph = csr_matrix((weights, self.head, self.out), (self.count, self.count))
+        distance, before, _ = dijkstra(graph, indices=self.first, return_predecessors=True,
+                                       min_only=True)
+        nodes = [int(self.last[np.argmin(distance[self.last])])]
+        while before[nodes[-1]] >= 0:
+            nodes.append(int(before[nodes[-1]]))
+        step = np.array(nodes[:0:-1]) * self.count + nodes[-2::-1]
+        return np.asarray(self.edge[np.searchsorted(self._key, step)])
+
+    def least_cost(self, base: FloatArray, charge: FloatArray,
+                   searches: Searches) -> tuple[float, IndexArray | None]:
+        """A lower bound of the least base cost (M,) plus charges (S,), and a route near it.
+
+        The route is None if all searches were cut short.
+        """
+        if self.exact:
+            shortest = self.shortest(base, charge)
+            return self.cost(shortest, base, charge), shortest
+        labels, least, best = _Labels(self, base, charge), 0.0, math.inf
+        edges: IndexArray | None = None
+        for kept, comparisons in searches:
+            bound, route = labels.search(kept, comparisons)
+            least = max(least, bound)
+            if route is None:
+                continue
+            cost = self.cost(route, base, charge)
+            if cost < best:
+                best, edges = cost, route
+            if best <= least * (1.0 + _ROUNDING):
+                break
+        return least, edges
+
+    def behind(self, base: FloatArray) -> FloatArray:
+        """The least base cost (n,) from each node to the last ones."""
+        graph = csr_matrix((base[self.edge], (self.head, self.tail)), (self.count, self.count))
+        return np.asarray(dijkstra(graph, indices=self.last, min_only=True))
 
 
 class _Labels:
-    """A* over (cost, node, sites met), with the distance over the base weights as potential."""
+    """A* over (cost, node, sites met), with the distance over the base costs as potential."""
 
-    def __init__(self, game: Game, base: FloatArray, rows: IndexArray, charge: FloatArray) -> None:
-        network = game.network
-        behind = game.distances_behind(base)
-        usable = game.playable & np.isfinite(behind[network.heads])
-        edge = np.flatnonzero(usable)
-        edge = edge[np.argsort(network.tails[edge], kind='stable')]
-        self._edge = edge
-        self._first = np.searchsorted(network.tails[edge], np.arange(game.node_count + 1)).tolist()
-        self._head, self._base = network.heads[edge].tolist(), base[edge].tolist()
-        self._behind = behind.tolist()
-        self._charge = charge.tolist()
-        self._met = [0] * len(edge)
-        hit = game.hits[rows][:, edge].tocoo()
+    def __init__(self, ground: Ground, base: FloatArray, charge: FloatArray) -> None:
+        rows = np.argsort(-charge, kind='stable')
+        rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
+        self._met, hit = [0] * len(ground.edge), ground.entering[rows].tocoo()
         for row, k in zip(hit.row.tolist(), hit.col.tolist(), strict=True):
             self._met[k] |= 1 << row
-        self._source, self._target = network.source, network.target
+        self._edge, self._behind = ground.edge, ground.behind(base).tolist()
+        self._first, self._head = ground.out.tolist(), ground.head.tolist()
+        self._base, self._charge = base[ground.edge].tolist(), charge[rows].tolist()
+        self._sources, self._targets = ground.first.tolist(), set(ground.last.tolist())
 
     def search(self, kept: float, comparisons: int) -> tuple[float, IndexArray | None]:
         """A lower bound of the least cost, and a route as edges; None after ``comparisons``.
@@ -129,10 +199,11 @@ class _Labels:
         behind = self._behind
         labels: list[tuple[int, int]] = [(-1, -1)]  # (label before, edge)
         settled: dict[int, list[tuple[float, int]]] = {}
-        queue = [(behind[self._source], 0.0, 0, self._source, 0)]
+        queue = [(behind[node], 0.0, 0, node, 0) for node in self._sources]
+        heapq.heapify(queue)
         while queue:
             least, cost, number, node, met = heapq.heappop(queue)
-            if node == self._target:
+            if node in self._targets:
                 return cost, self._route(labels, number)
             if comparisons < 0:
                 return least, None

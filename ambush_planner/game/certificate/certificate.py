@@ -77,7 +77,8 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> 
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:
-        return best_response(game, ambusher.q, budgets, ambusher.prices).bound
+        waits = ambusher.q if ambusher.by_leg is None else ambusher.by_leg
+        return best_response(game, waits, budgets, ambusher.prices).bound
     faces, used = make_faces(game), [k for k, price in enumerate(ambusher.prices) if price > 0.0]
     if faces is None or len(used) > 1:
         raise SolverFailed('a circulation proves nothing where links cross or two budgets bind')

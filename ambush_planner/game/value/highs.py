@@ -21,8 +21,8 @@ OPTIMAL, LIMIT_REACHED, INFEASIBLE, NUMERICAL_TROUBLE = 0, 1, 2, 4
 # Values of ipm_optimality_tolerance, tried in turn, but none finer than requested; HiGHS' default
 # is 1e-8.
 OPTIMALITY = (1e-11, 1e-8, 1e-7)
-# HiGHS' primal and dual feasibility tolerances.
-TOLERANCE = 1e-9
+# HiGHS' primal and dual feasibility tolerances, and their share of a rough precision.
+TOLERANCE, OF_PRECISION = 1e-9, 2e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,8 +45,9 @@ def run(program: Program, solver: str, deadline: float, presolve: bool = True,
     Returns scipy's result, with status ``OPTIMAL`` or ``INFEASIBLE``; raises TimeLimit or
     SolverFailed.
     """
-    options: dict[str, Any] = {'primal_feasibility_tolerance': TOLERANCE,
-                               'dual_feasibility_tolerance': TOLERANCE}
+    tolerance = max(TOLERANCE, OF_PRECISION * precision)
+    options: dict[str, Any] = {'primal_feasibility_tolerance': tolerance,
+                               'dual_feasibility_tolerance': tolerance}
     left = deadline - time.monotonic()
     if left <= 0.0:
         raise TimeLimit(f'{solver}: the time limit passed before the first iteration')
@@ -73,6 +74,9 @@ def _interior_point(program: Program, options: dict[str, Any], presolve_first: b
     for presolve in (presolve_first, not presolve_first):
         for tolerance in sorted({max(precision, each) for each in OPTIMALITY}):
             tried = {'presolve': presolve, 'ipm_optimality_tolerance': tolerance}
+            if tolerance > max(OPTIMALITY):  # newer versions would call the result's state unknown
+                tried |= dict.fromkeys(('optimality_tolerance', 'primal_residual_tolerance',
+                                        'dual_residual_tolerance'), tolerance)
             result = _linprog(program, 'highs-ipm', options | tried)
             if result.status != NUMERICAL_TROUBLE:
                 return result

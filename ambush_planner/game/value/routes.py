@@ -1,2 +1,309 @@
+"""The least value by a linear program over whole routes, each hit once by each site.
+
+Column generation: the mixture of least value of the known routes gives an ambusher's strategy and
+prices of the budgets (``mixtures``); routes that cost less against these than the mixture's value
+join. They are found leg by leg by Dijkstra's method with every entry charged, except where another
+leg meets the site; later also from routes of the mixture; last by label searches, which also prove
+bounds (``best_response``). A trip's bound usually comes from its legs, each with its own share of
+every site: a program of its own, over the legs' ways, finds the shares.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.sparse import csr_matrix, vstack
+
+from ...arrays import BoolArray, FloatArray, IndexArray
+from ...errors import BudgetInfeasible
+from ..ambusher import capped_at_one
+from ..budget import ROUNDING, Budget
+from ..certificate.best_response import Grounds
+from ..game import Game
+from ..law.acyclic import conserved_strategy
+from .mixtures import Mixture, Mixtures
+
+# Cap on an edge's excess in units of the budget's margin; no strategy notices it.
+MOST_EXCESS = 1e7
+# Relative gaps of the linear programs: while routes join, and once none does.
+LOOSE, TIGHT = 5e-2, 1e-4
+# Share of the gap by which a route must cost less than the value to join.
+GAIN = 0.25
+# Routes of the mixture from which trips are improved leg by leg.
+RESTARTS = 8
+# Label searches: labels kept at a node, comparisons, and the share of the largest charge below
+# which sites are left out. Few sites make a search fast, but each that is left out weakens it.
+SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
+            (math.inf, 4_000_000, 1e-2))
+# The same for the ways of one leg.
+LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000),), 1e-3
+# Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
+FIRST_TURN, LEG_ROUNDS = 16, 60
+# Rounds of the search for routes within two budgets.
+FEASIBLE_ROUNDS = 60
+# Flow on an edge below which a mixture does not use it.
+LEAST_FLOW = 1e-9
+
+
 class Routes:
-    pass
+    """The least value by a linear program over whole routes; it only grows.
+
+    Attributes
+    ----------
+    bound : float
+        No strategy within the budgets has a smaller value.
+    value : float
+        That of the mixture found.
+    by_leg : (legs, S)
+        The ambusher who proves the bound: how likely he waits at each site for each leg. What he
+        proves is ``best_response(game, by_leg, budgets, prices).bound``.
+    prices : (binding budgets,)
+        His prices of the budgets [loss per unit of cost].
+    routes, shares
+        The routes, as edges, and their probabilities (C,).
+
+    Raises BudgetInfeasible if no strategy is within all budgets.
+    """
+
+    def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float,
+                 deadline: float) -> None:
+        self.game, self.gap, self.deadline, self._budgets = game, gap, deadline, budgets
+        binding = [b for b in budgets if b.binds]
+        excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MOST_EXCESS), 0.0)
+                  for b in binding]
+        self._excess = np.reshape(excess, (len(binding), len(game.playable)))
+        legs = game.network.legs
+        self._mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
+        self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
+        self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
+        self._hits, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
+        self.add_sites(game.hits, game.loss[game.sites])
+        self._begin()
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+        self._hits = csr_matrix(vstack((self._hits, entering)))
+        self._grounds = Grounds(self.game, self._hits)
+        self._whole, self._legs = self._grounds.whole, self._grounds.legs
+        for mixtures in (self._mixtures, self._of_legs):
+            mixtures.add_sites(entering, loss)
+        self._loss = self._mixtures.loss
+        self._ambushers = self._mixtures.ambushers = min(self.game.ambushers, len(self._loss))
+        self._of_legs.ambushers = self._ambushers
+        self.by_leg = np.pad(self.by_leg, ((0, 0), (0, len(loss))))
+        if self.bound == 0.0:  # any ambusher proves that
+            self.by_leg[0] = self._ambushers / max(len(self._loss), 1)
+        if len(self.shares):
+            self.value = self._value()
+
+    @property
+    def q(self) -> FloatArray:
+        """How likely the ambusher who proves the bound waits at each site (S,)."""
+        return np.asarray(self.by_leg.sum(axis=0))
+
+    @property
+    def prices(self) -> FloatArray:
+        """His prices of the budgets that bind [loss per unit of cost]."""
+        margins = [b.margin for b in self._budgets if b.binds]
+        return np.asarray(self._prices / np.array(margins))
+
+    @property
+    def routes(self) -> list[IndexArray]:
+        """The routes of the mixture, as edges."""
+        return self._mixtures.routes
+
+    @property
+    def level(self) -> FloatArray:
+        """Loss (S,) that each site may cause; the k largest add up to the value."""
+        losses = self._mixtures.losses(self.shares)
+        return np.maximum(losses, float(np.sort(losses)[-self._ambushers :].min(initial=math.inf)))
+
+    @property
+    def flow(self) -> FloatArray:
+        """The mixture as an acyclic strategy (M,)."""
+        found = conserved_strategy(self.game, self._flow(), LEAST_FLOW)
+        assert found is not None  # a route has a share of at least one in their number
+        return found
+
+    def solve(self) -> None:
+        """Let routes join until the value is within the gap of the bound, or the deadline.
+
+        It also ends when no method finds a route that costs less.
+        """
+        precision, rounds, turn = LOOSE, 0, FIRST_TURN
+        while True:
+            mixture = self._mixtures.solve(precision)
+            self.shares = mixture.shares
+            self.value = self._value()
+            if self._ended():
+                return
+            added, rounds = self._add_responses(mixture, precision), rounds + 1
+            if len(self._legs) > 1 and (not added or rounds == turn):
+                self._separate_legs()
+                turn *= 2
+            if not added and (precision == TIGHT or self._ended()):
+                return
+            precision = precision if added else TIGHT
+
+    def _ended(self) -> bool:
+        proved = self.value <= self.bound * (1.0 + self.gap)
+        return proved or time.monotonic() > self.deadline
+
+    def _value(self) -> float:
+        losses = self._mixtures.losses(self.shares)
+        return float(np.sort(losses)[len(losses) - self._ambushers :].sum())
+
+    def _flow(self) -> FloatArray:
+        flow = np.zeros(len(self.game.playable))
+        for route, share in zip(self.routes, self.shares, strict=True):
+            flow[route] += share
+        return flow
+
+    def _begin(self) -> None:
+        """Add routes of which a mixture is within all budgets."""
+        free = np.zeros(len(self._loss))
+        costs = self._excess if len(self._excess) else self.game.network.lengths[None]
+        for cost in costs:
+            self._add(self._descend(cost, free, 0))
+        for _ in range(FEASIBLE_ROUNDS * (len(costs) > 1)):
+            least, weights = self._mixtures.least_excess()
+            if least <= 1.0:
+                return
+            route = self._descend(weights @ self._excess, free, 0)
+            if not self._add(route):
+                break
+        if len(costs) > 1:
+            if least > 1.0 + ROUNDING:
+                names = ' and '.join(b.option for b in self._budgets if b.binds)
+                raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+            self._mixtures.limit = least
+
+    def _add(self, route: IndexArray) -> bool:
+        return self._mixtures.add(route, self._whole.met(route), self._excess[:, route].sum(axis=1))
+
+    def _add_responses(self, mixture: Mixture, precision: float) -> int:
+        """Add routes that cost less than the value, by the fastest way that finds any."""
+        scale = self._ambushers / mixture.q.sum()
+        base = scale * mixture.prices @ self._excess
+        charge = capped_at_one(scale * mixture.q[0], self._ambushers) * self._loss
+        most = self.value * (1.0 - GAIN * self.gap) + scale * float(mixture.prices.sum())
+        for routes in self._responses(mixture, base, charge, precision):
+            added = sum(self._add(route) for route in routes
+                        if self._whole.cost(route, base, charge) < most)
+            if added or time.monotonic() > self.deadline:
+                return added
+        return 0
+
+    def _responses(self, mixture: Mixture, base: FloatArray, charge: FloatArray,
+                   precision: float) -> Iterator[list[IndexArray]]:
+        """Routes that cost little, the fastest way to find them first."""
+        legs = len(self._legs)
+        if self._whole.exact:
+            self._search(mixture, (1, 0, 0.0))
+        yield [self._descend(base, charge, start) for start in range(legs)]
+        if precision == LOOSE or self._whole.exact:
+            return
+        if legs > 1:
+            near = self._rng.choice(len(self.shares), RESTARTS, p=self.shares)
+            yield [self._descend(base, charge, int(self._rng.integers(legs)), self.routes[k])
+                   for k in near]
+        for search in SEARCHES:
+            yield self._search(mixture, search)
+
+    def _search(self, mixture: Mixture, search: tuple[float, int, float]) -> list[IndexArray]:
+        """Search the whole ground for the route of least cost, and note the bound."""
+        kept, comparisons, negligible = search
+        q, prices = self._ambusher(mixture, negligible)
+        least, route = self._whole.least_cost(prices @ self._excess, q[0] * self._loss,
+                                              ((kept, comparisons),))
+        by_leg = np.zeros_like(self.by_leg)
+        by_leg[0] = q[0]
+        self._note(least, by_leg, prices)
+        return [] if route is None else [route]
+
+    def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, FloatArray]:
+        """q (groups, S) without small charges, at most 1 at each site, and the prices (B,)."""
+        q = mixture.q
+        q = np.where(q * self._loss > negligible * (q * self._loss).max(), q, 0.0)
+        scale = self._ambushers / q.sum()
+        total = scale * q.sum(axis=0)
+        capped = capped_at_one(total, self._ambushers)
+        q = scale * q * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
+        q[0] += np.where(total > 0.0, 0.0, capped)
+        return q, scale * mixture.prices
+
+    def _note(self, least: float, by_leg: FloatArray, prices: FloatArray) -> None:
+        """Keep an ambusher who costs every route at least ``least`` if his bound is the best."""
+        bound = least - float(prices.sum())
+        if bound > self.bound:
+            self.bound, self.by_leg, self._prices = bound, by_leg, prices
+
+    def _descend(self, base: FloatArray, charge: FloatArray, start: int,
+                 route: IndexArray | None = None) -> IndexArray:
+        """Improve a route leg by leg, from leg ``start`` on, as long as its cost falls.
+
+        The sites that other legs meet are free. Without a route, the other legs meet none yet.
+        """
+        legs = len(self._legs)
+        ways = [np.zeros(0, dtype=np.int64)] * legs if route is None else self._by_legs(route)
+        met = np.array([self._whole.met(way) for way in ways])
+        free: list[BoolArray | None] = [None] * legs  # as when the leg was last improved
+        best, found = math.inf, np.zeros(0, dtype=np.int64)
+        while True:
+            for leg in np.roll(np.arange(legs), -start):
+                now: BoolArray = np.any(np.delete(met, leg, axis=0), axis=0)
+                before, free[leg] = free[leg], now
+                if before is None or (now != before).any():
+                    ways[leg] = self._legs[leg].shortest(base, np.where(now, 0.0, charge))
+                    met[leg] = self._whole.met(ways[leg])
+            cost = base[np.concatenate(ways)].sum() + charge[met.any(axis=0)].sum()
+            if cost >= best * (1.0 - ROUNDING):
+                return found
+            best, found = cost, np.concatenate(ways)
+
+    def _by_legs(self, route: IndexArray) -> list[IndexArray]:
+        network = self.game.network
+        leg = network.leg[network.tails[route]]
+        return np.split(route, np.flatnonzero(np.diff(leg)) + 1)
+
+    def _separate_legs(self) -> None:
+        """Improve the bound by the program in which each leg has sites of its own."""
+        for route in self.routes:
+            for leg, way in enumerate(self._by_legs(route)):
+                self._add_way(leg, way)
+        precision = LOOSE
+        for _ in range(LEG_ROUNDS):
+            mixture, added = self._of_legs.solve(precision), 0
+            if precision == LOOSE and self.game.reach > 0.0:
+                added = self._add_entering_ways(mixture)
+            if not added:
+                precision, added = TIGHT, self._prove_by_legs(mixture)
+                if not added or self.bound >= mixture.value * (1.0 - self.gap / 2.0):
+                    return
+            if self._ended():
+                return
+
+    def _add_entering_ways(self, mixture: Mixture) -> int:
+        """Add each leg's way of least cost if every entry is charged."""
+        q, prices = self._ambusher(mixture, 0.0)
+        base, charge = prices @ self._excess, q * self._loss
+        return sum(self._add_way(leg, self._legs[leg].shortest(base, charge[leg]))
+                   for leg in range(len(charge)))
+
+    def _prove_by_legs(self, mixture: Mixture) -> int:
+        """Note the bound of a mixture's ambusher; return the number of new ways."""
+        q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
+        base, least, added = prices @ self._excess, 0.0, 0
+        for leg, (ground, own) in enumerate(zip(self._legs, q * self._loss, strict=True)):
+            low, way = ground.least_cost(base, own, LEG_SEARCH)
+            added += self._add_way(leg, ground.shortest(base, own) if way is None else way)
+            least += low
+        self._note(least, q, prices)
+        return added
+
+    def _add_way(self, leg: int, way: IndexArray) -> bool:
+        excess = self._excess[:, way].sum(axis=1)
+        return self._of_legs.add(way, self._whole.met(way), excess, leg)

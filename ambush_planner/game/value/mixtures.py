@@ -1,0 +1,123 @@
+"""The linear program over mixtures of known routes.
+
+    minimise k b + sum of b_j   subject to   mean loss at site j <= b + b_j,   mean excess <= 1,
+                                             the shares of each group add up to 1,
+
+each route hit once by each site. The duals are the ambusher's strategy and the prices of the
+budgets. HiGHS' interior point method without crossover gives *central* duals, which price many
+routes at once; a vertex would jump from one extreme ambusher to another.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_matrix, hstack, identity, vstack
+
+from ...arrays import BoolArray, FloatArray, IndexArray
+from ...errors import SolverFailed
+from . import highs
+
+if TYPE_CHECKING:
+    from scipy.optimize import OptimizeResult
+
+# Smallest value, as a share of the largest loss, that the program is scaled to.
+LEAST_UNIT = 1e-6
+
+
+class Mixture(NamedTuple):
+    """Its value, the shares (C,) of the routes, and the duals: q (groups, S), prices (B,)."""
+
+    value: float
+    shares: FloatArray
+    q: FloatArray
+    prices: FloatArray
+
+
+class Mixtures:
+    """Routes in groups, each with the sites (S,) that it meets and its excess (B,).
+
+    A group is a leg whose sites have shares of their own, or there is one group of whole routes.
+    """
+
+    def __init__(self, groups: int) -> None:
+        self.loss, self.ambushers, self.limit, self._groups = np.zeros(0), 0, 1.0, groups
+        self._unit = 0.0
+        self.routes: list[IndexArray] = []
+        self._met: list[IndexArray] = []
+        self._excess: list[FloatArray] = []
+        self._group: list[int] = []
+        self._known: set[tuple[int, bytes]] = set()
+
+    def add(self, route: IndexArray, met: BoolArray, excess: FloatArray, group: int = 0) -> bool:
+        """Add a route, given by its edges; return whether it is new."""
+        key = group, route.tobytes()
+        if key in self._known:
+            return False
+        self._known.add(key)
+        self.routes.append(route)
+        self._met.append(np.flatnonzero(met))
+        self._excess.append(excess)
+        self._group.append(group)
+        return True
+
+    def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
+        """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
+        met_by, count = csr_matrix(entering.T), len(self.loss)
+        self.loss = np.append(self.loss, loss)
+        self._met = [np.append(known, count + np.unique(met_by[route].indices))
+                     for known, route in zip(self._met, self.routes, strict=True)]
+
+    def losses(self, shares: FloatArray) -> FloatArray:
+        """Mean loss (S,) that each site causes a mixture."""
+        weight = np.repeat(shares, list(map(len, self._met)))
+        sites = np.concatenate(self._met)
+        return self.loss * np.bincount(sites, weight, len(self.loss))
+
+    def least_excess(self) -> tuple[float, FloatArray]:
+        """The least greatest excess of a mixture, and how much each budget (B,) counts in it."""
+        excess = np.array(self._excess).T
+        rows = np.column_stack((excess, -np.ones(len(excess))))
+        cost, each = np.zeros(rows.shape[1]), np.ones((1, rows.shape[1]))
+        cost[-1], each[0, -1] = 1.0, 0.0
+        result = _solved(highs.Program(cost, csr_matrix(rows), np.zeros(len(excess)),
+                                       csr_matrix(each), np.ones(1)), highs.OPTIMALITY[0])
+        return float(result.fun), np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+
+    def solve(self, precision: float) -> Mixture:
+        """The mixture of least value, to a relative gap of ``precision``."""
+        group, size = np.array(self._group), list(map(len, self._met))
+        count, sites = len(group), np.concatenate(self._met)
+        column = np.repeat(np.arange(count), size)
+        # In a unit near the value, to which the solver's tolerances are relative.
+        most = float(self.loss.max(initial=0.0)) or 1.0
+        unit = self._unit if self._unit > LEAST_UNIT * most else most
+        used, row = np.unique(group[column] * len(self.loss) + sites, return_inverse=True)
+        extra = len(used) * (self.ambushers > 1)
+        hit = csr_matrix((self.loss[sites] / unit, (row.ravel(), column)), (len(used), count))
+        limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((len(used), 1))),
+                                    -identity(len(used), format='csr')[:, :extra]]))
+        excess = csr_matrix(np.array(self._excess).T)
+        excess.resize(excess.shape[0], limits.shape[1])
+        each = csr_matrix((np.ones(count), (group, np.arange(count))),
+                          (self._groups, limits.shape[1]))
+        cost = np.repeat([0.0, self.ambushers, 1.0], [count, 1, extra])
+        bounds = np.repeat([0.0, self.limit], [len(used), excess.shape[0]])
+        result = _solved(highs.Program(cost, csr_matrix(vstack([limits, excess])), bounds, each,
+                                       np.ones(self._groups)), precision)
+        duals = np.maximum(-np.asarray(result.ineqlin.marginals), 0.0)
+        q = np.zeros(self._groups * len(self.loss))
+        q[used] = duals[: len(used)]
+        shares = np.maximum(result.x[:count], 0.0)
+        shares /= np.bincount(group, shares)[group]
+        self._unit = float(result.fun) * unit
+        return Mixture(self._unit, shares, q.reshape(self._groups, -1), duals[len(used) :] * unit)
+
+
+def _solved(program: highs.Program, precision: float) -> OptimizeResult:
+    try:
+        return highs.run(program, 'interior_point', math.inf, False, precision)
+    except SolverFailed:
+        return highs.run(program, 'simplex', math.inf)

@@ -1,0 +1,180 @@
+"""The program over whole routes, against linear programs over all routes of small networks."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import assume, given, reject
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+from scipy.sparse import csr_matrix
+from test_trip import roads_of
+
+from ambush_planner import BudgetInfeasible, GameOptions, Network, NoRoute, StrategyOptions
+from ambush_planner.game.acyclic import is_acyclic
+from ambush_planner.game.best_response import best_response
+from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.strategy import make_budgets
+from ambush_planner.game.value.routes import Routes
+
+GAP = 1e-3
+
+
+def all_routes(network):
+    """The simple routes, as lists of edges."""
+    out = [np.flatnonzero(network.tails == node).tolist() for node in range(len(network.points))]
+    found, open_ends = [], [(network.source, [], {network.source})]
+    while open_ends:
+        node, route, seen = open_ends.pop()
+        if node == network.target:
+            found.append(np.array(route))
+            continue
+        open_ends += [(int(network.heads[e]), [*route, e], seen | {int(network.heads[e])})
+                      for e in out[node] if int(network.heads[e]) not in seen]
+    return found
+
+
+def least_value(game, budgets, entering, loss):
+    """The least value of any mixture of simple routes; None if none is within the budgets."""
+    routes = [r for r in all_routes(game.network) if game.playable[r].all()]
+    hits = entering.toarray()
+    hit = np.array([hits[:, r].any(axis=1) for r in routes]).T * loss[:, None]
+    sites, k = len(loss), min(game.ambushers, len(loss))
+    rows = [np.hstack((hit, -np.ones((sites, 1)), -np.eye(sites)))]
+    binding = [b for b in budgets if b.binds]
+    for budget in binding:
+        rows.append(np.append([budget.cost[r].sum() for r in routes], np.zeros(sites + 1))[None])
+    most = np.append(np.zeros(sites), [b.limit * (1.0 + 1e-9) for b in binding])
+    cost = np.concatenate((np.zeros(len(routes)), [k], np.ones(sites)))
+    whole = np.concatenate((np.ones(len(routes)), np.zeros(sites + 1)))[None]
+    found = linprog(cost, np.vstack(rows), most, whole, [1.0], method='highs-ds')
+    return found.fun if found.status == 0 else None
+
+
+def games(seed, stops, reach, detour, exposure, ambushers):
+    """A game on random roads, some one-way, some crossing; and its budgets."""
+    roads = roads_of(seed, stops, 4)
+    ways, kept = np.random.default_rng(seed), np.ones(len(roads.edges), dtype=bool)
+    kept[ways.integers(0, len(kept), 2)] = False  # one-way
+    pairs = np.array([(a, b) for a in range(4) for b in range(4) if a != b])
+    edges = np.unique(np.concatenate((roads.edges[kept], pairs[ways.integers(0, 12, 3)])), axis=0)
+    roads = replace(roads, edges=edges)
+    try:
+        game, budgets = game_on(roads, reach, detour, exposure, ambushers)
+    except NoRoute:
+        reject()
+    assume(all(b.limit > 0.0 for b in budgets))
+    return game, budgets
+
+
+def game_on(roads, reach, detour, exposure, ambushers):
+    game = make_game(roads.network(roads.visits), GameOptions(reach, 0.5, ambushers=ambushers))
+    return game, make_budgets(game, StrategyOptions(max_detour=detour, max_exposure=exposure))
+
+
+GAMES = {
+    'seed': st.integers(0, 10**6), 'stops': st.integers(0, 1),
+    'reach': st.sampled_from([0.0, 1.0, 2.5]),
+    'detour': st.sampled_from([1.0, 1.05, 1.3, math.inf]),
+    'exposure': st.sampled_from([1.1, math.inf]), 'ambushers': st.integers(1, 3),
+}
+
+
+@examples(60)
+@given(**GAMES)
+def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reach, detour, exposure,
+                                                              ambushers):
+    game, budgets = games(seed, stops, reach, detour, exposure, ambushers)
+    least = least_value(game, budgets, game.hits, game.loss[game.sites])
+    if least is None:
+        with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
+            Routes(game, budgets, GAP, math.inf)
+        return
+    found = Routes(game, budgets, GAP, math.inf)
+    found.solve()
+    check(found, budgets, least)
+
+
+def check(found, budgets, least):
+    """Laws of a solved program, whose least value is known."""
+    game, k = found.game, min(found.game.ambushers, len(found.q))
+    assert found.bound <= least * (1.0 + 1e-7) + 1e-9
+    assert found.value >= least * (1.0 - 1e-6) - 1e-9
+    assert found.q.min(initial=0.0) >= 0.0 and found.q.max(initial=0.0) <= 1.0 + 1e-9
+    assert found.q.sum() == pytest.approx(k)
+    assert np.sort(found.level)[len(found.level) - k :].sum() == pytest.approx(found.value)
+    assert found.shares.min() >= 0.0 and found.shares.sum() == pytest.approx(1.0)
+    balance = np.bincount(game.network.tails, found.flow, game.node_count)
+    balance -= np.bincount(game.network.heads, found.flow, game.node_count)
+    balance[[game.network.source, game.network.target]] -= (1.0, -1.0)
+    assert np.abs(balance).max() < 1e-9 and is_acyclic(game.network, found.flow)
+    assert all(budget.keeps(found.flow) for budget in budgets)
+    assert all(price >= 0.0 for price in found.prices)
+
+
+@examples(40)
+@given(**GAMES)
+def test_the_judge_reproduces_the_bound(seed, stops, reach, detour, exposure, ambushers):
+    game, budgets = games(seed, stops, reach, detour, exposure, ambushers)
+    try:
+        found = Routes(game, budgets, GAP, math.inf)
+    except BudgetInfeasible:
+        return
+    found.solve()
+    judged = best_response(game, found.by_leg, budgets, found.prices).bound
+    assert judged >= found.bound * (1.0 - 1e-9) - 1e-12
+    if reach == 0.0 and stops == 0:
+        assert found.value <= found.bound * (1.0 + GAP) + 1e-9
+        assert found.value == pytest.approx(worst_loss(game, found.flow), rel=1e-6, abs=1e-9)
+
+
+@examples(25)
+@given(seed=st.integers(0, 10**6), stops=st.integers(0, 1), ambushers=st.integers(1, 2),
+       reach=st.sampled_from([0.0, 1.5]))
+def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, ambushers, reach):
+    game, budgets = games(seed, stops, reach, 1.2, math.inf, ambushers)
+    rng = np.random.default_rng(seed)
+    more = csr_matrix((rng.random((3, len(game.playable))) < 0.2).astype(float))
+    loss = rng.uniform(1.0, 5.0, 3)
+    found = Routes(game, budgets, GAP, math.inf)
+    found.solve()
+    before = found.bound, found.value
+    found.add_sites(more, loss)
+    assert found.bound == before[0] and found.value >= before[1] * (1.0 - 1e-9)
+    assert len(found.q) == len(game.sites) + 3
+    found.solve()
+    entering = csr_matrix(np.vstack((game.hits.toarray(), more.toarray())))
+    check(found, budgets, least_value(game, budgets, entering,
+                                      np.append(game.loss[game.sites], loss)))
+
+
+def test_two_ways_and_a_detour_by_hand():
+    """Losses 1 and 2 on two ways of the same length: 2 / 3 of the routes take the first."""
+    points = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0)])
+    edges = [(0, 1), (0, 2), (1, 3), (2, 3)]
+    network = Network(points, np.array([0.0, 1.0, 2.0, 0.0]), edges, 0, 3)
+    game = make_game(network, GameOptions())
+    found = Routes(game, make_budgets(game, StrategyOptions()), GAP, math.inf)
+    found.solve()
+    assert found.value == pytest.approx(2.0 / 3.0, rel=1e-3)
+    assert found.bound == pytest.approx(2.0 / 3.0, rel=1e-3)
+    assert found.q == pytest.approx([2.0 / 3.0, 1.0 / 3.0], rel=1e-2)
+
+
+def test_without_sites_the_value_is_0():
+    points = np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0)])
+    game = make_game(Network(points, np.zeros(3), [(0, 1), (1, 2)], 0, 2), GameOptions())
+    found = Routes(game, make_budgets(game, StrategyOptions()), GAP, math.inf)
+    found.solve()
+    assert (found.bound, found.value, found.flow.tolist()) == (0.0, 0.0, [1.0, 1.0])
+
+
+def test_at_the_deadline_there_is_a_strategy():
+    game, budgets = game_on(roads_of(5, 1, 4), 1.0, 1.3, math.inf, 1)
+    found = Routes(game, budgets, GAP, -math.inf)
+    found.solve()
+    assert found.bound <= found.value < math.inf
+    assert found.flow[game.network.tails == game.network.source].sum() == pytest.approx(1.0)
