@@ -22,8 +22,8 @@ from ambush_planner.arrays import BoolArray, FloatArray
 KINDS = ('plan', 'nodes', 'trip', 'grid', 'budgets', 'two')
 DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
-# Cells per node along a line; larger maps have finer features, not more of them.
-CELLS_PER_NODE = 1.3
+# Cells per node along a line, least and most; larger maps have finer features, not more of them.
+CELLS_PER_NODE = 1.3, 6.0
 # Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
 MOST_REACH = 0.2
 
@@ -44,7 +44,10 @@ def draw(name: str) -> Problem:
     """The problem ``kind:family:nodes:seed``."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
-    scenario, own = FAMILIES[family](rng, round(CELLS_PER_NODE * math.sqrt(int(nodes))))
+    fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
+    if kind != 'nodes':
+        fine = math.exp(rng.uniform(*np.log(CELLS_PER_NODE)))
+    scenario, own = FAMILIES[family](rng, round(fine * math.sqrt(int(nodes))))
     spacing = spacing_for(scenario.risk_map, int(nodes))
     reach, held = _reach_and_held(kind, rng, scenario, spacing)
     detour = own or float(rng.choice(DETOURS))
@@ -55,7 +58,9 @@ def draw(name: str) -> Problem:
                     ambushers=2 if kind == 'two' else 1),
         StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf),
     )
-    words = f'reach {reach:.2g} held {held:.2g} detour {detour:.3g} stops {count}'
+    rows, columns = scenario.risk_map.alpha.shape
+    words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
+             f'stops {count}')
     return Problem(scenario, options, _places(rng, scenario.risk_map, int(count)), words)
 
 

@@ -145,15 +145,16 @@ def names_of(kind: str, sizes: list[int] | None, seeds: range,
              families: list[str]) -> dict[int, list[str]]:
     """The problems of a kind by their size; 0: sizes that are drawn."""
     if kind not in SIZES:
-        return {0: [f'{kind}:{family}:{round(places_of(seed))}:{seed}'
+        return {0: [f'{kind}:{family}:{places_of(family, seed)}:{seed}'
                     for family in families if family in TRIP_FAMILIES for seed in seeds]}
     return {size: [f'{kind}:{family}:{size}:{seed}' for family in families for seed in seeds]
             for size in sizes or SIZES[kind]}
 
 
-def places_of(seed: int) -> float:
+def places_of(family: str, seed: int) -> int:
     """The drawn number of places of a trip."""
-    return math.exp(np.random.default_rng(seed).uniform(*np.log(PLACES)))
+    rng = np.random.default_rng([seed, TRIP_FAMILIES.index(family)])
+    return round(math.exp(rng.uniform(*np.log(PLACES))))
 
 
 def measure(name: str, checkout: Path, options: Any) -> Answer:
