@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scenarios import Scenario, block, city, maze, nearest_free, terrain
@@ -40,8 +40,8 @@ class Problem:
     words: str
 
 
-def draw(name: str) -> Problem:
-    """The problem ``kind:family:nodes:seed``."""
+def draw(name: str, time_limit: float = math.inf) -> Problem:
+    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
     kind, family, nodes, seed = name.split(':')
     rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
     fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
@@ -56,16 +56,13 @@ def draw(name: str) -> Problem:
         NetworkOptions('uniform_grid8' if kind == 'grid' else 'uniform_delaunay', spacing),
         GameOptions(reach * spacing, held if held < 0.0 else held * spacing,
                     ambushers=2 if kind == 'two' else 1),
-        StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf),
+        StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf,
+                        time_limit=time_limit),
     )
     rows, columns = scenario.risk_map.alpha.shape
     words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
              f'stops {count}')
     return Problem(scenario, options, _places(rng, scenario.risk_map, int(count)), words)
-
-
-def with_limit(options: PlanningOptions, seconds: float) -> PlanningOptions:
-    return replace(options, strategy=replace(options.strategy, time_limit=seconds))
 
 
 def spacing_for(risk_map: RiskMap, nodes: int) -> float:

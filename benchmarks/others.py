@@ -17,10 +17,9 @@ import networkx
 import numpy as np
 from families import FAMILIES, draw
 from one_run import Answer, run
+from peers import best_route
 from report import conditions, new_parser, publish, table
 from scipy.ndimage import gaussian_filter
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from ambush_planner import AmbushPlannerError, Network, RiskMap, plan_trip
 from ambush_planner.arrays import FloatArray
@@ -58,15 +57,7 @@ class Others:
         }
 
     def route(self, weights: FloatArray) -> Route:
-        """The edges of the best route."""
-        network = self._network
-        count = len(network.points)
-        graph = csr_matrix((weights, network.edges.T), (count, count))
-        _, before = dijkstra(graph, indices=network.source, return_predecessors=True)
-        nodes = [network.target]
-        while nodes[-1] != network.source:
-            nodes.append(int(before[nodes[-1]]))
-        return self._edges(nodes[::-1])
+        return self._edges(best_route(self._network, weights))
 
     def alternatives(self, most: int, factor: float) -> list[Route]:
         """Shortest routes in turns, each making its edges longer for those after it."""

@@ -1,6 +1,6 @@
-"""The linear program of the value, by HiGHS (Huangfu and Hall, 2018), without our code for games.
+"""Shortest routes by scipy, and the linear program of the value by HiGHS (Huangfu and Hall, 2018).
 
-HiGHS runs on one thread with its default tolerances; only its own run is timed.
+They share no code with the package. Of HiGHS, only its own run is timed, on one thread.
 """
 
 from __future__ import annotations
@@ -12,26 +12,29 @@ from typing import Any
 import highspy
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, hstack, vstack
+from scipy.sparse.csgraph import dijkstra
 
 from ambush_planner import Network
-from ambush_planner.arrays import FloatArray
+from ambush_planner.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Minimise cost x, rows x in low..high, x >= 0; the first variables are p (M,), then t."""
+    """Minimise cost x, rows x in low..high, x in 0..most; x is p (M,), t, s."""
 
     cost: FloatArray
+    most: FloatArray
     rows: csc_matrix
     low: FloatArray
     high: FloatArray
 
 
 def value_program(network: Network, losses: csr_matrix, budgets: list[tuple[FloatArray, float]],
-                  ambushers: int = 1) -> Program:
+                  ambushers: int = 1, usable: BoolArray | None = None) -> Program:
     """Minimise k t + sum s: ``losses`` (S, M) p <= t + s, one unit of flow p within ``budgets``.
 
-    Each budget is the costs (M,) of the edges and its limit.
+    Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
+    ``usable`` (M,).
     """
     (tail, head), m, n = network.edges.T, len(network.edges), len(network.points)
     sites = losses.shape[0]
@@ -46,8 +49,22 @@ def value_program(network: Network, losses: csr_matrix, budgets: list[tuple[Floa
     parts += [csr_matrix(np.r_[cost, np.zeros(1 + several)]) for cost, _ in finite]
     rows = vstack([*parts, hstack((balance, csr_matrix((n, 1 + several))))])
     above = np.r_[np.zeros(sites), np.ones(len(finite))]
-    return Program(np.r_[np.zeros(m), ambushers, np.ones(several)], csc_matrix(rows),
+    most = np.full(m + 1 + several, np.inf)
+    if usable is not None:
+        most[:m][~usable] = 0.0
+    return Program(np.r_[np.zeros(m), ambushers, np.ones(several)], most, csc_matrix(rows),
                    np.r_[np.full(len(above), -np.inf), supply], np.r_[above, supply])
+
+
+def best_route(network: Network, weights: FloatArray) -> list[int]:
+    """The nodes of the route of least weight; weights (M,) of edges."""
+    count = len(network.points)
+    graph = csr_matrix((weights, network.edges.T), (count, count))
+    _, before = dijkstra(graph, indices=network.source, return_predecessors=True)
+    nodes = [network.target]
+    while nodes[-1] != network.source:
+        nodes.append(int(before[nodes[-1]]))
+    return nodes[::-1]
 
 
 def highs(program: Program, **options: Any) -> dict[str, Any]:
@@ -55,7 +72,7 @@ def highs(program: Program, **options: Any) -> dict[str, Any]:
     model, (rows, columns) = highspy.HighsLp(), program.rows.shape
     model.num_row_, model.num_col_ = rows, columns
     model.col_cost_, model.col_lower_ = program.cost, np.zeros(columns)
-    model.col_upper_ = np.full(columns, np.inf)
+    model.col_upper_ = program.most
     model.row_lower_, model.row_upper_ = program.low, program.high
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     model.a_matrix_.start_, model.a_matrix_.index_ = program.rows.indptr, program.rows.indices

@@ -64,13 +64,6 @@ def _unit_square(cells: int) -> tuple[FloatArray, FloatArray]:
     return u, v
 
 
-def block_network(nodes: int) -> Network:
-    """Network of ``nodes`` x ``nodes`` over ``block``, from mid-left to mid-right."""
-    spacing = SIDE / nodes
-    ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
-    return Scenario(block(nodes), *ends).network(NetworkOptions(spacing=spacing))
-
-
 def terrain() -> Scenario:
     """The demo's terrain: 30 km by 32 km with ridges between start and goal."""
     risk_map = risk_map_from_occupancy(demo_ground.load_ground().values, demo_ground.RESOLUTION)

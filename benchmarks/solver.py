@@ -13,12 +13,13 @@ import secrets
 import subprocess
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from families import FAMILIES, KINDS, draw, with_limit
+from families import FAMILIES, KINDS, Problem, draw
 from one_run import Answer, Profile, run
 from peers import highs, value_program
 from report import conditions, new_parser, publish, quantiles, table
@@ -34,6 +35,7 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.arrays import FloatArray
+from ambush_planner.planning.plan import Plan
 from ambush_planner.planning.solving import WarmStart
 
 HERE = Path(__file__).parent.parent
@@ -52,9 +54,8 @@ OBSTACLE = 3  # cells along a side of what appears on the map
 
 def planned(name: str, time_limit: float = math.inf) -> Answer:
     """A plan within a time limit [s]."""
-    return timed(name, lambda problem: plan_trip(
-        problem.scenario.risk_map, problem.scenario.start, problem.scenario.goal,
-        with_limit(problem.options, time_limit), stops=problem.stops).strategy)
+    problem = draw(name, time_limit)
+    return timed(problem, lambda: planned_on(problem).strategy)
 
 
 def at_nodes(name: str) -> Answer:
@@ -63,38 +64,41 @@ def at_nodes(name: str) -> Answer:
     try:
         network = problem.scenario.network(problem.options.network)
     except AmbushPlannerError as error:
-        return refused(error, 0.0)
-    return timed(name, lambda _: solve(network, problem.options.game, problem.options.strategy))
+        return refused(error)
+    return timed(problem, lambda: solve(network, problem.options.game, problem.options.strategy))
 
 
-def timed(name: str, make: Any) -> Answer:
-    """What ``make`` costs and finds for a problem, once all libraries are loaded."""
-    small, problem = draw('plan:hills-coarse:100:0'), draw(name)
-    plan_trip(small.scenario.risk_map, small.scenario.start, small.scenario.goal, small.options)
-    profile, status = Profile(), 'solved'
-    begin = time.process_time()
+def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
+    """What a strategy costs and is, once all libraries are loaded."""
+    planned_on(draw('plan:hills-coarse:100:0'))
+    profile, status, begin = Profile(), 'solved', time.process_time()
     try:
-        strategy = make(problem)
+        strategy = make()
     except TimeLimit as error:
         if error.strategy is None:
-            return refused(error, time.process_time() - begin)
+            return refused(error)
         strategy, status = error.strategy, 'gap open'
     except AmbushPlannerError as error:
-        return refused(error, time.process_time() - begin)
-    seconds = time.process_time() - begin
-    return figures(strategy) | {'seconds': seconds, 'status': status, 'words': problem.words,
-                                'profile': dict(profile.seconds)}
+        return refused(error)
+    return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
+            'profile': dict(profile.seconds), 'value': strategy.value, 'gap': gap_of(strategy),
+            'bound': strategy.lower_bound, 'budget': strategy.length_budget,
+            'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
 
 
-def refused(error: AmbushPlannerError, seconds: float) -> Answer:
-    return {'failed': True, 'seconds': seconds, 'status': type(error).__name__}
+def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Plan:
+    scenario = problem.scenario
+    return plan_trip(risk_map or scenario.risk_map, scenario.start, scenario.goal, problem.options,
+                     stops=problem.stops, **options)
 
 
-def figures(strategy: Strategy) -> Answer:
-    value, bound = strategy.value, strategy.lower_bound
-    return {'value': value, 'bound': bound, 'gap': value / bound - 1.0 if bound else value,
-            'nats': strategy.route_entropy, 'nodes': len(strategy.network.points),
-            'budget': strategy.length_budget}
+def refused(error: AmbushPlannerError) -> Answer:
+    return {'failed': True, 'seconds': time.process_time(), 'status': type(error).__name__}
+
+
+def gap_of(strategy: Strategy) -> float:
+    """The gap relative to the bound; 0 if there is nothing to lose."""
+    return strategy.value / strategy.lower_bound - 1.0 if strategy.lower_bound else strategy.value
 
 
 def value_by_highs(name: str, budget: float) -> Answer:
@@ -116,19 +120,20 @@ def losses_at_nodes(network: Network, held: float) -> csr_matrix:
 def replanned(name: str, changes: int) -> Answer:
     """Plans on maps on which an obstacle is somewhere else each time, each from the one before."""
     problem, rng, warm = draw(name), np.random.default_rng(changes), None
-    scenario, seconds, gaps = problem.scenario, [], []
+    seconds, gaps, risk_map = [], [], problem.scenario.risk_map
     while len(seconds) <= changes:
-        risk_map = changed(scenario.risk_map, rng) if warm else scenario.risk_map
         begin = time.process_time()
         try:
-            plan = plan_trip(risk_map, scenario.start, scenario.goal, problem.options, warm=warm)
+            plan = planned_on(problem, risk_map, warm=warm)
         except AmbushPlannerError as error:
-            if warm is None:
-                return refused(error, time.process_time() - begin)
-            continue  # the obstacle covers an end, or closes the only way
-        seconds.append(time.process_time() - begin)
-        gaps.append(figures(plan.strategy)['gap'])
-        warm = WarmStart(plan.network, plan.strategy.multipliers)
+            if not seconds:
+                return refused(error)
+        else:
+            seconds.append(time.process_time() - begin)
+            gaps.append(gap_of(plan.strategy))
+            multipliers = plan.strategy.multipliers
+            warm = WarmStart(plan.network, multipliers) if multipliers else None
+        risk_map = changed(problem.scenario.risk_map, rng)  # may close the only way
     return {'seconds': sum(seconds), 'status': 'solved', 'cold': seconds[0], 'warm': seconds[1:],
             'gaps': gaps[1:]}
 

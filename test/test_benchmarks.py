@@ -14,14 +14,12 @@ TIMEOUT = 250  # s
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(TIMEOUT + 20)]
 
 SCRIPTS = {
-    'ambush_radius': '--sizes 10 14',
     'mesh_convergence': '--families hills-coarse --each 1 --fractions 2 1 --seed 1',
-    'many': '--cells 60 --pairs 3 --nodes 60 --repeats 1',
-    'markers': '--across 10',
-    'random_games': '--first 57 --count 2',
+    'others': '--families hills-coarse --each 1 --nodes 150 --seed 1',
+    'random_games': '--first 57 --count 3',
     'routes': '--maps maze --departures 4 --nodes 1000',
-    'solver': '--sizes 150 --each 1 --families gates city --reach 0 --seed 1 --limit 60 --early',
-    'stop_order': '--nodes 300 --families rough --each 1',
+    'solver': '--kinds plan nodes --sizes 150 --each 1 --families gates city --seed 1 --limit 60 '
+              '--early --changes 2 --peers --json rows.json',
 }
 NODE_SCRIPTS = {
     'node_fuzz': '--messages 20 --seed 3', 'node_latency': '--samples 1 --calls 2 --nodes 400',
