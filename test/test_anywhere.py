@@ -168,6 +168,19 @@ def test_no_mixture_of_all_routes_costs_less_than_the_value_between_the_centres(
     assert solution.least(routes, case[3], DENSE) <= strategy.value * (1.0 + 1e-6)
 
 
+def test_no_obstacle_cell_costs_more_than_the_value_if_ambushers_may_hide_there():
+    rng = np.random.default_rng(3)
+    risk_map, start, goal = ground(5, 'city', 30)
+    rough = RiskMap(1.0 + 9.0 * rng.random(risk_map.alpha.shape), risk_map.obstacles, 1.0)
+    options = PlanningOptions(NetworkOptions(spacing=SPACING),
+                              GameOptions(2.0, 3.0, ambush_in_obstacles=True))
+    options = replace(options, drive=replace(options.drive, tube=0.0))
+    plan = plan_trip(rough, start, goal, options)
+    hidden = RiskMap(rough.nearest_free_alpha(), np.zeros_like(rough.obstacles), 1.0)
+    worst = Case(hidden, plan, 2.0, 3.0, 0.0).losses(CENTRE).max()
+    assert worst <= plan.strategy.value * (1.0 + EQUAL)
+
+
 @pytest.mark.parametrize('door', [8, 10, 12, 14])
 def test_a_door_that_one_place_covers_is_proved(door):
     """No node covers it."""
