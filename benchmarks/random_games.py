@@ -44,11 +44,17 @@ from ambush_planner import (
     plan_trip,
     solve,
 )
-from ambush_planner.arrays import FloatArray
 
 sys.path.append(str(Path(__file__).parent.parent / 'test'))
-from games import geometric_hits, hit_once, is_acyclic, may_wait, standing_places, unbalanced
-from games import meets as met_by
+from games import (
+    geometric_hits,
+    hit_once,
+    is_acyclic,
+    may_wait,
+    meets,
+    standing_places,
+    unbalanced,
+)
 
 CHECKED = 1000  # nodes
 SAME = 1e-6  # relative difference of values that are computed twice
@@ -78,15 +84,6 @@ class RandomGame:
             return solve(self.network, self.options.game, self.options.strategy)
         return plan_trip(self.scenario.risk_map, self.scenario.start, self.scenario.goal,
                          self.options, stops=self.stops).strategy
-
-    @property
-    def reach(self) -> float:
-        return self.options.game.ambush_radius
-
-    @property
-    def held(self) -> float:
-        held = self.options.game.secured_radius
-        return self.reach if held < 0.0 else held
 
 
 @dataclass
@@ -189,7 +186,7 @@ def kind_of(game: RandomGame) -> str:
         return 'several ambushers'
     if math.isfinite(game.options.strategy.max_exposure):
         return 'two budgets'
-    return f"{game.kind}, {'a' if game.reach > 0.0 else 'no'} reach"
+    return f"{game.kind}, {'a' if game.options.game.ambush_radius > 0.0 else 'no'} reach"
 
 
 def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
@@ -222,55 +219,36 @@ def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
 def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     """Compare value and bound with what geometry, recursion and HiGHS find."""
     network, value, options = strategy.network, strategy.value, game.options.game
-    at_nodes = losses_at_nodes(game, strategy)
-    own = np.sort(at_nodes)[-options.ambushers:].sum()
-    planned = game.scenario is not None and game.reach > 0.0 and options.ambushers == 1
-    if planned and game.scenario:
-        points, alpha = standing_places(game.scenario.risk_map, network, game.held)
-        hits = met_by(network, points, game.reach, game.held)
-        own = max(own, *(alpha * hit_once(network, strategy.edge_probability, hits)), 0.0)
-    if own > value * (1.0 + SAME) or (not planned and value > own * (1.0 + SAME)):
+    p, reach, held = strategy.edge_probability, options.ambush_radius, options.secured_radius
+    held = reach if held < 0.0 else held
+    _, site = np.unique(network.points, axis=0, return_index=True)
+    site = site[may_wait(network, held)[site]]
+    if reach > 0.0:
+        hits = meets(network, network.points[site], reach, held)
+        entries = geometric_hits(network, reach, held)[site]
+    else:
+        hits = (network.points[network.heads] == network.points[site][:, None]).all(axis=2)
+        entries = csr_matrix(hits.astype(float))
+    own = np.sort(network.alpha[site] * hit_once(network, p, hits))[-options.ambushers:].sum()
+    anywhere = game.scenario is not None and reach > 0.0 and options.ambushers == 1
+    if anywhere and game.scenario:
+        points, alpha = standing_places(game.scenario.risk_map, network, held)
+        hits = meets(network, points, reach, held)
+        own = max(own, (alpha * hit_once(network, p, hits)).max(initial=0.0))
+    if own > value * (1.0 + SAME) or (not anywhere and value > own * (1.0 + SAME)):
         yield f'value {value:.9g}, computed again {own:.9g}'
-    found = highs(program_of(game, strategy), primal_feasibility_tolerance=1e-10,
-                  dual_feasibility_tolerance=1e-10)
-    if 'value' not in found:
-        return
-    # HiGHS counts entries, so that its value is the optimum only if nothing is entered twice.
-    least = found['value'] * (1.0 + LOOSE) + 1e-9
-    if strategy.lower_bound > least:
-        yield f'bound {strategy.lower_bound:.9g} above {found["value"]:.9g} by HiGHS'
-    if game.reach == 0.0 and not game.stops and not value * (1.0 + LOOSE) + 1e-9 >= found['value']:
-        yield f'value {value:.9g} below {found["value"]:.9g} by HiGHS'
-
-
-def losses_at_nodes(game: RandomGame, strategy: Strategy) -> FloatArray:
-    """Mean loss of an ambush at each place of the network, each route counted once."""
-    network = strategy.network
-    _, first = np.unique(network.points, axis=0, return_index=True)
-    first = first[may_wait(network, game.held)[first]]
-    points = network.points[first]
-    hits = (met_by(network, points, game.reach, game.held) if game.reach > 0.0
-            else (network.points[network.heads] == points[:, None]).all(axis=2))
-    found: FloatArray = network.alpha[first] * hit_once(network, strategy.edge_probability, hits)
-    return found
-
-
-def program_of(game: RandomGame, strategy: Strategy) -> object:
-    """The program of the value by entries, on the edges that the threshold allows."""
-    network = strategy.network
-    loss = np.where(may_wait(network, game.held), network.alpha, 0.0)
-    entries = geometric_hits(network, game.reach, game.held) if game.reach > 0.0 else csr_matrix(
-        (np.ones(len(network.edges)), (network.heads, np.arange(len(network.edges)))),
-        (len(network.points), len(network.edges)))
-    if game.stops and not game.reach:  # copies of a place are one site
-        _, first, place = np.unique(network.points, axis=0, return_index=True, return_inverse=True)
-        copies = csr_matrix((np.ones(len(place)), (place.ravel(), np.arange(len(place)))))
-        entries, loss = copies @ entries, loss[first]
-    usable = (network.alpha <= game.options.game.alpha_threshold)[network.edges].all(axis=1)
-    budgets = [(network.travel_costs, strategy.length_budget),
-               (network.edge_exposure, strategy.exposure_budget)]
-    return value_program(network, csr_matrix(entries.multiply(loss[:, None])), budgets,
-                         game.options.game.ambushers, usable)
+    usable = (network.alpha <= options.alpha_threshold)[network.edges].all(axis=1)
+    found = highs(value_program(
+        network, csr_matrix(entries.multiply(network.alpha[site][:, None])),
+        [(network.travel_costs, strategy.length_budget),
+         (network.edge_exposure, strategy.exposure_budget)], options.ambushers, usable),
+        primal_feasibility_tolerance=1e-10, dual_feasibility_tolerance=1e-10)
+    # HiGHS counts entries, so its value is the optimum only if no site is entered twice.
+    least = found.get('value', value)
+    if strategy.lower_bound > least * (1.0 + LOOSE) + 1e-9:
+        yield f'bound {strategy.lower_bound:.9g} above {least:.9g} by HiGHS'
+    if reach == 0.0 and not game.stops and value * (1.0 + LOOSE) + 1e-9 < least:
+        yield f'value {value:.9g} below {least:.9g} by HiGHS'
 
 
 def report(tally: Tally, first: int, games: int) -> str:
