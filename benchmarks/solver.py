@@ -35,8 +35,6 @@ from ambush_planner import (
     solve,
 )
 from ambush_planner.arrays import FloatArray
-from ambush_planner.planning.plan import Plan
-from ambush_planner.planning.solving import WarmStart
 
 HERE = Path(__file__).parent.parent
 SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds: drawn
@@ -86,7 +84,7 @@ def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
             'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
 
 
-def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Plan:
+def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Any:
     scenario = problem.scenario
     return plan_trip(risk_map or scenario.risk_map, scenario.start, scenario.goal, problem.options,
                      stops=problem.stops, **options)
@@ -119,6 +117,8 @@ def losses_at_nodes(network: Network, held: float) -> csr_matrix:
 
 def replanned(name: str, changes: int) -> Answer:
     """Plans on maps on which an obstacle is somewhere else each time, each from the one before."""
+    from ambush_planner.planning.solving import WarmStart  # not public, so only where it is used
+
     problem, rng, warm = draw(name), np.random.default_rng(changes), None
     seconds, gaps, risk_map = [], [], problem.scenario.risk_map
     while len(seconds) <= changes:
@@ -199,7 +199,7 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     asked = [row for row in rows if 'failed' not in row or row['status'] not in REFUSED]
     solved = [row for row in rows if 'failed' not in row]
     if not solved:
-        return {'': label, 'problems': str(len(asked))}
+        return {'': label, 'problems': str(len(asked)), 'not ended': str(len(asked))}
     worst = max(asked, key=lambda row: float(row['seconds']))
     modules: Counter[str] = Counter()
     for row in solved:
@@ -220,12 +220,15 @@ def summary(label: str, rows: list[Answer]) -> dict[str, str]:
     if early:
         usable = np.mean([answer.get('gap', math.inf) <= USABLE for answer in early])
         found['10 % gap after a third of the median'] = f'{usable:.0%}'
-    again = [row['replanned'] for row in solved if 'warm' in row.get('replanned', {})]
-    if again:
-        warm = [second for answer in again for second in answer['warm']]
+    again = [row['replanned'] for row in solved if 'replanned' in row]
+    ended = [answer for answer in again if 'warm' in answer]
+    if ended:
+        warm = [second for answer in ended for second in answer['warm']]
         found['changed map: median / 95 % / worst'] = quantiles(warm)
-        gaps = [100.0 * gap for answer in again for gap in answer['gaps']]
+        gaps = [100.0 * gap for answer in ended for gap in answer['gaps']]
         found['gap then [%]'] = quantiles(gaps)
+    if again:
+        found['not ended then'] = str(len(again) - len(ended))
     theirs = [row['peer']['seconds'] for row in solved if 'peer' in row]
     if theirs:
         ours = [row['seconds'] for row in solved if 'peer' in row]

@@ -16,6 +16,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix
+from scipy.spatial import cKDTree
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -149,13 +150,18 @@ def meets(network: Network, centres: np.ndarray, radius: float, held: float) -> 
     """
     edge, begin, end = exposed_parts(network, held)
     along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
-    squared = (along**2).sum(axis=1)
-    for first in range(0, len(centres), 200):
-        off = centres[first : first + 200, None] - begin
-        share = np.clip((off * along).sum(axis=2) / squared, 0.0, 1.0)
-        apart = np.linalg.norm(off - share[..., None] * along, axis=2)
-        row, part = np.nonzero(apart <= radius)
-        hit[first + row, edge[part]] = True
+    if not len(edge):
+        return hit
+    squared, middles = (along**2).sum(axis=1), cKDTree((begin + end) / 2)
+    longest = np.sqrt(squared.max())
+    for first in range(0, len(centres), 500):
+        near = middles.query_ball_point(centres[first : first + 500], radius + longest)
+        row = np.repeat(np.arange(len(near)), [len(each) for each in near]) + first
+        part = np.concatenate([*near, []]).astype(int)
+        off = centres[row] - begin[part]
+        share = np.clip((off * along[part]).sum(axis=1) / squared[part], 0.0, 1.0)
+        met = np.hypot(*(off - share[:, None] * along[part]).T) <= radius
+        hit[row[met], edge[part[met]]] = True
     return hit
 
 

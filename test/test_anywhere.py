@@ -62,11 +62,14 @@ class Case(NamedTuple):
         hits = meets(network, places, self.reach + self.tube, self.held - self.tube)
         return alpha * hit_once(network, p, hits)
 
-    def least(self, routes, detour, within, more_reach=0.0):
-        """Least value of mixtures of ``routes`` (edge indices) against the places of a lattice."""
+    def least(self, routes, detour, within, cover=0.0):
+        """Least value of mixtures of ``routes`` (edge indices) against the places of a lattice.
+
+        With ``cover``, against no fewer than all places that are at most so far from the lattice.
+        """
         network, strategy = self.plan.network, self.plan.strategy
-        places, alpha = standing_places(self.risk_map, network, self.held, within)
-        near = meets(network, places, self.reach + self.tube + more_reach, self.held - self.tube)
+        places, alpha = standing_places(self.risk_map, network, self.held - cover, within)
+        near = meets(network, places, self.reach + self.tube + cover, self.held - self.tube)
         hit = alpha[:, None] * np.array([near[:, route].any(axis=1) for route in routes]).T
         length = np.array([network.lengths[route].sum() for route in routes])
         limit = max(min(detour * strategy.shortest_length, 1e9), length.min())
