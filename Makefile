@@ -47,14 +47,11 @@ lint: $(VENV)/.test
 
 # A missed latency target does not stop the benchmarks that follow.
 benchmark: $(VENV)/.test
-	$(BIN)/python benchmarks/solver.py
+	$(BIN)/python benchmarks/solver.py --early --changes 50 --peers
+	$(BIN)/python benchmarks/others.py
 	$(BIN)/python benchmarks/random_games.py --count 200
-	$(BIN)/python benchmarks/ambush_radius.py
 	$(BIN)/python benchmarks/mesh_convergence.py
 	$(BIN)/python benchmarks/routes.py
-	$(BIN)/python benchmarks/markers.py
-	$(BIN)/python benchmarks/many.py
-	$(BIN)/python benchmarks/stop_order.py
 	-$(BIN)/python benchmarks/node_latency.py
 	-$(BIN)/python benchmarks/node_map_changes.py
 	-$(BIN)/python benchmarks/node_motion.py

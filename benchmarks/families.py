@@ -1,8 +1,7 @@
-"""Families of random problems, each drawn from a seed: map, start, goal, reach and detour.
+"""Random problems, each drawn from a seed: map, start, goal and all options of a plan.
 
-A problem's name is ``family:nodes:seed``. Nothing in a family is chosen by hand: losses,
-obstacles, reach, detour and places are drawn, and held ground is 3 % of the map's width. On trips,
-each stop adds a layer to the network, and all layers together have about ``nodes`` nodes.
+A problem's name is ``kind:family:nodes:seed``. Nothing is chosen by hand: losses, obstacles,
+places, reach, held ground and detour are drawn. Each layer of a trip has about ``nodes`` places.
 """
 
 from __future__ import annotations
@@ -12,60 +11,77 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scenarios import Scenario, block, city, maze, terrain
+from scenarios import Scenario, block, city, maze, nearest_free, terrain
 from scipy.ndimage import gaussian_filter, label
 
-from ambush_planner import GameOptions, Network, NetworkOptions, RiskMap, StrategyOptions
+from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, StrategyOptions
 from ambush_planner.arrays import BoolArray, FloatArray
-from ambush_planner.maps.obstacles import nearest_free_cell
-from ambush_planner.network.construction import build_trip_graph
 
-REACHES, DETOURS = (0.0, 2.0, 4.0), (1.05, 1.1, 1.2, 1.5)  # spacings, shortest lengths
-HELD = 0.03  # of the map's width
+# One leg with a reach, or without one; trips of one to four stops, crossing edges, two budgets,
+# two ambushers.
+KINDS = ('plan', 'nodes', 'trip', 'grid', 'budgets', 'two')
+DETOURS = (1.05, 1.1, 1.2, 1.5)  # shortest lengths
 OBSTACLES = 0.08  # share of the cells
-# Cells per node along a line; larger maps have finer features, not more of them.
-CELLS_PER_NODE = 1.3
+# Cells per node along a line, least and most; larger maps have finer features, not more of them.
+CELLS_PER_NODE = 1.3, 6.0
+# Largest reach, as a share of the distance from start to goal: held ground leaves some ground.
+MOST_REACH = 0.2
 
 Position = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A scenario with its options; ``reach`` in spacings."""
+    """A scenario, its stops, the options of a plan, and what was drawn in words."""
 
     scenario: Scenario
-    nodes: int
-    reach: float
-    detour: float
-    ambushers: int = 1
-    stops: tuple[Position, ...] = ()
-
-    def network(self) -> Network:
-        options = NetworkOptions(target_nodes=self.nodes // (len(self.stops) + 1))
-        graph = build_trip_graph(self.scenario.risk_map, self.scenario.start, self.scenario.goal,
-                                 options, self.stops)
-        return graph.network(graph.visits)
-
-    def game(self, spacing: float) -> GameOptions:
-        risk_map = self.scenario.risk_map
-        held = HELD * max(risk_map.alpha.shape) * risk_map.resolution
-        return GameOptions(ambush_radius=self.reach * spacing, secured_radius=held,
-                           ambushers=self.ambushers)
-
-    def strategy(self) -> StrategyOptions:
-        return StrategyOptions(max_detour=self.detour)
+    options: PlanningOptions
+    stops: tuple[Position, ...]
+    words: str
 
 
-def draw(name: str, reach: float | None = None, detour: float | None = None, ambushers: int = 1,
-         stops: int = 0) -> Problem:
-    """The problem ``family:nodes:seed``, or with another reach or detour than the seed's."""
-    family, nodes, seed = name.split(':')
-    rng = np.random.default_rng([int(seed), list(FAMILIES).index(family)])
-    scenario, own = FAMILIES[family](rng, round(CELLS_PER_NODE * math.sqrt(int(nodes))))
-    drawn = float(rng.choice(REACHES)), own or float(rng.choice(DETOURS))
-    chosen = (b if a is None else a for a, b in zip((reach, detour), drawn, strict=True))
-    return Problem(scenario, int(nodes), *chosen, ambushers,
-                   _places(rng, scenario.risk_map, stops))
+def draw(name: str, time_limit: float = math.inf) -> Problem:
+    """The problem ``kind:family:nodes:seed``, within a time limit [s]."""
+    kind, family, nodes, seed = name.split(':')
+    rng = np.random.default_rng([int(seed), list(FAMILIES).index(family), KINDS.index(kind)])
+    fine = CELLS_PER_NODE[0]  # at the nodes, finer cells change nothing
+    if kind != 'nodes':
+        fine = math.exp(rng.uniform(*np.log(CELLS_PER_NODE)))
+    scenario, own = FAMILIES[family](rng, round(fine * math.sqrt(int(nodes))))
+    spacing = spacing_for(scenario.risk_map, int(nodes))
+    reach, held = _reach_and_held(kind, rng, scenario, spacing)
+    detour = own or float(rng.choice(DETOURS))
+    count = {'trip': 1 + rng.integers(4), 'two': rng.choice([0, 0, 1, 2])}.get(kind, 0)
+    options = PlanningOptions(
+        NetworkOptions('uniform_grid8' if kind == 'grid' else 'uniform_delaunay', spacing),
+        GameOptions(reach * spacing, held if held < 0.0 else held * spacing,
+                    ambushers=2 if kind == 'two' else 1),
+        StrategyOptions(max_detour=detour, max_exposure=1.1 if kind == 'budgets' else math.inf,
+                        time_limit=time_limit),
+    )
+    rows, columns = scenario.risk_map.alpha.shape
+    words = (f'{rows} x {columns} cells reach {reach:.2g} held {held:.2g} detour {detour:.3g} '
+             f'stops {count}')
+    return Problem(scenario, options, _places(rng, scenario.risk_map, int(count)), words)
+
+
+def spacing_for(risk_map: RiskMap, nodes: int) -> float:
+    """The spacing [m] of about ``nodes`` nodes, never below the resolution."""
+    free = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
+    return max(risk_map.resolution, math.sqrt(free / nodes))
+
+
+def _reach_and_held(kind: str, rng: np.random.Generator, scenario: Scenario,
+                    spacing: float) -> tuple[float, float]:
+    """Reach and radius of held ground [spacings]; -1: as far as the reach."""
+    if kind == 'nodes':
+        return 0.0, 0.03 * max(scenario.risk_map.size) / spacing
+    if kind == 'plan':
+        most = MOST_REACH * math.dist(scenario.start, scenario.goal) / spacing
+        reach = float(rng.uniform(1.0, max(min(6.0, most), 1.0)))
+        return reach, float(rng.choice([-1.0, reach, 2.0 * reach]))
+    reach = float(rng.integers(1 if kind == 'grid' else 0, 4))
+    return reach, float(rng.choice([1.0, 1.5, 2.0])) * reach or 2.0
 
 
 def _places(rng: np.random.Generator, risk_map: RiskMap, count: int) -> tuple[Position, ...]:
@@ -95,7 +111,7 @@ def _across(alpha: FloatArray, obstacles: BoolArray) -> Scenario:
     largest = ground == np.bincount(ground[ground > 0]).argmax()
     risk_map = RiskMap(alpha, ~largest, 1.0)
     ends = ((c, rows / 2) for c in (0.04 * columns, 0.96 * columns))
-    start, goal = (nearest_free_cell(risk_map, xy, float(columns), 0.0) for xy in ends)
+    start, goal = (nearest_free(risk_map, xy) for xy in ends)
     return Scenario(risk_map, start, goal)
 
 

@@ -1,166 +1,79 @@
-"""Run one task on one problem of a family in a process of its own and print the result as JSON.
+"""Run one function on one problem in a process of its own: one thread, a hard limit, a profile.
 
-A separate process makes the peak memory the task's own. Seconds are processor time on one thread,
-so they do not depend on the machine's load. ``solver.py`` starts this script.
+A separate process makes the peak memory the problem's own, and one that hangs or crashes is only
+one row of a table. All times are processor seconds. ``run`` starts this file.
 """
 
 from __future__ import annotations
 
-import argparse
+import importlib
 import json
+import os
 import resource
 import signal
+import subprocess
+import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
-import numpy as np
-from families import Problem, draw
-from peers import EntropyProblem, clarabel_entropy, highs
-
-from ambush_planner import GameOptions, Network, NoRoute, TimeLimit, solve
-from ambush_planner.game import (
-    entropy_stage,
-    face_program,
-    separate_legs,
-    soft_search,
-    strategy_solver,
-)
-from ambush_planner.game import strategy as whole_solve
-
 Answer = dict[str, Any]
-# The stages that are timed: module, function, name.
-STAGES = (
-    (strategy_solver, 'least_risk_by_cut', 'cut'),
-    (soft_search, 'least_risk_by_cut', 'cut'),
-    (entropy_stage, 'chain_ambusher', 'chain'),
-    (face_program.FaceProgram, 'solve', 'faces'),
-    (strategy_solver, 'least_risk', 'program'),
-    (separate_legs, 'least_risk', 'program'),
-    (entropy_stage, 'maximize_entropy', 'law'),
-    (strategy_solver, 'count_routes_once', 'once'),
-    (entropy_stage, 'hit_bound', 'certificate'),
-    (whole_solve, 'certify', 'certificate'),
-)
+THREADS = {f'{name}_NUM_THREADS': '1' for name in ('OMP', 'OPENBLAS', 'MKL', 'RAYON')}
+LATE = 'late'
+SAMPLE = 0.01  # between two samples of the profile [processor seconds]
 
 
-class Stages:
-    """Processor seconds of each stage without those inside it, and the stages in order."""
+def run(task: str, name: str, limit: float, checkout: Path | None = None, **given: Any) -> Answer:
+    """What ``task`` ('script.function') answers for a problem; ``failed`` if it did not end well.
+
+    ``checkout`` holds the package that is measured; None: the installed one.
+    """
+    path = {'PYTHONPATH': str(checkout)} if checkout else {}
+    command = [sys.executable, __file__, task, name, str(limit), json.dumps(given)]
+    done = subprocess.run(command, env=os.environ | THREADS | path, capture_output=True, text=True,
+                          check=False)
+    if done.returncode == 0:
+        # HiGHS 1.16 prints its name first.
+        answer: Answer = json.loads(done.stdout.splitlines()[-1])
+    else:
+        words = done.stderr.strip().splitlines()[-1:] or [f'exit code {done.returncode}']
+        status = LATE if done.returncode == -signal.SIGPROF else f'crashed: {words[0]}'
+        answer = {'failed': True, 'seconds': limit, 'status': status}
+    print(f"{name:36s} {task:17s} {answer['seconds']:8.2f} s  {answer['status']}", file=sys.stderr)
+    return answer | {'name': name, 'task': task}
+
+
+class Profile:
+    """Processor seconds by module of the package, the innermost one that is running."""
 
     def __init__(self) -> None:
         self.seconds: Counter[str] = Counter()
-        self.path: list[str] = []
-        self._begun: list[float] = []
-        for module, function, name in STAGES:
-            setattr(module, function, self._timed(getattr(module, function), name))
+        self._last = time.process_time()
+        signal.signal(signal.SIGVTALRM, self._sample)
+        signal.setitimer(signal.ITIMER_VIRTUAL, SAMPLE, SAMPLE)
 
-    def _timed(self, stage: Callable[..., Any], name: str) -> Callable[..., Any]:
-        def timed(*given: Any, **named: Any) -> Any:
-            self._begun.append(0.0)
-            begin, word = time.process_time(), name
-            try:
-                found = stage(*given, **named)
-                failed = found is None if name == 'cut' else getattr(found, 'infeasible', False)
-                word = f'({name})' if failed else name
-                return found
-            finally:
-                spent = time.process_time() - begin
-                self.seconds[name] += spent - self._begun.pop()
-                if self._begun:
-                    self._begun[-1] += spent
-                if name != 'certificate' and self.path[-1:] != [word]:
-                    self.path.append(word)
-
-        return timed
-
-
-def strategy(given: Problem, file: Path, limit: float) -> Answer:
-    """The default strategy, all stages; saves its entropy problem for Clarabel."""
-    try:
-        network = given.network()
-    except NoRoute:
-        return {'failed': True, 'seconds': 0.0, 'status': 'no route', 'reach': given.reach}
-    spacing = float(np.median(network.lengths))
-    warm_up = draw('hills-coarse:100:0', 0.0, 1.2)
-    solve(warm_up.network())  # loads all libraries
-    stages, game, status = Stages(), given.game(spacing), 'solved'
-    options = given.strategy()
-    begin = time.process_time()
-    try:
-        found = solve(network, game, replace(options, time_limit=limit) if limit else options)
-    except TimeLimit as error:
-        if error.strategy is None:
-            raise
-        found, status = error.strategy, 'gap not closed'
-    seconds = time.process_time() - begin
-    np.savez(file, edges=np.flatnonzero(found.edge_probability > 0.0), value=found.value,
-             length=found.expected_length, budget=found.length_budget, spacing=spacing)
-    return {
-        'seconds': seconds, 'status': status, 'nodes': len(network.points),
-        'reach': given.reach, 'detour': given.detour, 'value': found.value, 'gap': found.gap,
-        'route_entropy': found.route_entropy, 'entropy_gap': found.entropy_gap,
-        'price': found.length_price, 'evaluations': found.iterations,
-        'stages': dict(stages.seconds), 'path': ' '.join(stages.path),
-    }
-
-
-def _same(given: Problem, file: Path) -> tuple[Network, GameOptions]:
-    with np.load(file) as saved:
-        spacing = float(saved['spacing'])
-    return given.network(), given.game(spacing)
-
-
-def simplex(given: Problem, file: Path, limit: float) -> Answer:
-    """The value with the length budget by HiGHS' dual simplex method."""
-    return _highs(given, file, 'simplex', limit)
-
-
-def interior_point(given: Problem, file: Path, limit: float) -> Answer:
-    """The value with the length budget by HiGHS' interior point method without crossover."""
-    return _highs(given, file, 'ipx', limit)
-
-
-def _highs(given: Problem, file: Path, solver: str, limit: float) -> Answer:
-    network, game = _same(given, file)
-    with np.load(file) as saved:
-        run = highs(network, game, float(saved['budget']), solver)
-    signal.setitimer(signal.ITIMER_PROF, limit)
-    return run()
-
-
-def conic(given: Problem, file: Path, limit: float) -> Answer:
-    """The route-entropy problem by Clarabel, within the strategy's own value and length."""
-    network, game = _same(given, file)
-    with np.load(file) as saved:
-        entropy = EntropyProblem(saved['edges'], float(saved['value']), float(saved['length']))
-    run = clarabel_entropy(network, game, entropy)
-    signal.setitimer(signal.ITIMER_PROF, limit)
-    return run()
-
-
-TASKS = {task.__name__: task for task in (strategy, simplex, interior_point, conic)}
+    def _sample(self, _: int, frame: FrameType | None) -> None:
+        """Charge the time since the last sample; native code delays the next one until it ends."""
+        while frame and not (module := frame.f_globals['__name__']).startswith('ambush_planner.'):
+            frame = frame.f_back
+        now = time.process_time()
+        if frame:
+            self.seconds[module.partition('.')[2]] += now - self._last
+        self._last = now
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('task', choices=TASKS, help='what is measured')
-    parser.add_argument('problem', help='family:nodes:seed')
-    parser.add_argument('file', type=Path, help='.npz in which `strategy` saves its problem')
-    parser.add_argument('--reach', type=float, help="spacings, in place of the seed's")
-    parser.add_argument('--detour', type=float, help="in place of the seed's")
-    parser.add_argument('--ambushers', type=int, default=1)
-    parser.add_argument('--stops', type=int, default=0)
-    parser.add_argument('--limit', type=float, default=0.0, help='seconds; 0: no limit')
-    given = parser.parse_args()
+    task, name, limit, given = sys.argv[1:]
     warnings.simplefilter('ignore')
+    module, function = task.split('.')
+    work = getattr(importlib.import_module(module), function)
     # Native code does not return to Python's handlers; SIGPROF's default ends the process.
-    problem = draw(given.problem, given.reach, given.detour, given.ambushers, given.stops)
-    answer = TASKS[given.task](problem, given.file, given.limit)
-    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    signal.setitimer(signal.ITIMER_PROF, float(limit))
+    answer = work(name, **json.loads(given))
+    signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     print(json.dumps(answer | {'peak': peak}))
 

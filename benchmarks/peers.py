@@ -1,151 +1,91 @@
-"""The same problems for other solvers.
+"""Shortest routes by scipy, and the linear program of the value by HiGHS (Huangfu and Hall, 2018).
 
-HiGHS (Huangfu and Hall, 2018) solves the linear program for the value, with or without the
-strategy's length budget. Clarabel (Goulart and Chen, 2024), a conic interior point method,
-maximises the route entropy on the strategy's own acyclic edges. Both run on one thread with default
-tolerances. Only the solver is timed, not the construction of its matrices.
+They share no code with the package. Of HiGHS, only its own run is timed, on one thread.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import clarabel
 import highspy
 import numpy as np
-from scipy.sparse import bmat, csc_matrix, csr_matrix, identity, vstack
+from scipy.sparse import coo_matrix, csc_matrix, csr_matrix, hstack, vstack
+from scipy.sparse.csgraph import dijkstra
 
-from ambush_planner import GameOptions, Network
-from ambush_planner.arrays import IndexArray
-from ambush_planner.game.game import Game, make_game
-from ambush_planner.game.linear_program import linear_program
-
-Answer = dict[str, Any]
-# Statuses of a usable answer.
-SOLVED = ('Optimal', 'Solved', 'AlmostSolved')
+from ambush_planner import Network
+from ambush_planner.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class EntropyProblem:
-    """Maximise -sum p ln(p / x_tail) of a unit flow on acyclic ``edges`` (K,) within limits.
+class Program:
+    """Minimise cost x, rows x in low..high, x in 0..most; x is p (M,), t, s."""
 
-    ``value`` bounds alpha_j x_j at every node, ``length`` the expected length [m].
+    cost: FloatArray
+    most: FloatArray
+    rows: csc_matrix
+    low: FloatArray
+    high: FloatArray
+
+
+def value_program(network: Network, losses: csr_matrix, budgets: list[tuple[FloatArray, float]],
+                  ambushers: int = 1, usable: BoolArray | None = None) -> Program:
+    """Minimise k t + sum s: ``losses`` (S, M) p <= t + s, one unit of flow p within ``budgets``.
+
+    Each budget is the costs (M,) of the edges and its limit; p is 0 on edges that are not
+    ``usable`` (M,).
     """
+    (tail, head), m, n = network.edges.T, len(network.edges), len(network.points)
+    sites = losses.shape[0]
+    several = sites if ambushers > 1 else 0
+    ends = np.r_[tail, head], np.tile(np.arange(m), 2)
+    balance = coo_matrix((np.repeat([1.0, -1.0], m), ends), (n, m))
+    supply = np.zeros(n)
+    supply[network.source], supply[network.target] = 1.0, -1.0
+    beyond = csr_matrix((-np.ones(several), (np.arange(several),) * 2), (sites, several))
+    parts = [hstack((losses, csr_matrix(-np.ones((sites, 1))), beyond))]
+    finite = [(cost / limit, 1.0) for cost, limit in budgets if 0.0 < limit < np.inf]
+    parts += [csr_matrix(np.r_[cost, np.zeros(1 + several)]) for cost, _ in finite]
+    rows = vstack([*parts, hstack((balance, csr_matrix((n, 1 + several))))])
+    above = np.r_[np.zeros(sites), np.ones(len(finite))]
+    most = np.full(m + 1 + several, np.inf)
+    if usable is not None:
+        most[:m][~usable] = 0.0
+    return Program(np.r_[np.zeros(m), ambushers, np.ones(several)], most, csc_matrix(rows),
+                   np.r_[np.full(len(above), -np.inf), supply], np.r_[above, supply])
 
-    edges: IndexArray
-    value: float
-    length: float
+
+def best_route(network: Network, weights: FloatArray) -> list[int]:
+    """The nodes of the route of least weight; weights (M,) of edges."""
+    count = len(network.points)
+    graph = csr_matrix((weights, network.edges.T), (count, count))
+    _, before = dijkstra(graph, indices=network.source, return_predecessors=True)
+    nodes = [network.target]
+    while nodes[-1] != network.source:
+        nodes.append(int(before[nodes[-1]]))
+    return nodes[::-1]
 
 
-def _answer(status: str, seconds: float, **result: float) -> Answer:
-    """The result, or that the solver failed."""
-    answer = {'seconds': seconds, 'status': status}
-    return answer | (result if status in SOLVED else {'failed': True})
-
-
-def highs(network: Network, game: GameOptions, budget: float, solver: str) -> Callable[[], Answer]:
-    """Prepare the linear program for HiGHS; ``solver`` 'simplex' (dual) or 'ipx' (no crossover).
-
-    With an infinite ``budget`` the row of the expected length [m] is omitted.
-    """
-    program = linear_program(make_game(network, game), 0.0, budget, unit=1.0)
-    matrix = vstack((program.inequalities, program.equalities)).tocsc()
-    model = highspy.HighsLp()
-    model.num_row_, model.num_col_ = matrix.shape
-    model.col_cost_ = program.cost
-    model.col_lower_ = np.zeros(matrix.shape[1])
-    model.col_upper_ = np.full(matrix.shape[1], np.inf)
-    nothing = np.full(len(program.limits), -np.inf)
-    model.row_lower_ = np.concatenate((nothing, program.rhs))
-    model.row_upper_ = np.concatenate((program.limits, program.rhs))
+def highs(program: Program, **options: Any) -> dict[str, Any]:
+    """HiGHS' status, its value, and its processor seconds."""
+    model, (rows, columns) = highspy.HighsLp(), program.rows.shape
+    model.num_row_, model.num_col_ = rows, columns
+    model.col_cost_, model.col_lower_ = program.cost, np.zeros(columns)
+    model.col_upper_ = program.most
+    model.row_lower_, model.row_upper_ = program.low, program.high
     model.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    model.a_matrix_.start_, model.a_matrix_.index_ = matrix.indptr, matrix.indices
-    model.a_matrix_.value_ = matrix.data
-
-    def run() -> Answer:
-        engine = highspy.Highs()
-        for name, setting in (
-            ('output_flag', False),
-            ('threads', 1),
-            ('solver', solver),
-            ('run_crossover', 'off'),
-        ):
-            engine.setOptionValue(name, setting)
-        engine.passModel(model)
-        started = time.process_time()
-        engine.run()
-        seconds = time.process_time() - started
-        status = engine.modelStatusToString(engine.getModelStatus())
-        return _answer(status, seconds, value=engine.getInfo().objective_function_value)
-
-    return run
-
-
-def clarabel_entropy(
-    network: Network, game: GameOptions, problem: EntropyProblem
-) -> Callable[[], Answer]:
-    """Prepare the route-entropy problem for Clarabel.
-
-    Variables (p, t, x), where x are the visits of each node but the target: the flow into and out
-    of a node is x, which keeps all rows sparse. (t_k, p_k, x_tail) in the exponential cone means
-    p exp(t / p) <= x, that is t_k <= -p_k ln(p_k / x_tail). The slack b - A v is 0 for the flow and
-    >= 0 for the limits, each scaled to 1, followed by one cone per edge.
-    """
-    m = len(problem.edges)
-    tail, head = network.edges[problem.edges].T
-    node = np.unique(tail)
-    n, inner = len(node), node != network.source
-    place = np.full(len(network.points), -1)
-    place[node] = np.arange(n)
-    ones, each = np.ones(m), np.arange(m)
-    onward = np.flatnonzero(head != network.target)
-    out = csr_matrix((ones, (place[tail], each)), shape=(n, m))
-    into = csr_matrix((ones[onward], (place[head[onward]], onward)), shape=(n, m))
-    unit, nothing = identity(n, format='csr'), csr_matrix((n, m))
-    source = csr_matrix((np.ones(1), ([0], [place[network.source]])), shape=(1, n))
-    flow = bmat([
-        [out, nothing, -unit],
-        [into[inner], nothing[inner], -unit[inner]],
-        [csr_matrix((1, m)), csr_matrix((1, m)), source],
-    ])
-    supply = np.append(np.zeros(n + int(inner.sum())), 1.0)
-    limits, kept = _limits(make_game(network, game), problem, node)
-    lengths = csr_matrix(network.lengths[problem.edges] / problem.length)
-    visits = limits[kept].shape[0]
-    room = bmat([
-        [csr_matrix((visits, m)), csr_matrix((visits, m)), limits[kept]],
-        [lengths, csr_matrix((1, m)), csr_matrix((1, n))],
-    ])
-    cones = bmat([
-        [None, identity(m), csr_matrix((m, n))],
-        [identity(m), None, csr_matrix((m, n))],
-        [csr_matrix((m, m)), csr_matrix((m, m)), csr_matrix((ones, (each, place[tail])), (m, n))],
-    ]).tocsr()
-    triples = np.arange(3 * m).reshape(3, m).T.ravel()
-    matrix = csc_matrix(vstack((flow, room, -cones[triples])))
-    right = np.concatenate((supply, np.ones(visits + 1), np.zeros(3 * m)))
-    kinds = [clarabel.ZeroConeT(len(supply)), clarabel.NonnegativeConeT(visits + 1)]
-    kinds += [clarabel.ExponentialConeT()] * m
-    cost = np.concatenate((np.zeros(m), -np.ones(m), np.zeros(n)))
-    quadratic = csc_matrix((2 * m + n, 2 * m + n))
-    settings = clarabel.DefaultSettings()
-    settings.verbose, settings.max_threads = False, 1
-
-    def run() -> Answer:
-        started = time.process_time()
-        found = clarabel.DefaultSolver(quadratic, cost, matrix, right, kinds, settings).solve()
-        seconds = time.process_time() - started
-        return _answer(str(found.status), seconds, route_entropy=-found.obj_val)
-
-    return run
-
-
-def _limits(
-    game: Game, problem: EntropyProblem, node: IndexArray
-) -> tuple[csr_matrix, IndexArray]:
-    """Rows alpha_j x_j / value over x, and which of them can bind: a node is visited once."""
-    share = game.loss[node] / problem.value
-    return csr_matrix((share, (np.arange(len(node)),) * 2)), np.flatnonzero(share > 1.0)
+    model.a_matrix_.start_, model.a_matrix_.index_ = program.rows.indptr, program.rows.indices
+    model.a_matrix_.value_ = program.rows.data
+    engine = highspy.Highs()
+    settings = {'output_flag': False, 'threads': 1, 'solver': 'simplex', **options}
+    for name, setting in settings.items():
+        engine.setOptionValue(name, setting)
+    engine.passModel(model)
+    begin = time.process_time()
+    engine.run()
+    seconds = time.process_time() - begin
+    status = engine.modelStatusToString(engine.getModelStatus())
+    answer = {'seconds': seconds, 'status': status}
+    found = {'value': engine.getInfo().objective_function_value}
+    return answer | (found if status == 'Optimal' else {'failed': True})

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+import numpy as np
+
 RESULTS = Path(__file__).with_name('results.md')
 
 
@@ -27,6 +29,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     lines = [head, ['---'] * len(head), *rows]
     return '\n'.join('| ' + ' | '.join(line) + ' |' for line in lines)
+
+
+def quantiles(numbers: Sequence[float]) -> str:
+    """Median, 95 % quantile and largest."""
+    return ' / '.join(f'{number:.3g}' for number in np.quantile(numbers, [0.5, 0.95, 1.0]))
 
 
 def conditions(*libraries: str) -> str:

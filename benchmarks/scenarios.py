@@ -13,7 +13,6 @@ from scipy.ndimage import gaussian_filter
 from ambush_planner import Network, NetworkOptions, RiskMap, build_network
 from ambush_planner.arrays import BoolArray, FloatArray
 from ambush_planner.commands import demo_ground
-from ambush_planner.maps.obstacles import nearest_free_cell
 from ambush_planner.maps.occupancy import risk_map_from_occupancy
 
 # Maps of the Nav2 project, optional, in a folder next to the checkout.
@@ -32,6 +31,13 @@ class Scenario:
 
     def network(self, options: NetworkOptions) -> Network:
         return build_network(self.risk_map, self.start, self.goal, options)
+
+
+def nearest_free(risk_map: RiskMap, xy: tuple[float, float]) -> tuple[float, float]:
+    """Centre of the free cell nearest to a position on the map [m]."""
+    centres = (np.argwhere(~risk_map.obstacles)[:, ::-1] + 0.5) * risk_map.resolution
+    x, y = centres[np.argmin(((centres - xy) ** 2).sum(axis=1))].tolist()
+    return x, y
 
 
 def block(cells: int) -> RiskMap:
@@ -56,19 +62,6 @@ def _unit_square(cells: int) -> tuple[FloatArray, FloatArray]:
     centre = (np.arange(cells) + 0.5) / cells
     u, v = np.meshgrid(centre, centre)
     return u, v
-
-
-def block_network(nodes: int) -> Network:
-    """Network of ``nodes`` x ``nodes`` over ``block``, from mid-left to mid-right."""
-    spacing = SIDE / nodes
-    ends = (0.5 * spacing, 0.5 * SIDE), (SIDE - 0.5 * spacing, 0.5 * SIDE)
-    return Scenario(block(nodes), *ends).network(NetworkOptions(spacing=spacing))
-
-
-def network_across(risk_map: RiskMap, nodes: int) -> Network:
-    """Network of ``nodes`` x ``nodes`` over a map, between places independent of the number."""
-    ends = (0.03 * SIDE, 0.5 * SIDE), (0.97 * SIDE, 0.5 * SIDE)
-    return Scenario(risk_map, *ends).network(NetworkOptions(spacing=SIDE / nodes))
 
 
 def terrain() -> Scenario:
@@ -100,7 +93,7 @@ def city(seed: int = 7) -> Scenario:
     risk = gaussian_filter(rng.random((rows, columns)), 12.0)
     risk = (risk - risk.min()) / np.ptp(risk)
     risk_map = RiskMap(1.0 + 9.0 * risk, obstacles, 3.0)
-    start, goal = (nearest_free_cell(risk_map, xy, 50.0, 4.0) for xy in ((60, 300), (740, 280)))
+    start, goal = (nearest_free(risk_map, xy) for xy in ((60, 300), (740, 280)))
     return Scenario(risk_map, start, goal)
 
 

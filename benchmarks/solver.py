@@ -1,203 +1,288 @@
-"""Measure the solver on random problems of every family, and HiGHS and Clarabel on the same ones.
+"""Measure what a user waits for: ``plan_trip`` on random problems of every family, and its gap.
 
-Seeds are new in each run and printed; ``--seed`` repeats a run. Every solve is a process of its own
-on one thread. The peers solve problems without a reach; their times are compared by shifted
-geometric means, in which a solver over its time limit, or failed, counts with the limit.
+The kinds of problems are in families.py; ``nodes`` is ``solve`` without a reach, next to HiGHS'
+dual simplex method for the value alone. Seeds are new in each run and printed; ``--seed`` repeats a
+run. ``--checkout A B`` measures the packages of several checkouts on the same problems, in turns.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import secrets
-import signal
 import subprocess
-import sys
-import tempfile
+import time
 from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from families import FAMILIES
-from report import conditions, new_parser, publish, table
+from families import FAMILIES, KINDS, Problem, draw
+from one_run import Answer, Profile, run
+from peers import highs, value_program
+from report import conditions, new_parser, publish, quantiles, table
+from scipy.sparse import csr_matrix
 
-ONE_RUN = Path(__file__).with_name('one_run.py')
-THREAD_VARIABLES = ('OMP', 'OPENBLAS', 'MKL', 'RAYON')
-PEERS = {
-    'simplex': 'HiGHS dual simplex, value within the length budget',
-    'interior_point': 'HiGHS interior point without crossover, the same',
-    'conic': 'Clarabel, route entropy within our value and length',
-}
+from ambush_planner import (
+    AmbushPlannerError,
+    Network,
+    RiskMap,
+    Strategy,
+    TimeLimit,
+    plan_trip,
+    solve,
+)
+from ambush_planner.arrays import FloatArray
+
+HERE = Path(__file__).parent.parent
+SIZES = {'plan': (400, 2500, 9500), 'nodes': (2500, 9500)}  # of all other kinds: drawn
+PLACES = 500, 2500  # smallest and largest number of places of a trip
+TRIP_FAMILIES = ('hills-coarse', 'hills-obstacles', 'hills-fine', 'city', 'maze')
+WITHIN = 0.0101  # gap that counts as closed, for a slack of 0.01
+USABLE = 0.1  # gap of a first strategy
+EARLY = 1 / 3  # its time limit, as a share of the median of its size
 SHIFT = 1.0  # s, of the geometric means
-# Relative difference by which a peer's value may exceed ours, or its entropy differ.
-SAME_VALUE, SAME_ENTROPY = 1e-5, 1e-2
-# The first usable strategy: time limit as a share of the whole solve's time, least limit [s], gap.
-EARLY, LEAST_EARLY, USABLE = 0.1, 0.2, 0.1
-STAGES = ('cut', 'chain', 'faces', 'program', 'law', 'once', 'certificate')
-
-Answer = dict[str, Any]
+SAME_VALUE = 1e-5  # relative difference by which HiGHS' value may be outside bound and value
+# There is no plan: the network of a coarse mesh has no way, or all ways are over a budget.
+REFUSED = 'NoRoute', 'BudgetInfeasible', 'StartBlocked', 'GoalBlocked', 'StopBlocked'
+OBSTACLE = 3  # cells along a side of what appears on the map
 
 
-def one_run(task: str, name: str, file: Path, limit: float, *more: str) -> Answer:
-    """The answer of one process; its time is ``limit`` if it exceeded that or failed."""
-    threads = {f'{name}_NUM_THREADS': '1' for name in THREAD_VARIABLES}
-    command = [sys.executable, str(ONE_RUN), task, name, str(file), '--limit', str(limit), *more]
-    print(f'{name:32s} {task:15s}', end='', file=sys.stderr, flush=True)
-    done = subprocess.run(command, env=os.environ | threads, stdout=subprocess.PIPE, check=False)
-    if done.returncode == 0:
-        # HiGHS 1.16 prints its name first.
-        answer: Answer = json.loads(done.stdout.splitlines()[-1])
-    else:
-        late = done.returncode == -signal.SIGPROF
-        answer = {'failed': True, 'seconds': limit, 'status': 'late' if late else 'crashed'}
-    if task != 'strategy' and answer.get('failed'):
-        answer['seconds'] = limit
-    print(f" {answer['seconds']:8.2f} s  {answer['status']}", file=sys.stderr)
-    return answer | {'name': name}
+def planned(name: str, time_limit: float = math.inf) -> Answer:
+    """A plan within a time limit [s]."""
+    problem = draw(name, time_limit)
+    return timed(problem, lambda: planned_on(problem).strategy)
 
 
-def measure(names: list[str], limit: float, peers: list[str], early: bool,
-            *more: str) -> list[Answer]:
-    """Our answers; those without a reach hold the peers' under their names."""
-    answers = []
-    for name in names:
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder, 'problem.npz')
-            ours = one_run('strategy', name, file, limit, *more)
-            answers.append(ours)
-            if file.exists() and ours['reach'] == 0.0:
-                ours |= {peer: one_run(peer, name, file, limit, *more) for peer in peers}
-                check_agreement(ours)
-            if early and 'failed' not in ours:
-                soon = max(EARLY * ours['seconds'], LEAST_EARLY)
-                ours['early'] = one_run('strategy', name, file, soon, *more) | {'limit': soon}
-    return answers
+def at_nodes(name: str) -> Answer:
+    """The strategy at the nodes of a network that is there."""
+    problem = draw(name)
+    try:
+        network = problem.scenario.network(problem.options.network)
+    except AmbushPlannerError as error:
+        return refused(error)
+    return timed(problem, lambda: solve(network, problem.options.game, problem.options.strategy))
 
 
-def check_agreement(ours: Answer) -> None:
-    """Raise RuntimeError if a peer that finished contradicts our bound, value or entropy."""
-    for peer in ('simplex', 'interior_point'):
-        theirs = ours.get(peer, {}).get('value')
-        if theirs is not None:
-            low, high = ours['value'] - ours['gap'], ours['value']
-            room = SAME_VALUE * max(high, 1e-9)
-            if not low - room <= theirs <= high + room:
-                raise RuntimeError(f"{ours['name']}: {peer} has {theirs}, not {low} to {high}")
-    entropy = ours.get('conic', {}).get('route_entropy')
-    if entropy is not None and not -SAME_ENTROPY * (1.0 + entropy) <= (
-        entropy - ours['route_entropy']
-    ):
-        raise RuntimeError(f"{ours['name']}: Clarabel has less entropy, {entropy}")
+def timed(problem: Problem, make: Callable[[], Strategy]) -> Answer:
+    """What a strategy costs and is, once all libraries are loaded."""
+    planned_on(draw('plan:hills-coarse:100:0'))
+    profile, status, begin = Profile(), 'solved', time.process_time()
+    try:
+        strategy = make()
+    except TimeLimit as error:
+        if error.strategy is None:
+            return refused(error)
+        strategy, status = error.strategy, 'gap open'
+    except AmbushPlannerError as error:
+        return refused(error)
+    return {'seconds': time.process_time() - begin, 'status': status, 'words': problem.words,
+            'profile': dict(profile.seconds), 'value': strategy.value, 'gap': gap_of(strategy),
+            'bound': strategy.lower_bound, 'budget': strategy.length_budget,
+            'nats': strategy.route_entropy, 'nodes': len(strategy.network.points)}
 
 
-def quantiles(seconds: list[float]) -> list[str]:
-    """Median, 95 % quantile and largest."""
-    return [f'{s:.2f}' for s in np.quantile(seconds, [0.5, 0.95, 1.0])]
+def planned_on(problem: Problem, risk_map: RiskMap | None = None, **options: Any) -> Any:
+    scenario = problem.scenario
+    return plan_trip(risk_map or scenario.risk_map, scenario.start, scenario.goal, problem.options,
+                     stops=problem.stops, **options)
 
 
-def by_family(answers: list[Answer]) -> str:
-    """One row per family and one for all: times, the slowest problem, shares of the stages."""
-    rows = []
-    for family in (*FAMILIES, ''):
-        here = [a for a in answers
-                if 'failed' not in a and family in ('', a['name'].split(':')[0])]
-        if not here:
-            continue
-        total = sum(a['seconds'] for a in here)
-        worst = max(here, key=lambda a: float(a['seconds']))
-        shares = [f"{100 * sum(a['stages'].get(s, 0.0) for a in here) / total:.0f}" for s in STAGES]
-        rows.append([
-            family or '**all**', str(len(here)), *quantiles([a['seconds'] for a in here]),
-            f"`{worst['name']}` reach {worst['reach']:g} detour {worst['detour']:.3g}",
-            ', '.join(shares), f"{np.median([a['evaluations'] for a in here]):.0f}",
-            f"{max(a['evaluations'] for a in here)}", f"{max(a['peak'] for a in here):.0f}",
-        ])
-    return table(('', 'problems', 'median [s]', '95 %', 'worst', 'the worst',
-                  f"% in {', '.join(STAGES)}", 'evaluations, median', 'most', 'MB'), rows)
+def refused(error: AmbushPlannerError) -> Answer:
+    return {'failed': True, 'seconds': time.process_time(), 'status': type(error).__name__}
 
 
-def paths(answers: list[Answer]) -> str:
-    """How often each way through the solver was taken; (law) found its limits infeasible."""
-    ways = Counter(f"**{a['status']}**" if a['status'] != 'solved' else a['path'] for a in answers)
-    return table(('way', 'problems'), [[w or 'none', str(n)] for w, n in ways.most_common()])
+def gap_of(strategy: Strategy) -> float:
+    """The gap relative to the bound; 0 if there is nothing to lose."""
+    return strategy.value / strategy.lower_bound - 1.0 if strategy.lower_bound else strategy.value
 
 
-def first_strategies(answers: list[Answer]) -> str:
-    """The gaps, relative to the bound, of solves that were given a tenth of the time."""
-    ran = [a['early'] for a in answers if 'early' in a]
-    if not ran:
-        return ''
-    gaps = [math.inf if 'failed' in a else a['gap'] / max(a['value'] - a['gap'], 1e-300)
-            for a in ran]
-    worst, over = int(np.argmax(gaps)), [a['seconds'] - a['limit'] for a in ran]
-    row = [str(len(ran)), f'**{np.mean(np.array(gaps) <= USABLE):.0%}**', f'{np.median(gaps):.1%}',
-           f"{gaps[worst]:.0%} (`{ran[worst]['name']}`)", f'{np.median(over):.2f}',
-           f'{max(over):.2f}']
-    head = ('problems', f'gap at most {USABLE:.0%}', 'median', 'worst',
-            'over the limit, median [s]', 'most [s]')
-    return (f'\n\nAfter {EARLY:g} of the time, at least {LEAST_EARLY:g} s:\n\n'
-            f'{table(head, [row])}')
+def value_by_highs(name: str, budget: float) -> Answer:
+    """The value at the nodes within the length budget [m], by HiGHS' dual simplex method."""
+    problem = draw(name)
+    network = problem.scenario.network(problem.options.network)
+    losses = losses_at_nodes(network, problem.options.game.secured_radius)
+    return highs(value_program(network, losses, [(network.lengths, budget)]))
 
 
-def against_peers(answers: list[Answer], peers: list[str], limit: float) -> str:
-    """Shifted geometric means over the problems without a reach, and their ratios to ours."""
-    shared = [a for a in answers if peers and peers[0] in a]
-    if not shared:
-        return ''
-    own = shifted_mean([a['seconds'] for a in shared])
-    rows = [['**strategy, all stages**', f'{own:.2f}', '1', '-', '-']]
-    for peer in peers:
-        theirs = [a[peer] for a in shared]
-        mean = shifted_mean([t['seconds'] for t in theirs])
-        states = Counter(t['status'] for t in theirs)
-        late = states.pop('late', 0)
-        solved = ('Optimal', 'Solved', 'AlmostSolved')
-        rows.append([PEERS[peer], f'{mean:.2f}', f'**{mean / own:.1f}x**', str(late),
-                     str(sum(n for state, n in states.items() if state not in solved))])
-    head = ('', 'shifted geometric mean [s]', 'ratio', f'over {limit:g} s', 'failed')
-    return f'\n\n{len(shared)} problems without a reach:\n\n{table(head, rows)}'
+def losses_at_nodes(network: Network, held: float) -> csr_matrix:
+    """(N, M): the loss of each edge into a node outside held ground."""
+    apart = np.linalg.norm(network.points[:, None] - network.points[network.ends], axis=2)
+    loss: FloatArray = np.where((apart > held).all(axis=1), network.alpha, 0.0)[network.heads]
+    edge = np.arange(len(loss))
+    return csr_matrix((loss, (network.heads, edge)), (len(network.points), len(loss)))
+
+
+def replanned(name: str, changes: int) -> Answer:
+    """Plans on maps on which an obstacle is somewhere else each time, each from the one before."""
+    from ambush_planner.planning.solving import WarmStart  # not public, so only where it is used
+
+    problem, rng, warm = draw(name), np.random.default_rng(changes), None
+    seconds, gaps, risk_map = [], [], problem.scenario.risk_map
+    while len(seconds) <= changes:
+        begin = time.process_time()
+        try:
+            plan = planned_on(problem, risk_map, warm=warm)
+        except AmbushPlannerError as error:
+            if not seconds:
+                return refused(error)
+        else:
+            seconds.append(time.process_time() - begin)
+            gaps.append(gap_of(plan.strategy))
+            multipliers = plan.strategy.multipliers
+            warm = WarmStart(plan.network, multipliers) if multipliers else None
+        risk_map = changed(problem.scenario.risk_map, rng)  # may close the only way
+    return {'seconds': sum(seconds), 'status': 'solved', 'cold': seconds[0], 'warm': seconds[1:],
+            'gaps': gaps[1:]}
+
+
+def changed(risk_map: RiskMap, rng: np.random.Generator) -> RiskMap:
+    """The map with an obstacle on ground that was free."""
+    row, column = rng.choice(np.argwhere(~risk_map.obstacles))
+    obstacles = risk_map.obstacles.copy()
+    obstacles[row : row + OBSTACLE, column : column + OBSTACLE] = True
+    return replace(risk_map, obstacles=obstacles)
+
+
+def names_of(kind: str, sizes: list[int] | None, seeds: range,
+             families: list[str]) -> dict[int, list[str]]:
+    """The problems of a kind by their size; 0: sizes that are drawn."""
+    if kind not in SIZES:
+        return {0: [f'{kind}:{family}:{places_of(family, seed)}:{seed}'
+                    for family in families if family in TRIP_FAMILIES for seed in seeds]}
+    return {size: [f'{kind}:{family}:{size}:{seed}' for family in families for seed in seeds]
+            for size in sizes or SIZES[kind]}
+
+
+def places_of(family: str, seed: int) -> int:
+    """The drawn number of places of a trip."""
+    rng = np.random.default_rng([seed, TRIP_FAMILIES.index(family)])
+    return round(math.exp(rng.uniform(*np.log(PLACES))))
+
+
+def measure(name: str, checkout: Path, options: Any) -> Answer:
+    """One row: our answer, and HiGHS' under its name if there is no reach."""
+    if not name.startswith('nodes'):
+        return run('solver.planned', name, options.limit, checkout)
+    ours = run('solver.at_nodes', name, options.limit, checkout)
+    if options.peers and 'failed' not in ours:
+        ours['peer'] = run('solver.value_by_highs', name, options.limit, checkout,
+                           budget=ours['budget'])
+        theirs = ours['peer'].get('value', ours['bound'])
+        room = SAME_VALUE * theirs
+        if not ours['bound'] - room <= theirs <= ours['value'] + room:
+            raise RuntimeError(f'{name}: HiGHS has {theirs}, we {ours}')
+    return ours
+
+
+def first_strategies(rows: list[Answer], checkout: Path, options: Any) -> None:
+    """Plan again within a share of the median time; the answers are added to their rows."""
+    solved = [row for row in rows if 'failed' not in row]
+    soon = EARLY * float(np.median([row['seconds'] for row in solved])) if solved else math.nan
+    for row in solved:
+        row['early'] = run('solver.planned', row['name'], options.limit, checkout,
+                           time_limit=soon)
+
+
+def after_changes(rows: list[Answer], checkout: Path, options: Any) -> None:
+    """Plan again on changed maps, ``--changes`` of them on all problems of a size together."""
+    solved = [row for row in rows if 'failed' not in row]
+    for row in solved:
+        row['replanned'] = run('solver.replanned', row['name'], 4.0 * options.limit, checkout,
+                               changes=math.ceil(options.changes / len(solved)))
+
+
+def summary(label: str, rows: list[Answer]) -> dict[str, str]:
+    """The figures of one row of the table; a problem that did not end counts with the limit."""
+    asked = [row for row in rows if 'failed' not in row or row['status'] not in REFUSED]
+    solved = [row for row in rows if 'failed' not in row]
+    if not solved:
+        return {'': label, 'problems': str(len(asked)), 'not ended': str(len(asked))}
+    worst = max(asked, key=lambda row: float(row['seconds']))
+    modules: Counter[str] = Counter()
+    for row in solved:
+        modules.update(row['profile'])
+    share = 100.0 / sum(row['seconds'] for row in solved)
+    found = {
+        '': label, 'problems': str(len(asked)),
+        'seconds: median / 95 % / worst': quantiles([row['seconds'] for row in asked]),
+        'gap [%]': quantiles([100.0 * row['gap'] for row in solved]),
+        'within 1.01 %': f"{np.mean([row.get('gap', 1.0) <= WITHIN for row in asked]):.0%}",
+        'nats': f"{np.median([row['nats'] for row in solved]):.1f}",
+        'MB': f"{max(row['peak'] for row in solved):.0f}",
+        'not ended': str(len(asked) - len(solved)),
+        'the slowest': f"`{worst['name']}` {worst.get('words', worst['status'])}",
+        '% of the time': ', '.join(f'{m} {share * s:.0f}' for m, s in modules.most_common(5)),
+    }
+    early = [row['early'] for row in solved if 'early' in row]
+    if early:
+        usable = np.mean([answer.get('gap', math.inf) <= USABLE for answer in early])
+        found['10 % gap after a third of the median'] = f'{usable:.0%}'
+    again = [row['replanned'] for row in solved if 'replanned' in row]
+    ended = [answer for answer in again if 'warm' in answer]
+    if ended:
+        warm = [second for answer in ended for second in answer['warm']]
+        found['changed map: median / 95 % / worst'] = quantiles(warm)
+        gaps = [100.0 * gap for answer in ended for gap in answer['gaps']]
+        found['gap then [%]'] = quantiles(gaps)
+    if again:
+        found['not ended then'] = str(len(again) - len(ended))
+    theirs = [row['peer']['seconds'] for row in solved if 'peer' in row]
+    if theirs:
+        ours = [row['seconds'] for row in solved if 'peer' in row]
+        found["HiGHS' value"] = f'{shifted_mean(theirs) / shifted_mean(ours):.1f}x'
+    return found
 
 
 def shifted_mean(seconds: list[float]) -> float:
     return math.exp(float(np.mean(np.log(np.array(seconds) + SHIFT)))) - SHIFT
 
 
+def commit(checkout: Path) -> str:
+    return subprocess.run(['git', '-C', checkout, 'describe', '--always', '--dirty'], text=True,
+                          capture_output=True, check=False).stdout.strip() or checkout.name
+
+
 def main() -> None:
     parser = new_parser(__doc__)
-    parser.add_argument('--sizes', type=int, nargs='+', default=[2500, 9500], metavar='NODES',
-                        help='sizes of the networks, such as 2500 9500 37000 1000000')
-    parser.add_argument('--each', type=int, nargs='+', default=[5], metavar='COUNT',
-                        help='problems of each family, for all sizes or for each size')
+    parser.add_argument('--kinds', nargs='+', default=list(KINDS), choices=KINDS)
+    parser.add_argument('--sizes', type=int, nargs='+', metavar='NODES', help='of plan and nodes')
+    parser.add_argument('--each', type=int, default=2, help='problems of each family')
     parser.add_argument('--families', nargs='+', default=list(FAMILIES), choices=list(FAMILIES))
     parser.add_argument('--seed', type=int, help='the first seed; a new one if not given')
-    parser.add_argument('--reach', type=float, help='for all problems [spacings]')
-    parser.add_argument('--detour', type=float, help='for all problems')
+    parser.add_argument('--checkout', type=Path, nargs='+', default=[HERE], metavar='FOLDER')
     parser.add_argument('--early', action='store_true',
-                        help='solve again within a tenth of the time, on an idle machine')
-    parser.add_argument('--ambushers', type=int, help='for all problems; else one')
-    parser.add_argument('--stops', type=int, help='random ones on the way; else none')
-    parser.add_argument('--peers', nargs='*', default=list(PEERS), choices=list(PEERS))
-    parser.add_argument('--limit', type=float, default=300.0,
-                        help='limit of each solve [s]; ours is elapsed time')
+                        help='plan again within a third of the median time, on an idle machine')
+    parser.add_argument('--changes', type=int, default=0, help='maps that change, for each size')
+    parser.add_argument('--peers', action='store_true', help="HiGHS' value for the kind nodes")
+    parser.add_argument('--limit', type=float, default=300.0, help='of each problem [s]')
+    parser.add_argument('--json', type=Path, help='file for the raw rows')
     options = parser.parse_args()
-    if len(options.each) not in (1, len(options.sizes)):
-        parser.error('--each takes one count, or one for each of the --sizes')
-    first = options.seed or secrets.randbelow(10**9)
-    more = [f'--{key}={value}' for key in ('reach', 'detour', 'ambushers', 'stops')
-            if (value := getattr(options, key)) is not None]
-    sections = []
-    each = options.each * (len(options.sizes) if len(options.each) == 1 else 1)
-    for nodes, count in zip(options.sizes, each, strict=True):
-        names = [f'{f}:{nodes}:{first + k}' for f in options.families for k in range(count)]
-        answers = measure(names, options.limit, options.peers, options.early, *more)
-        sections.append(f'### {nodes} nodes\n\n{by_family(answers)}\n\n{paths(answers)}'
-                        f'{first_strategies(answers)}'
-                        f'{against_peers(answers, options.peers, options.limit)}')
-    text = (f'Seeds {first} to {first + max(each) - 1}. One thread, processor seconds. '
-            f"{conditions('highspy', 'clarabel')}.\n\n" + '\n\n'.join(sections))
-    publish(options.results, 'solver', text)
+    first, sections, raw = options.seed or secrets.randbelow(10**9), [], []
+    seeds, labels = range(first, first + options.each), [commit(c) for c in options.checkout]
+    for kind in options.kinds:
+        for size, names in names_of(kind, options.sizes, seeds, options.families).items():
+            rows: list[list[Answer]] = [[] for _ in labels]
+            for name in names:
+                for own, checkout in zip(rows, options.checkout, strict=True):
+                    own.append(measure(name, checkout, options))
+            for own, checkout, label in zip(rows, options.checkout, labels, strict=True):
+                if options.early and kind == 'plan':
+                    first_strategies(own, checkout, options)
+                if options.changes and kind == 'plan':
+                    after_changes(own, checkout, options)
+                where = f'{kind} {size or ""}'.strip()
+                sections.append(summary(f'{where}, {label}' if len(labels) > 1 else where, own))
+                raw += [{'commit': label, 'size': size, **row} for row in own]
+            if options.json:
+                options.json.write_text(json.dumps(raw, indent=1))
+    head = list(dict.fromkeys(key for row in sections for key in row))
+    publish(options.results, 'solver', (
+        f'Commit {", ".join(labels)}, seeds {first} to {seeds[-1]}. One thread, processor seconds, '
+        f"limit {options.limit:g} s. {conditions('highspy')}.\n\n"
+        f"{table(head, [[row.get(key, '-') for key in head] for row in sections])}"))
 
 
 if __name__ == '__main__':

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 from scipy.sparse import coo_matrix, csr_matrix
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from ambush_planner import Network, NetworkOptions, NoRoute, RiskMap, build_network
 
@@ -171,30 +171,54 @@ def exact_value(network: Network) -> Fraction:
 
 def meets(network: Network, centres: np.ndarray, radius: float, held: float) -> np.ndarray:
     """(K, M): whether an edge comes into the disc of a centre further than ``held`` from all ends.
-
-    Along the edge, the answer changes only where it crosses a circle: a point between each two.
     """
-    ends = network.points[network.ends]
+    edge, begin, end = exposed_parts(network, held)
+    along, hit = end - begin, np.zeros((len(centres), len(network.edges)), bool)
+    if not len(edge):
+        return hit
+    squared, middles = (along**2).sum(axis=1), cKDTree((begin + end) / 2)
+    longest = np.sqrt(squared.max())
+    for first in range(0, len(centres), 500):
+        near = middles.query_ball_point(centres[first : first + 500], radius + longest)
+        row = np.repeat(np.arange(len(near)), [len(each) for each in near]) + first
+        part = np.concatenate([*near, []]).astype(int)
+        off = centres[row] - begin[part]
+        share = np.clip((off * along[part]).sum(axis=1) / squared[part], 0.0, 1.0)
+        met = np.hypot(*(off - share[:, None] * along[part]).T) <= radius
+        hit[row[met], edge[part[met]]] = True
+    return hit
+
+
+def exposed_parts(network: Network, held: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The parts of edges further than ``held`` from all ends: edges (K,), begins, ends (K, 2)."""
+    ends = np.unique(network.points[network.ends], axis=0)
     start = network.points[network.tails]
     along = network.points[network.heads] - start
+    length = np.hypot(*along.T)
+    near = ((ends[:, None] - start) * along).sum(axis=2) / length**2
+    off = np.linalg.norm(start + near[..., None] * along - ends[:, None], axis=2)
+    half = np.sqrt(np.maximum(held**2 - off**2, 0.0)) / length
+    cuts = np.vstack((0.0 * length, near - half, near + half, 0.0 * length + 1.0))
+    cuts = np.sort(np.clip(cuts, 0.0, 1.0), axis=0)
+    middle = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
+    outside = np.linalg.norm(middle[:, :, None] - ends, axis=3).min(axis=2) > held
+    piece, edge = np.nonzero(outside & (cuts[1:] > cuts[:-1] + 1e-12))
+    begin, end = (start[edge] + cuts[piece + k, edge][:, None] * along[edge] for k in (0, 1))
+    return edge, begin, end
 
-    def crossings(about, size):
-        near = ((about[:, None] - start) * along).sum(axis=2) / (along**2).sum(axis=1)
-        off = np.linalg.norm(start + near[..., None] * along - about[:, None], axis=2)
-        half = np.sqrt(np.maximum(size**2 - off**2, 0.0)) / np.linalg.norm(along, axis=1)
-        return np.clip([near - half, near + half], 0.0, 1.0)
 
-    with_ends = crossings(ends, held).reshape(-1, len(along))
-    hit = np.zeros((len(centres), len(along)), bool)
-    for row, centre in enumerate(centres):
-        cuts = np.vstack((0 * along.T, with_ends, crossings(centre[None], radius)[:, 0]))
-        cuts = np.sort(np.vstack((cuts, np.ones(len(along)))), axis=0)
-        places = start + ((cuts[1:] + cuts[:-1]) / 2)[..., None] * along
-        exposed = cuts[1:] > cuts[:-1] + 1e-12
-        for end in ends:
-            exposed &= np.linalg.norm(places - end, axis=2) > held
-        hit[row] = (exposed & (np.linalg.norm(places - centre, axis=2) <= radius)).any(axis=0)
-    return hit
+def standing_places(risk_map: RiskMap, network: Network, held: float,
+                    within: tuple[float, ...] = (0.5,)) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (K, 2) in free cells outside held ground, at shares ``within`` of a cell; losses.
+    """
+    rows, columns = np.nonzero(~risk_map.obstacles)
+    offsets = np.array([(u, v) for u in within for v in within])
+    cells = np.stack((columns, rows), axis=1)[:, None] + offsets
+    points = risk_map.to_world(cells.reshape(-1, 2) * risk_map.resolution)
+    alpha = np.repeat(risk_map.alpha[rows, columns], len(offsets))
+    ends = np.unique(network.points[network.ends], axis=0)
+    outside = np.linalg.norm(points[:, None] - ends, axis=2).min(axis=1) > held
+    return points[outside], alpha[outside]
 
 
 def may_wait(network: Network, held: float) -> np.ndarray:
