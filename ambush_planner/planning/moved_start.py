@@ -6,6 +6,9 @@ alone, so the joined routes are those of an acyclic strategy again: on the netwo
 the convoy's place, joined to these nodes. Its value is computed like any other, and counts each
 site that can hit the way to the route. Held ground is around the convoy's place instead of the
 planned start.
+
+A convoy that is on its way, and finds the rest of its route blocked, takes another rest of the same
+plan (``other_rest``).
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray, frozen_array
+from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.certificate import Certificate, hit_bound
 from ..game.game import make_game
@@ -26,7 +29,7 @@ from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.driven_path import Ends
 from .changed_ground import LEAST_CLEAR, Assessment, ChangedGround
-from .plan import Plan
+from .plan import Plan, Route, departure_path
 
 # Radius of the region around a plan's start within which its routes are joined [node spacings].
 REGION = 5.0
@@ -69,20 +72,48 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     kept = network.tails != network.source
     edges = np.column_stack((np.full(len(at), network.source), at))
     points = network.points.copy()
-    points[network.source % network.place_count::network.place_count] = ends[0]
-    moved = Network(points, look.alpha, np.concatenate((network.edges[kept], edges)),
-                    network.source, network.target, network.legs)
+    points[network.places == network.places[network.source]] = ends[0]
+    moved = replace(network, points=points, alpha=look.alpha,
+                    edges=np.concatenate((network.edges[kept], edges)))
     flow = np.concatenate((ground.conditioned.flow_from(p, begins)[kept], begins[at]))
     try:
         strategy = _valued(ground, newest, moved, flow)
     except AmbushPlannerError:  # no route within the budgets of length or exposure
         return None
-    fitted = ground.fitted(newest, ends, np.unique(at % network.place_count))
+    fitted = ground.fitted(newest, ends, np.unique(network.places[at]))
     joined = replace(fitted, network=moved, strategy=strategy,
                      corridors=replace(fitted.corridors, network=moved))
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
                                          strategy.expected_length, strategy.length_budget,
                                          moved.travel_unit))
+
+
+def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: IndexArray,
+               rng: np.random.Generator, spacing: float) -> tuple[Route, FloatArray] | None:
+    """Draw another rest of a route that the convoy at ``ends[0]`` [m] is on.
+
+    The strategy is a Markov chain, so the rest is drawn from it on condition that it begins at the
+    first of the nodes ``ahead`` (K,) from which it can be driven on the newest map; the convoy
+    drives straight there.
+
+    Returns the route, with the source in place of the convoy, and its path (L, 3), at most
+    ``spacing`` [m] apart; None if no rest is clear.
+    """
+    network = ground.plan.network
+    lost = ground.lost(newest) | _through_start_again(network)
+    place = np.array([ends[0]])
+    for node in ahead.tolist():
+        at = network.points[[node]]
+        if (at == place).all() or not ground.clear(place, at, newest).all():
+            continue
+        rest = ground.conditioned.draw_from(node, lost, rng)
+        if rest is not None:
+            nodes = np.concatenate(([network.source], rest))
+            points = np.concatenate((place, network.points[rest]))
+            fitted = ground.fitted(newest, ends, network.places[[node]])
+            route = Route(frozen_array(nodes, np.int64), frozen_array(points, np.float64))
+            return route, departure_path(fitted, route, spacing, ends)
+    return None
 
 
 def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
@@ -94,7 +125,7 @@ def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:
 
 def _through_start_again(network: Network) -> np.ndarray:
     """Return the edges (M,) by which later legs pass the place of the source."""
-    again = network.places == network.source % network.place_count
+    again = network.places == network.places[network.source]
     again[network.source] = False
     return np.asarray(again[network.edges].any(axis=1))
 

@@ -14,7 +14,7 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 
 from .conversions import installed_type
-from .departure_record import Departure
+from .departure_record import Answer
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
 from .inputs import robot_pose
@@ -46,7 +46,7 @@ class ComputePath:
         self._name = name
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
         self._settings = settings
-        self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
+        self._waiting: dict[bytes, tuple[Any, Future[Answer]]] = {}
         # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
@@ -70,7 +70,7 @@ class ComputePath:
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 
-    def _departed(self, departure: Future[Departure]) -> None:
+    def _departed(self, departure: Future[Answer]) -> None:
         self._wake.trigger()
         if not departure.cancelled() and departure.exception() is None:
             self._requests.answered(departure.result(), plan_response(departure.result()))
@@ -91,7 +91,7 @@ class ComputePath:
                     handle.execute, partial(self._result, departure=departure)
                 ))
 
-    def _result(self, handle: Any, departure: Future[Departure]) -> Any:
+    def _result(self, handle: Any, departure: Future[Answer]) -> Any:
         result = self._action.Result()
         if departure.cancelled():
             handle.canceled()

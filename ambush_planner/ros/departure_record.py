@@ -18,6 +18,7 @@ from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
 
 from ..network.road_network import in_map_frame
+from ..planning.changed_ground import Assessment
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
@@ -41,7 +42,18 @@ class ServiceCall:
     kind: Any
     name: str
     request: Any
-    respond: Callable[[Departure], Any]
+    respond: Callable[[Answer], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer to a request for a path, and its times; the ``departure`` if it is one."""
+
+    path: Path
+    remarks: str
+    begin_ns: int
+    end_ns: int
+    departure: Departure | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +62,9 @@ class Departure:
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
-    they were published. ``remarks`` are on the start, which may have been ``joined`` to the plan,
-    and on recordings that failed. The ``response`` was given at ``end_ns``; None until then.
+    they were published. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
+    which may have been ``joined`` to the plan, and on recordings that failed. The ``response`` was
+    given at ``end_ns``; None until then.
     """
 
     id: str
@@ -68,6 +81,8 @@ class Departure:
     others: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
+    worth: Assessment
+    tight_turns: int
     remarks: str = ''
     response: Any = None
 

@@ -41,7 +41,7 @@ class Status:
     ``problems`` are by what they concern: 'request', 'map' or 'recording'; ``warnings`` are texts
     on 'parameters' or 'alpha_map'. ``assessment`` is of the displayed plan on the current map, and
     ``stale`` says why that plan is stale, if it is. ``departure_worth`` is the assessment of the
-    last departure, and ``late_start`` says why it did not begin where the convoy was by then.
+    last departure; the ``last_answer`` may have been the rest of its path.
     """
 
     lifecycle: str = 'active'
@@ -56,7 +56,7 @@ class Status:
     departure_id: str = ''
     tight_turns: int = 0
     departure_worth: Assessment | None = None
-    late_start: str = ''
+    last_answer: str = ''
     recording: str = 'off'
 
     @property
@@ -99,6 +99,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'departure_id': status.departure_id,
         'departure_value': f'{last.value:.9g}' if last else '',
         'departure_gap': f'{last.gap:.9g}' if last else '',
+        'last_answer': status.last_answer,
         'tight_turns': str(status.tight_turns),
         'recording': status.recording,
     }
@@ -122,7 +123,7 @@ def _summary(status: Status) -> tuple[bytes, str, str]:
     changed = '; '.join(filter(None, (
         status.stale, _length_warning(status.assessment)
     )))
-    warning = (changed or status.late_start or _gap_warning(status.plan)
+    warning = (changed or _gap_warning(status.plan)
                or _counting_gap_warning(status.plan) or _tight_turns_warning(status.tight_turns)
                or _bottleneck_warning(status.plan))
     if warning:

@@ -49,7 +49,7 @@ class TripRequest:
 class Trip:
     """A trip request located on a map; poses and positions [m] are in the map's frame.
 
-    The start ``moves`` if it was given in another frame, such as the robot's.
+    ``robot`` is the frame in which the start was given, if that is not the map's: the start moves.
     """
 
     map: CurrentMap
@@ -62,7 +62,12 @@ class Trip:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
-    moves: bool = False
+    robot: str = ''
+
+    @property
+    def moves(self) -> bool:
+        """Whether the start is the place of a robot."""
+        return self.robot != ''
 
 
 class Inputs:
@@ -177,13 +182,14 @@ class Inputs:
         goal_pose = self._transforms.to_frame(
             request.goal.message, 'goal', present.frame, robot.max_age
         )
-        at_robot = start is not request.start
+        given = request.start.message.header.frame_id if request.start else ''
+        frame = given or robot.frame
         return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
                     goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
                     goal_xy=position_from_ros(goal_pose, 'goal'),
                     goal_tolerance=request.goal_tolerance, via=request.via,
                     stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
-                    moves=at_robot or start.message.header.frame_id != present.frame)
+                    robot='' if frame == present.frame else frame)
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:

@@ -225,7 +225,7 @@ class PlannerNode(LifecycleNode):
         self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._error_boundary.log_repeated()
         if self._dispatcher is not None:
-            self._dispatcher.review()
+            self._dispatcher.follow()
         self._reporter.report()
 
 
