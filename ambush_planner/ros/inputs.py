@@ -86,6 +86,8 @@ class Inputs:
         The node's parameters.
     with_costmap
         Whether a costmap is waited for, too.
+    asked_directly
+        Whether requests bring their own start and goal, so that those on the topics are not missed.
     """
 
     def __init__(self, transforms: FrameTransforms, start_topic: str,
@@ -99,6 +101,7 @@ class Inputs:
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
         self.via: ReceivedMessage | None = None
+        self.asked_directly = False
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
@@ -142,8 +145,8 @@ class Inputs:
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        inputs = {**self._arrived, 'start_pose': self.start or robot.frame,
-                  'goal_pose': self.goal}
+        poses = {'start_pose': self.start or robot.frame, 'goal_pose': self.goal}
+        inputs = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(name for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:

@@ -224,6 +224,7 @@ class PlannerNode(LifecycleNode):
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
         self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._error_boundary.log_repeated()
+        self._report_missing()
         if self._dispatcher is not None:
             self._dispatcher.follow()
         self._reporter.report()

@@ -80,9 +80,8 @@ class Reporter:
         ``publish`` the report is only returned, for a departure that leaves once recorded.
         """
         with self._lock:
-            status = replace(self._status.without_problem('request'), departures=departure.number,
-                             departure_id=departure.id, tight_turns=departure.tight_turns,
-                             departure_worth=departure.worth, last_answer='new')
+            status = replace(self._status.without_problem('request'), last=departure,
+                             last_answer='new')
             if publish:
                 self._status = status
                 problem = status.problems.get('recording')

@@ -56,6 +56,7 @@ class Requests:
         """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
+        self._inputs().asked_directly = True
         self._inputs().current_map()
         start, goal, via = (
             # As if they had arrived on the topics.
