@@ -117,3 +117,37 @@ def test_a_robot_that_stands_elsewhere_begins_a_new_trip(place):
         path = path_from_ros(client.get_plan(HERE, GOAL))
         assert tuple(path[0, :2]) == place
         client.diagnostics(departures='2', last_answer='new')
+
+
+def test_a_robot_in_the_inflation_of_a_costmap_drives_out_straight(tmp_path):
+    values = np.zeros((40, 40), np.int8)
+    values[:, :8] = 99  # its own cell, too: 0.5 m from the free ones
+    values[20:22, 20:22] = 100
+    parameters = {**ROBOT, 'map.preset': 'costmap', 'game.ambush_radius': 0.5}
+    with stage(tmp_path, parameters=parameters) as running:
+        client, robot = running.client, Robot(running)
+        client.publish('alpha_map', risk_grid(values, 0.25))
+        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        robot.is_at(1.5, 5.1)
+        path = answered(client, 'new')
+        assert tuple(path[0, :2]) == (1.5, 5.1)
+        assert path[1, 0] > 2.0 and abs(path[1, 1] - 5.1) < 0.5
+        assert (np.hypot(*np.diff(path[:2, :2], axis=0).T) <= 1.0).all()
+        robot.is_at(1.7, 5.1)
+        answered(client, 'continued')
+        robot.is_at(0.5, 5.1)
+        assert not client.get_plan(HERE, GOAL).poses, 'more than a metre from free ground'
+        client.diagnostics(code='START_OCCUPIED')
+        wait_until(lambda: len(list(tmp_path.rglob('*.mcap'))) == 1, 'the recording')
+    (file,) = tmp_path.rglob('*.mcap')
+    assert Verifier().verify(file).problems == []
+
+
+def test_a_missing_goal_pose_is_no_fault_once_a_request_brought_its_own():
+    with stage(parameters=ROBOT) as running:
+        client, robot = running.client, Robot(running)
+        robot.is_at(1.5, 5.5)
+        assert 'goal_pose' in client.diagnostics(state='waiting')['message']
+        client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: client.get_plan(HERE, GOAL).poses, 'a path')
+        assert 'goal_pose' not in client.diagnostics(state='ready')['message']

@@ -51,8 +51,9 @@ class ComputePath:
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
         self._action = installed_type('nav2_msgs.action', ACTIONS[name])
+        # Resolved here: rcl does not remap the names of actions.
         self.server = None if self._action is None else ActionServer(
-            node, self._action, name, self._result, callback_group=group,
+            node, self._action, node.resolve_topic_name(name), self._result, callback_group=group,
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
@@ -117,11 +118,10 @@ class ComputePath:
         Raises InvalidPlanner if the goal is for another planner, NoGoal if it has no poses, and
         NoStart or FrameMismatch if the start is missing or has no frame, or the stops have several.
         """
-        name = self._node.get_name()
-        if goal.planner_id not in ('', name):
-            raise InvalidPlanner(
-                f'planner_id is {goal.planner_id[:80]!r}, but must be {name!r} or empty'
-            )
+        names = {self._node.get_name(), *self._settings.current.values['planner_ids']}
+        if goal.planner_id not in names:
+            raise InvalidPlanner(f'planner_id is {goal.planner_id[:80]!r}, but must be one of '
+                                 f'{sorted(names)} (planner_ids)')
         start = goal.start
         if not goal.use_start:
             start = robot_pose(self._settings.current.robot)

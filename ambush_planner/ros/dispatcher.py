@@ -23,7 +23,8 @@ from std_srvs.srv import Trigger
 
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
-from ..planning.changed_ground import clear_path, way_out
+from ..maps.ros_messages import path_from_ros
+from ..planning.changed_ground import clear_path, clear_steps, way_out
 from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
 from ..planning.options import automatic_tube
@@ -36,7 +37,7 @@ from .cdr import path_bytes
 from .conversions import path_to_ros
 from .departure_record import Answer, Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
-from .error_codes import GroundChanges, NotActive
+from .error_codes import FrameMismatch, GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
@@ -201,6 +202,22 @@ class Dispatcher:
 
         self._departures.submit(begin, result)
         return result
+
+    def invalid_poses(self, path: Path) -> list[int]:
+        """Return which poses of a path, from the robot on, the newest map does not let it reach.
+
+        Raises NoMap, FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        """
+        newest, parameters = self._inputs.current_map(), self._settings.current
+        if path.header.frame_id != newest.frame or not path.poses:
+            raise FrameMismatch(f'the path has {len(path.poses)} poses in the frame '
+                                f'{path.header.frame_id[:80]!r}, the map is in {newest.frame!r}')
+        points, first = path_from_ros(path)[:, :2], 0
+        if (place := self._inputs.robot_place(parameters.robot)) is not None:
+            first = int(np.hypot(*(points - place).T).argmin())
+        clear = clear_steps(points[first:], newest, parameters.occupancy,
+                            parameters.planning.network)
+        return (np.flatnonzero(~clear) + first + 1).tolist()
 
     def cancel(self) -> int:
         """Cancel all solves, running and waiting; return their number."""

@@ -15,7 +15,7 @@ from ..planning.node_parameters import RobotOptions
 from ..recordings import type_name
 from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
-from .error_codes import NoGoal, NoMap, NoStart
+from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
 from .parameter_changes import NodeSettings
 from .qos import LATEST
 from .transforms import FrameTransforms
@@ -193,6 +193,17 @@ class Inputs:
                     goal_tolerance=request.goal_tolerance, via=request.via,
                     stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
                     robot='' if frame == present.frame else frame)
+
+    def robot_place(self, robot: RobotOptions) -> tuple[float, float] | None:
+        """Return where the robot is on the current map [m]; None if that is not known."""
+        pose = robot_pose(robot)
+        if pose is None:
+            return None
+        try:
+            at = self._transforms.to_frame(pose, 'start', self.current_map().frame, robot.max_age)
+        except FrameMismatch:
+            return None
+        return position_from_ros(at, 'start')
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:

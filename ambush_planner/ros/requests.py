@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
+from .conversions import installed_type
 from .current_map import ReceivedMessage
 from .departure_record import Answer, ServiceCall
 from .dispatcher import Dispatcher
@@ -50,6 +51,12 @@ class Requests:
                     _replan_response, planning)
         self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
                     _cancel_response, MutuallyExclusiveCallbackGroup())
+
+        if valid := installed_type('nav2_msgs.srv', 'IsPathValid'):
+            self._serve(valid, '~/is_path_valid',
+                        lambda request: completed(self._dispatcher().invalid_poses(request.path)),
+                        lambda poses: valid.Response(is_valid=not poses,
+                                                     invalid_pose_indices=poses), planning)
 
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
                    client: str = '') -> Future[Answer]:
