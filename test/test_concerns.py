@@ -27,7 +27,7 @@ def test_names_a_place_that_covers_every_way_out(alpha):
     (text,) = concerns(plan(3.0, 0.5, alpha))
     assert text.startswith(('one place covers every way out of the start: the value ',
                             'one place covers every way into the goal: the value '))
-    assert 'hold 3.53 m there (game.secured_radius -1), or ' in text
+    assert 'hold 3.52 m there (game.secured_radius -1), or ' in text
 
 
 def test_a_chosen_radius_leaves_no_place_that_covers_every_way_out():

@@ -219,18 +219,19 @@ def follow_path(running, tmp_path):
 
 
 def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
-    interfaces.install('nav2_msgs')
+    for package in ('nav2_msgs', 'tf2_msgs'):
+        interfaces.install(package)
     own = ['compute_path_to_pose/_action/send_goal', 'compute_path_through_poses/_action/send_goal',
            'is_path_valid']
-    environment = {'PYTHONPATH': str(interfaces.BUILT / 'nav2_msgs')}
+    built = [str(interfaces.BUILT / package) for package in ('nav2_msgs', 'tf2_msgs')]
+    environment = {'PYTHONPATH': os.pathsep.join(built)}
     for replaced, prefix in (('true', '/convoy/'), ('false', '/convoy/ambush_planner/')):
         with launched(tmp_path, environment, namespace='convoy', replace_planner_server=replaced,
                       params_file=str(NAV2)) as (node, _):
             wait_until(lambda node=node, prefix=prefix: {prefix + name for name in own} <= {
                 name for name, _ in node.get_service_names_and_types()}, 'the services')
-            topics = {name for name, _ in node.get_topic_names_and_types()}
-            assert f'{prefix}compute_path_to_pose/_action/status' in topics
-            assert '/convoy/tf' in topics and '/tf' not in topics
+            wait_until(lambda node=node: node.count_subscribers('/convoy/tf'), 'a listener to tf')
+            assert not node.count_subscribers('/tf')
             (ids,) = parameters(node, '/convoy/ambush_planner', 'planner_ids')
             assert ids.string_array_value == ['', 'GridBased']
 

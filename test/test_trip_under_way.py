@@ -26,13 +26,13 @@ def trip_on(corners, goal=None, stops=(), passes=(), visits=None):
     corners = [tuple(map(float, each)) for each in corners]
     visits = range(len(stops)) if visits is None else visits
     return TripUnderWay(
-        Destination(FRAMES, goal or corners[-1], tuple(stops)), along(corners),
+        Destination(FRAMES, goal or corners[-1], CELL, tuple(stops)), along(corners),
         np.arange(10, 10 + len(corners)), np.array(corners), np.array(passes, int),
-        np.array(list(visits), int), CELL, TOLERANCE, BACK)
+        np.array(list(visits), int), TOLERANCE, BACK)
 
 
 def asked(goal=(10.0, 0.0), stops=(), frames=FRAMES):
-    return Destination(frames, goal, tuple(stops))
+    return Destination(frames, goal, CELL, tuple(stops))
 
 
 @pytest.mark.parametrize(('request_', 'place', 'goal_tolerance', 'continues'), [

@@ -371,6 +371,14 @@ def clear_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOp
                                           network) for piece in pieces])
 
 
+def has_arrived(start: tuple[float, float], goal: tuple[float, float], newest: OccupancyMap,
+                occupancy: OccupancyOptions, network: NetworkOptions) -> bool:
+    """Whether a start is within a cell of the goal, which is clear."""
+    at = np.array([goal])
+    return (math.dist(start, goal) <= newest.resolution
+            and bool(clear_segments(at, at, newest, occupancy, network)[0]))
+
+
 def way_out(place: tuple[float, float], newest: OccupancyMap, occupancy: OccupancyOptions,
             network: NetworkOptions) -> tuple[float, float]:
     """The nearest clear place within ``WAY_OUT`` of a convoy in a costmap's inflation [m].

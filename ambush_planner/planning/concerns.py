@@ -1,13 +1,20 @@
-"""What limits a plan, in words: for diagnostics, commands and whoever reads its value."""
+"""The numbers of a plan, and what limits them in words: for whoever reads its value."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..game.game import Game
 from ..game.revaluation import open_gap
 from .options import start_tolerance
-from .plan import Plan
+from .plan import DRAWN, Plan
+from .solving import holds_anywhere
 
+_DIFFERENT = f'different_paths_of_{DRAWN}'
+_STRATEGY_NUMBERS = (
+    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
+    'expected_length', 'shortest_length',
+)
 # Share of the routes that a single ambush meets from which they count as all.
 ALL_ROUTES = 0.99
 
@@ -90,3 +97,35 @@ def _covers_all(plan: Plan) -> str:
     if away.min() > game.options.held_radius + 2.0 * max(game.reach, plan.spacing):
         return f'one place meets every route, {away.min():.3g} m from {name}'
     return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
+
+
+def _is_chance(game: Game) -> bool:
+    """Whether the value is a probability: one ambush, which costs 1 wherever it is."""
+    return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
+
+
+def plan_numbers(plan: Plan | None) -> dict[str, str]:
+    """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
+    if plan is None:
+        return dict.fromkeys((
+            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
+            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
+            'order', 'solve_seconds',
+        ), '')
+    return {
+        **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
+        'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
+        _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
+        'value_holds_at': ('any cell of the map'
+                           if holds_anywhere(plan.strategy.game, plan.options)
+                           else "the network's nodes"),
+        'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
+        'nodes': str(len(plan.network.points)),
+        'edges': str(len(plan.network.edges)),
+        'deciding_sites': str(len(plan.bottleneck.sites)),
+        'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
+        'secured_value': f'{plan.bottleneck.secured_value:.9g}',
+        'stops': str(len(plan.order)),
+        'order': plan.order_found if plan.order else '',
+        'solve_seconds': f'{plan.seconds:.3f}',
+    }

@@ -23,6 +23,8 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
+from .options import automatic_tube
+from .plan import Plan, Route
 
 Position = tuple[float, float]
 
@@ -31,11 +33,12 @@ Position = tuple[float, float]
 class Destination:
     """Where a trip of one robot leads, in the map's frame: the goal, and the stops on the way [m].
 
-    ``frames`` are those of the map and of the robot.
+    ``frames`` are those of the map and of the robot; ``cell`` is the map's resolution [m].
     """
 
     frames: tuple[str, str]
     goal: Position
+    cell: float
     stops: tuple[Position, ...] = ()
 
 
@@ -55,9 +58,8 @@ class TripUnderWay:
         Indices of the stops among ``nodes``, in the order of the route.
     visits : (S,) int
         Indices of the stops among those of ``destination``, in the order of the route.
-    cell, tolerance, back
-        Cell size of the map, the distance from the path up to which the robot is on it, and how far
-        back along it [m].
+    tolerance, back
+        The distance from the path up to which the robot is on it, and how far back along it [m].
     """
 
     destination: Destination
@@ -66,7 +68,6 @@ class TripUnderWay:
     places: FloatArray
     passes: IndexArray
     visits: IndexArray
-    cell: float
     tolerance: float
     back: float
     progress: float = field(default=0.0, init=False)
@@ -75,7 +76,7 @@ class TripUnderWay:
         """Whether a request from ``place`` continues the trip; notes the progress."""
         return (request.frames == self.destination.frames
                 and self.follow(place) is not None
-                and self._same_trip(request, max(self.cell, goal_tolerance))
+                and self._same_trip(request, max(request.cell, goal_tolerance))
                 and not (self._asks_again(request) and self._remaining <= self.tolerance))
 
     def follow(self, place: Position) -> float | None:
@@ -160,6 +161,19 @@ class TripUnderWay:
             found.append(float(along[near][gaps[near].argmin()]) if near.any() else found[-1])
         found[-1] = float(self._line.along[-1])
         return np.array(found)
+
+
+def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination) -> TripUnderWay:
+    """Return the trip on a path (L, 3) along a route of a plan.
+
+    A robot is on the path within the tube, its tracking error and a cell.
+    """
+    tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
+    return TripUnderWay(
+        destination, path, route.nodes, route.points,
+        np.flatnonzero(np.isin(route.nodes, plan.network.stops)), np.array(plan.order, np.int64),
+        tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
+    )
 
 
 class _Line:

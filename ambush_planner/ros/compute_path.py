@@ -13,6 +13,7 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from ..worker.serial_executor import started
 from .conversions import installed_type
 from .departure_record import Answer
 from .error_boundary import ErrorBoundary
@@ -21,7 +22,6 @@ from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .qos import REQUESTS
 from .requests import Requests, plan_response
-from .serial_executor import started
 
 # The actions and their types.
 ACTIONS = {'~/compute_path_to_pose': 'ComputePathToPose',

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
-from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-import scipy
 from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
@@ -25,6 +19,7 @@ from ..recordings import RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.roads_file import ROADS_FILE, roads_file
 from ..recordings.strategy_file import STRATEGY_FILE
+from ..recordings.versions import software_versions
 from .conversions import fields_of
 from .current_map import ReceivedMessage
 from .inputs import Trip
@@ -160,18 +155,3 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any])
     data = serialize_message(kind(info=info, **content))
     topic = f'{departure.call.name}/_service_event'
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
-
-
-@cache
-def software_versions() -> Mapping[str, str]:
-    """The versions of the planner and of the software that it computes with."""
-    return MappingProxyType({'ambush_planner': _version_of('ambush_planner'),
-                             'python': platform.python_version(), 'numpy': np.__version__,
-                             'scipy': scipy.__version__, 'rclpy': _version_of('rclpy')})
-
-
-def _version_of(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return 'not installed'

@@ -6,25 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
-from ..game.game import Game
 from ..planning.changed_ground import Assessment
-from ..planning.concerns import concerns
-from ..planning.plan import DRAWN, Plan
-from ..planning.solving import holds_anywhere
+from ..planning.concerns import concerns, plan_numbers
+from ..planning.plan import Plan
 from ..worker.solve_errors import SolveCancelled
 from .departure_record import Departure
 from .error_codes import OK_CODE, code_of
-
-_DIFFERENT = f'different_paths_of_{DRAWN}'
-_STRATEGY_NUMBERS = (
-    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
-    'expected_length', 'shortest_length',
-)
 
 
 class Problem(NamedTuple):
@@ -88,7 +79,7 @@ def status_to_ros(status: Status, name: str, stamp: Time) -> DiagnosticArray:
         'state': status.state,
         'code': code,
         'message': message,
-        **_strategy_values(status.plan),
+        **plan_numbers(status.plan),
         'current_value': f'{now.value:.9g}' if now else '',
         'current_gap': f'{now.gap:.9g}' if now else '',
         'current_length': f'{now.expected_length:.9g}' if now else '',
@@ -155,35 +146,3 @@ def _length_warning(assessment: Assessment | None) -> str:
     return (f'the routes that are clear on the current map have a mean length of {length:.4g} '
             f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} '
             '(strategy.max_detour)')
-
-
-def _is_chance(game: Game) -> bool:
-    """Whether the value is a probability: one ambush, which costs 1 wherever it is."""
-    return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
-
-
-def _strategy_values(plan: Plan | None) -> dict[str, str]:
-    """Return the numbers of the displayed plan; empty ones before the first plan."""
-    if plan is None:
-        return dict.fromkeys((
-            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
-            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
-            'order', 'solve_seconds',
-        ), '')
-    return {
-        **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
-        'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
-        _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
-        'value_holds_at': ('any cell of the map'
-                           if holds_anywhere(plan.strategy.game, plan.options)
-                           else "the network's nodes"),
-        'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
-        'nodes': str(len(plan.network.points)),
-        'edges': str(len(plan.network.edges)),
-        'deciding_sites': str(len(plan.bottleneck.sites)),
-        'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
-        'secured_value': f'{plan.bottleneck.secured_value:.9g}',
-        'stops': str(len(plan.order)),
-        'order': plan.order_found if plan.order else '',
-        'solve_seconds': f'{plan.seconds:.3f}',
-    }

@@ -24,14 +24,14 @@ from std_srvs.srv import Trigger
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..maps.ros_messages import path_from_ros
-from ..planning.changed_ground import clear_path, clear_steps, way_out
+from ..planning.changed_ground import clear_path, clear_steps, has_arrived, way_out
 from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
-from ..planning.options import automatic_tube
 from ..planning.plan import Plan, Route
-from ..planning.trip_under_way import Destination, TripUnderWay
+from ..planning.trip_under_way import Destination, TripUnderWay, trip_on
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
+from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled, for_the_log
 from .cdr import path_bytes
 from .conversions import path_to_ros
@@ -44,14 +44,13 @@ from .plan_cache import CachedPlan, Fit, PlanCache
 from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
-from .serial_executor import SerialExecutor
 
 # Time from the start of the shutdown to the end of the last recording [s]; half of the time in
 # which the node has to end.
 _SHUTDOWN_TIME = 1.0
 # Maximum number of solves for one departure while the map changes.
 _MOST_SOLVES = 4
-# Maximum distance of the robot from the begin of its path, unless the tube is wider [m].
+# Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
 _MOST_BEHIND = 1.0
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
@@ -238,7 +237,7 @@ class Dispatcher:
         self._waiting.append(pending)
         self._try(pending)
 
-    def _try(self, pending: _Pending, solved: CachedPlan | None = None) -> None:
+    def _try(self, pending: _Pending) -> None:
         """Answer without a departure, or depart on a plan, or try again once one is solved."""
         if pending.answer.cancelled():
             return
@@ -249,15 +248,16 @@ class Dispatcher:
             self._complete(pending, answer)
             return
         trip = _out_of_obstacle(trip, parameters)
-        fit = (solved and _fit_of(solved, trip, pending)) or self._plans.fit(trip, parameters)
-        if fit:
+        if fit := self._plans.fit(trip, parameters):
             self._leave(fit, pending)
         else:
             self._solve_for(trip, pending)
 
     def _without_departure(self, trip: Trip, pending: _Pending) -> Answer | None:
         """Return the answer to a robot that has arrived or is on its way, if it is."""
-        if _has_arrived(trip, pending.parameters):
+        parameters = pending.parameters
+        if not trip.stops_xy and has_arrived(trip.start_xy, trip.goal_xy, trip.map,
+                                             parameters.occupancy, parameters.planning.network):
             header = self._header(trip)
             poses = [PoseStamped(header=header, pose=trip.goal_pose.pose)]
             return self._answer(pending, Path(header=header, poses=poses), 'arrived')
@@ -297,7 +297,7 @@ class Dispatcher:
         if departure.parameters.publish_path:
             self._publishers.publish('path', path_bytes(path))
         self._under_way = replace(under_way, diversions=diversions,
-                                  trip=_trip_under_way(trip, held, route, rows))
+                                  trip=trip_on(held.plan, route, rows, _destination(trip)))
         self._reporter.set(last_answer='diverted')
         return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
                                            'longer clear, and another route of its plan is')
@@ -309,20 +309,18 @@ class Dispatcher:
 
     def _solve_for(self, trip: Trip, pending: _Pending) -> None:
         """Try again with a plan for this trip; raises GroundChanges after too many."""
-        before, pending.asked = pending.asked, trip
-        pending.solves += 1
-        if before and trip.moves and math.dist(before.start_xy, trip.start_xy) > _MOST_BEHIND:
-            raise GroundChanges(
-                f'the robot drove {math.dist(before.start_xy, trip.start_xy):.3g} m while its plan '
-                'was solved, and is too far from it: ask again'
-            )
+        before, pending.asked, pending.solves = pending.asked, trip, pending.solves + 1
+        driven = math.dist(before.start_xy, trip.start_xy) if before and trip.moves else 0.0
+        if driven > _MOST_BEHIND:
+            raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
+                                'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
             raise GroundChanges(
                 f'{_MOST_SOLVES} plans in a row were out of date when they were solved: the map '
                 'changes too fast; increase network.spacing or strategy.max_gap'
             )
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
-                          lambda cached: self._try(pending, cached), pending.answer)
+                          lambda _: self._try(pending), pending.answer)
 
     def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
                      result: Future[Any]) -> None:
@@ -353,8 +351,8 @@ class Dispatcher:
         route, rows = drawn
         rows = _from_robot(rows, fit.trip)
         departure = self._departure(fit, route, rows, source, pending)
-        under_way = _UnderWay(_trip_under_way(fit.trip, fit.cached, route, rows), departure,
-                              pending.trip_request)
+        under_way = _UnderWay(trip_on(fit.cached.plan, route, rows, _destination(fit.trip)),
+                              departure, pending.trip_request)
         if parameters.recording.required:
             self._leave_once_recorded(under_way, pending)
         else:
@@ -441,42 +439,8 @@ class Dispatcher:
 
 
 def _destination(trip: Trip) -> Destination:
-    return Destination((trip.map.frame, trip.robot), trip.goal_xy, trip.stops_xy)
-
-
-def _trip_under_way(trip: Trip, held: CachedPlan, route: Route, rows: FloatArray) -> TripUnderWay:
-    """Return the trip on a path (L, 3) along a route of a plan."""
-    plan, drive = held.plan, held.plan.options.drive
-    strays = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
-    return TripUnderWay(
-        _destination(trip), rows, route.nodes, route.points,
-        np.flatnonzero(np.isin(route.nodes, plan.network.stops)), np.array(plan.order, np.int64),
-        cell=trip.map.resolution, back=2.0 * plan.spacing,
-        tolerance=strays + drive.tracking_error + trip.map.resolution,
-    )
-
-
-def _fit_of(solved: CachedPlan, trip: Trip, pending: _Pending) -> Fit | None:
-    """Return how one can depart on a plan that was solved for a request, if at all.
-
-    From where the robot is now or, if that is near, from where it was when it asked.
-    """
-    parameters, asked = pending.parameters, pending.asked
-    if fit := solved.fit(trip, parameters) or solved.joined(trip, parameters):
-        return fit
-    near = max(_MOST_BEHIND, solved.plan.tube or 0.0)
-    if (asked is None or not trip.moves or asked.map.frame != trip.map.frame
-            or math.dist(asked.start_xy, trip.start_xy) > near):
-        return None
-    return solved.fit(replace(asked, map=trip.map), parameters)
-
-
-def _has_arrived(trip: Trip, parameters: NodeParameters) -> bool:
-    """Whether a trip without stops begins within a cell of its goal, which is clear."""
-    if trip.stops_xy or math.dist(trip.start_xy, trip.goal_xy) > trip.map.resolution:
-        return False
-    at = np.array([trip.goal_xy, trip.goal_xy])
-    return clear_path(at, trip.map, parameters.occupancy, parameters.planning.network)
+    return Destination((trip.map.frame, trip.robot), trip.goal_xy, trip.map.resolution,
+                       trip.stops_xy)
 
 
 def _out_of_obstacle(trip: Trip, parameters: NodeParameters) -> Trip:

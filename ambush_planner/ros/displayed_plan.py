@@ -13,13 +13,13 @@ from ..errors import AmbushPlannerError
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
+from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
 from . import markers
 from .inputs import Inputs
 from .plan_cache import CachedPlan, PlanCache
 from .publishers import Publishers
 from .reporter import Reporter
-from .serial_executor import SerialExecutor
 
 
 class DisplayedPlan:

@@ -24,9 +24,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
+from ..recordings.versions import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
-from .departure_record import software_versions
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive

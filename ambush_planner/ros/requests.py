@@ -18,6 +18,7 @@ from std_srvs.srv import Trigger
 from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
+from ..worker.serial_executor import completed, started
 from .conversions import installed_type
 from .current_map import ReceivedMessage
 from .departure_record import Answer, ServiceCall
@@ -26,7 +27,6 @@ from .error_boundary import ErrorBoundary
 from .inputs import Inputs, TripRequest
 from .parameter_changes import NodeSettings
 from .qos import LATEST, REQUESTS
-from .serial_executor import completed, started
 
 _Result = TypeVar('_Result')
 
