@@ -349,17 +349,18 @@ def clear_segments(a: FloatArray, b: FloatArray, newest: OccupancyMap, occupancy
 
 def clear_path(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
                network: NetworkOptions) -> bool:
-    """Whether a path with ``points`` (L, 2) [m] keeps the network's clearance on a map.
+    """Whether a convoy at the first of the ``points`` (L, 2) [m] can drive along them on a map.
 
-    If its begin does not, the convoy that stands there may drive ``WAY_OUT`` to leave the obstacle.
+    The path keeps the network's clearance, except for the first ``WAY_OUT``: the convoy may have
+    strayed from it. If the convoy stands in an obstacle, it may leave it there.
     """
-    clear = clear_steps(points, newest, occupancy, network)
-    if clear.all():
-        return True
-    first = int(clear.argmax())
-    begin = np.hypot(*np.diff(points[:first + 1], axis=0).T).sum()
-    stuck = not clear_segments(points[:1], points[:1], newest, occupancy, network)[0]
-    return bool(stuck and clear[first:].all() and begin <= WAY_OUT)
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))[:-1]
+    later = int(np.searchsorted(along, WAY_OUT))
+    near = clear_steps(points[:later + 1], newest, occupancy, replace(network, clearance=0.0))
+    at = points[:1]
+    if not clear_segments(at, at, newest, occupancy, replace(network, clearance=0.0))[0]:
+        near = near[int(near.argmax()):]
+    return bool(near.all() and clear_steps(points[later:], newest, occupancy, network).all())
 
 
 def clear_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
