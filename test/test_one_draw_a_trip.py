@@ -1,12 +1,15 @@
 """A robot that asks again on its way gets the rest of its path: one departure a trip."""
 
 import json
+from importlib import import_module
 
+import interfaces
 import numpy as np
 import pytest
 from commands import run_here
 from robots import ROBOT, Robot
 from ros_harness import pose, risk_grid, stage, wait_until
+from test_compute_path import Goals
 
 from ambush_planner.commands import audit
 from ambush_planner.maps.ros_messages import path_from_ros
@@ -151,3 +154,44 @@ def test_a_missing_goal_pose_is_no_fault_once_a_request_brought_its_own():
         client.publish('alpha_map', risk_grid(FLAT))
         wait_until(lambda: client.get_plan(HERE, GOAL).poses, 'a path')
         assert 'goal_pose' not in client.diagnostics(state='ready')['message']
+
+
+def test_a_trip_with_stops_is_continued_through_those_that_remain():
+    """As Nav2's trees ask: the goals that have been passed are left out."""
+    interfaces.install('nav2_msgs')
+    action = import_module('nav2_msgs.action').ComputePathThroughPoses
+    stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
+    try:
+        with stage(parameters=ROBOT) as running:
+            client, robot = running.client, Robot(running)
+            goals = Goals(action, running, 'compute_path_through_poses')
+            robot.is_at(1.5, 5.5)
+            client.publish('alpha_map', risk_grid(FLAT))
+            wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+
+            def asked(*poses):
+                result = goals.result(goals.send(start=None, goals=list(poses)))[1]
+                return path_from_ros(result.path), result.error_msg
+
+            whole, said = asked(*stops, GOAL)
+            assert said == ''
+            met = [int(np.hypot(*(whole[:, :2] - place).T).argmin())
+                   for place in ((3.0, 8.0), (6.0, 8.5))]
+            for at, rest in ((met[0] // 2, stops), (met[0] + 3, stops), (met[0] + 3, stops[1:]),
+                             (met[1] + 3, stops[1:]), (met[1] + 3, [])):
+                robot.is_at(*whole[at, :2])
+                path, said = asked(*rest, GOAL)
+                assert said == 'departure 1 continued'
+                np.testing.assert_allclose(path[1:], whole[at + 1:], atol=1e-12)
+            client.diagnostics(departures='1')
+            blocked = FLAT.copy()
+            column, row = np.floor(whole[(met[1] + len(whole)) // 2, :2] / 0.5).astype(int)
+            blocked[row, column] = 100
+            client.publish('alpha_map', risk_grid(blocked))
+            wait_until(lambda: running.planner._inputs._map.values[row, column] == 100, 'it')
+            path, said = asked(GOAL)
+            assert 'departure 1 diverted' in said
+            robot.is_at(*path[len(path) // 2, :2])
+            assert asked(GOAL)[1] == asked(*stops, GOAL)[1] == 'departure 1 continued'
+    finally:
+        interfaces.uninstall('nav2_msgs')

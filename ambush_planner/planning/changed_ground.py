@@ -80,6 +80,16 @@ class Assessment:
         """Whether the clear routes are longer on average than the length budget allows."""
         return self.length_budget * (1.0 + _LENGTH_TOLERANCE) < self.expected_length < math.inf
 
+    @property
+    def concern(self) -> str:
+        """What to know about the length of the clear routes, in words; '' if nothing."""
+        if not self.is_over_budget:
+            return ''
+        return (f'the routes that are clear on the current map have a mean length of '
+                f'{self.expected_length:.4g} {self.travel_unit}, '
+                f'{self.expected_length / self.length_budget:.3g} times the budget of '
+                f'{self.length_budget:.4g} {self.travel_unit} (strategy.max_detour)')
+
     def is_stale(self, original_value: float, tolerance: float) -> bool:
         """Whether to solve again; ``original_value`` is that on the strategy's own map."""
         return self.is_blocked or self.value > original_value * (1.0 + tolerance) + 1e-12

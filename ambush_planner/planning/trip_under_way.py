@@ -54,10 +54,9 @@ class TripUnderWay:
         Poses (x, y, yaw) of the path [m, m, rad].
     nodes, places : (K,) int, (K, 2) float
         The drawn route, and where its nodes are [m].
-    passes : (S,) int
-        Indices of the stops among ``nodes``, in the order of the route.
-    visits : (S,) int
-        Indices of the stops among those of ``destination``, in the order of the route.
+    passes, visits : (S,) int
+        Indices of the stops that were ahead at the begin of the path, among ``nodes`` and among the
+        stops of ``destination``, in the order of the route.
     tolerance, back
         The distance from the path up to which the robot is on it, and how far back along it [m].
     """
@@ -97,16 +96,18 @@ class TripUnderWay:
         return at
 
     def rest(self, place: Position, goal: Position) -> FloatArray:
-        """Return the path (L, 3) of a robot at ``place`` on it: from there to ``goal``.
+        """Return the rest of the path (L, 3) for a robot at ``place`` on it.
 
-        It meets the path as far ahead as the robot is beside it.
+        It meets the path as far ahead as the robot is beside it, and ends at ``goal`` if that is
+        within a cell of its end.
         """
         at = self.follow(place) or 0.0
         gaps, along = self._line.projected(place)
         beside = float(gaps[np.abs(along - at).argmin()])
         ahead = self.path[self._line.along > at + beside]
         rest = np.vstack(([(*place, 0.0)], ahead if len(ahead) else self.path[-1:]))
-        rest[-1, :2] = goal
+        if math.dist(rest[-1, :2], goal) <= self.destination.cell:
+            rest[-1, :2] = goal
         return rest
 
     def nodes_ahead(self, place: Position) -> IndexArray:
@@ -138,8 +139,8 @@ class TripUnderWay:
     @property
     def _passed(self) -> set[int]:
         """The stops that have been passed, as indices of those requested."""
-        along = self._nodes_along[self.passes]
-        return set(self.visits[along <= self.progress + self.tolerance].tolist())
+        ahead = self._nodes_along[self.passes] > self.progress + self.tolerance
+        return set(range(len(self.destination.stops))) - set(self.visits[ahead].tolist())
 
     @property
     def _remaining(self) -> float:
@@ -169,9 +170,10 @@ def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination
     A robot is on the path within the tube, its tracking error and a cell.
     """
     tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
+    passes = np.flatnonzero(np.isin(route.nodes, plan.network.stops))
+    visits = np.array(plan.order, np.int64)[len(plan.order) - len(passes):]
     return TripUnderWay(
-        destination, path, route.nodes, route.points,
-        np.flatnonzero(np.isin(route.nodes, plan.network.stops)), np.array(plan.order, np.int64),
+        destination, path, route.nodes, route.points, passes, visits,
         tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
     )
 

@@ -116,8 +116,9 @@ def _warnings(status: Status) -> list[str]:
     found = list(status.warnings.values())
     if status.lifecycle == 'active':
         waiting = f'waiting for {", ".join(status.missing)}' if status.missing else ''
-        found = [waiting, *found, status.stale, _length_warning(status.assessment),
-                 *_departure_warnings(status.last), *(concerns(status.plan) if status.plan else ())]
+        length = status.assessment.concern if status.assessment else ''
+        found = [waiting, *found, status.stale, length, *_departure_warnings(status.last),
+                 *(concerns(status.plan) if status.plan else ())]
     return [text for text in found if text]
 
 
@@ -135,14 +136,3 @@ def _departure_warnings(last: Departure | None) -> list[str]:
         found.append(f'{are} tighter than route.turning_radius, for lack of room; increase '
                      'network.clearance or network.spacing')
     return found
-
-
-def _length_warning(assessment: Assessment | None) -> str:
-    """Return a warning if the routes that are still clear are longer than the budget allows."""
-    if assessment is None or not assessment.is_over_budget:
-        return ''
-    unit = assessment.travel_unit
-    length, budget = assessment.expected_length, assessment.length_budget
-    return (f'the routes that are clear on the current map have a mean length of {length:.4g} '
-            f'{unit}, {length / budget:.3g} times the budget of {budget:.4g} {unit} '
-            '(strategy.max_detour)')

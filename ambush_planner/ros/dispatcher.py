@@ -69,11 +69,6 @@ class _Pending:
     solves: int = 0
     asked: Trip | None = None  # as the last solve was asked for
 
-    @property
-    def draws(self) -> bool:
-        """Whether the request is a departure even if the robot is on its way."""
-        return self.call.kind is Trigger
-
 
 @dataclass(frozen=True, eq=False)
 class _UnderWay:
@@ -244,9 +239,12 @@ class Dispatcher:
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        if not pending.draws and (answer := self._without_departure(trip, pending)):
-            self._complete(pending, answer)
-            return
+        if pending.call.kind is not Trigger:  # new_route always draws
+            if answer := self._without_departure(trip, pending):
+                if pending.answer.set_running_or_notify_cancel():
+                    self._reporter.succeeded('request')
+                    pending.answer.set_result(answer)
+                return
         trip = _out_of_obstacle(trip, parameters)
         if fit := self._plans.fit(trip, parameters):
             self._leave(fit, pending)
@@ -270,9 +268,8 @@ class Dispatcher:
 
     def _continued(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
         """Return the rest of the path, if it is clear on the newest map."""
-        departure = under_way.departure
-        rest = under_way.trip.rest(trip.start_xy, departure.held.ends(trip)[1])
-        planned = departure.parameters
+        departure, planned = under_way.departure, under_way.departure.parameters
+        rest = under_way.trip.rest(trip.start_xy, trip.goal_xy)
         if not clear_path(rest[:, :2], trip.map, planned.occupancy, planned.planning.network):
             return None
         self._reporter.set(last_answer='continued')
@@ -281,31 +278,25 @@ class Dispatcher:
 
     def _diverted(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
         """Return the rest of another route of the same plan, if there is a clear one."""
-        departure, held = under_way.departure, under_way.departure.held
+        departure, before = under_way.departure, under_way.trip
+        held, number = departure.held, under_way.diversions + 1
         if not trip.map.same_ground(held.trip.map):
             return None
-        diversions = under_way.diversions + 1
-        source = _entropy_source(departure.parameters.seed, departure.number, diversions)
-        spacing = departure.parameters.path_spacing or held.plan.spacing
-        drawn = other_rest(held.ground, trip.map, held.ends(trip),
-                           under_way.trip.nodes_ahead(trip.start_xy),
-                           np.random.default_rng(source), spacing)
+        source = _entropy_source(departure.parameters.seed, departure.number, number)
+        x, y = before.path[-1, :2].tolist()
+        drawn = other_rest(held.ground, trip.map, (trip.start_xy, (x, y)),
+                           before.nodes_ahead(trip.start_xy), np.random.default_rng(source),
+                           departure.parameters.path_spacing or held.plan.spacing)
         if drawn is None:
             return None
-        route, rows = drawn
-        path = self._path(rows, trip)
+        path = self._path(drawn[1], trip)
         if departure.parameters.publish_path:
             self._publishers.publish('path', path_bytes(path))
-        self._under_way = replace(under_way, diversions=diversions,
-                                  trip=trip_on(held.plan, route, rows, _destination(trip)))
+        self._under_way = replace(under_way, diversions=number,
+                                  trip=trip_on(held.plan, *drawn, before.destination))
         self._reporter.set(last_answer='diverted')
         return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
                                            'longer clear, and another route of its plan is')
-
-    def _complete(self, pending: _Pending, answer: Answer) -> None:
-        if pending.answer.set_running_or_notify_cancel():
-            self._reporter.succeeded('request')
-            pending.answer.set_result(answer)
 
     def _solve_for(self, trip: Trip, pending: _Pending) -> None:
         """Try again with a plan for this trip; raises GroundChanges after too many."""

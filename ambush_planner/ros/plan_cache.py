@@ -255,9 +255,9 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     other, used = pending.trip, pending.parameters
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
-    near = _distance(other, trip) <= start_tolerance(parameters.planning, spacing)
-    if trip.moves and _goal(other) == _goal(trip):
-        near = near or math.dist(other.start_xy, trip.start_xy) <= REGION * spacing
+    joins = trip.moves and _goal(other) == _goal(trip)
+    near = _distance(other, trip) <= (
+        REGION * spacing if joins else start_tolerance(parameters.planning, spacing))
     return (trip.map.same_ground(other.map)
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
