@@ -16,8 +16,8 @@ from ambush_planner.network.network import Network
 from ambush_planner.planning.changed_ground import (
     Assessment,
     ChangedGround,
-    clear_path,
     clear_steps,
+    drivable_steps,
     has_arrived,
     way_out,
 )
@@ -217,7 +217,7 @@ def test_a_robot_beside_its_path_may_come_back_to_it(y, box, clear):
     points = np.array([(1.0, y), *((x, 1.15) for x in np.arange(1.2, 7.0, 0.2))])
     if y < 0.5:
         points[1:-1, 1] = 0.5
-    assert clear_path(points, OccupancyMap(values, 0.2), RISK, CLEARANCE) == clear
+    assert drivable_steps(points, OccupancyMap(values, 0.2), RISK, CLEARANCE).all() == clear
 
 
 @pytest.mark.parametrize(('x', 'y', 'out'), [

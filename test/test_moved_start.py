@@ -13,7 +13,7 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.changed_ground import ChangedGround, clear_path
+from ambush_planner.planning.changed_ground import ChangedGround, drivable_steps
 from ambush_planner.planning.moved_start import REGION, joined_plan, other_rest
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import depart, departure_path
@@ -168,4 +168,4 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
     field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
-    assert clear_path(path[:, :2], newest, OccupancyOptions(), plan.options.network)
+    assert drivable_steps(path[:, :2], newest, OccupancyOptions(), plan.options.network).all()

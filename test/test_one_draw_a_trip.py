@@ -162,7 +162,7 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain():
     action = import_module('nav2_msgs.action').ComputePathThroughPoses
     stops = [pose(3.0, 8.0), pose(6.0, 8.5)]
     try:
-        with stage(parameters=ROBOT) as running:
+        with stage(parameters={**ROBOT, 'route.path_spacing': 0.25}) as running:
             client, robot = running.client, Robot(running)
             goals = Goals(action, running, 'compute_path_through_poses')
             robot.is_at(1.5, 5.5)

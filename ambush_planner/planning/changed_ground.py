@@ -357,20 +357,20 @@ def clear_segments(a: FloatArray, b: FloatArray, newest: OccupancyMap, occupancy
     return found
 
 
-def clear_path(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
-               network: NetworkOptions) -> bool:
-    """Whether a convoy at the first of the ``points`` (L, 2) [m] can drive along them on a map.
+def drivable_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
+                   network: NetworkOptions) -> npt.NDArray[np.bool_]:
+    """Which steps (L - 1,) a convoy at the first of the ``points`` (L, 2) [m] can drive on a map.
 
-    The path keeps the network's clearance, except for the first ``WAY_OUT``: the convoy may have
-    strayed from it. If the convoy stands in an obstacle, it may leave it there.
+    They keep the network's clearance, except for the first ``WAY_OUT``: the convoy may have strayed
+    from its path. If it stands in an obstacle, it may leave that.
     """
     along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))[:-1]
-    later = int(np.searchsorted(along, WAY_OUT))
-    near = clear_steps(points[:later + 1], newest, occupancy, replace(network, clearance=0.0))
-    at = points[:1]
-    if not clear_segments(at, at, newest, occupancy, replace(network, clearance=0.0))[0]:
-        near = near[int(near.argmax()):]
-    return bool(near.all() and clear_steps(points[later:], newest, occupancy, network).all())
+    later, at = int(np.searchsorted(along, WAY_OUT)), points[:1]
+    no_clearance = replace(network, clearance=0.0)
+    near = clear_steps(points[:later + 1], newest, occupancy, no_clearance)
+    if not clear_segments(at, at, newest, occupancy, no_clearance)[0]:
+        near[:int(near.argmax())] = True
+    return np.append(near, clear_steps(points[later:], newest, occupancy, network))
 
 
 def clear_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,

@@ -13,7 +13,6 @@ from typing import Any
 from uuid import uuid4
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -24,7 +23,7 @@ from std_srvs.srv import Trigger
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..maps.ros_messages import path_from_ros
-from ..planning.changed_ground import clear_path, clear_steps, has_arrived, way_out
+from ..planning.changed_ground import drivable_steps, has_arrived, way_out
 from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
@@ -137,9 +136,7 @@ class Dispatcher:
         self._departures.close()
         began = self._shutdown_began or 0.0
         if lost := self._recordings.close(began + _SHUTDOWN_TIME - time.monotonic()):
-            self._logger.error(
-                f'recording: {lost} departures could not be written before the shutdown'
-            )
+            self._logger.error(f'recording: {lost} departures were not written before the shutdown')
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
@@ -206,18 +203,15 @@ class Dispatcher:
         if path.header.frame_id != newest.frame or not path.poses:
             raise FrameMismatch(f'the path has {len(path.poses)} poses in the frame '
                                 f'{path.header.frame_id[:80]!r}, the map is in {newest.frame!r}')
-        points, first = path_from_ros(path)[:, :2], 0
-        if (place := self._inputs.robot_place(parameters.robot)) is not None:
-            first = int(np.hypot(*(points - place).T).argmin())
-        clear = clear_steps(points[first:], newest, parameters.occupancy,
-                            parameters.planning.network)
+        points, place = path_from_ros(path)[:, :2], self._inputs.robot_place(parameters.robot)
+        first = int(np.hypot(*(points - place).T).argmin()) if place else 0
+        clear = drivable_steps(points[first:], newest, parameters.occupancy,
+                               parameters.planning.network)
         return (np.flatnonzero(~clear) + first + 1).tolist()
 
     def cancel(self) -> int:
         """Cancel all solves, running and waiting; return their number."""
         return self._plans.cancel()
-
-    # The way of a request, from here to the end of ``_leave``.
 
     def _begin(self, pending: _Pending) -> None:
         """Refuse the client's waiting requests for other goals, and try to answer."""
@@ -256,9 +250,8 @@ class Dispatcher:
         parameters = pending.parameters
         if not trip.stops_xy and has_arrived(trip.start_xy, trip.goal_xy, trip.map,
                                              parameters.occupancy, parameters.planning.network):
-            header = self._header(trip)
-            poses = [PoseStamped(header=header, pose=trip.goal_pose.pose)]
-            return self._answer(pending, Path(header=header, poses=poses), 'arrived')
+            path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
+            return self._answer(pending, path, 'arrived')
         under_way = self._under_way
         if under_way is None or not trip.moves or not under_way.trip.continues(
             _destination(trip), trip.start_xy, trip.goal_tolerance
@@ -270,7 +263,8 @@ class Dispatcher:
         """Return the rest of the path, if it is clear on the newest map."""
         departure, planned = under_way.departure, under_way.departure.parameters
         rest = under_way.trip.rest(trip.start_xy, trip.goal_xy)
-        if not clear_path(rest[:, :2], trip.map, planned.occupancy, planned.planning.network):
+        if not drivable_steps(rest[:, :2], trip.map, planned.occupancy,
+                              planned.planning.network).all():
             return None
         self._reporter.set(last_answer='continued')
         return self._answer(pending, self._path(rest, trip),
@@ -306,10 +300,8 @@ class Dispatcher:
             raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
                                 'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
-            raise GroundChanges(
-                f'{_MOST_SOLVES} plans in a row were out of date when they were solved: the map '
-                'changes too fast; increase network.spacing or strategy.max_gap'
-            )
+            raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the '
+                                'map changes too fast; increase network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)
 
@@ -330,17 +322,16 @@ class Dispatcher:
             self._displayed.show(fit.cached, fit.plan, fit.assessment)
             if fit.cached.trip.map is not fit.trip.map:
                 self.map_changed()
-        parameters, number = pending.parameters, self._count + 1
-        source = _entropy_source(parameters.seed, number)
+        parameters = pending.parameters
+        source = _entropy_source(parameters.seed, self._count + 1)
         drawn = fit.draw(source, parameters.path_spacing)
         if drawn is None:
             self._solve_for(fit.trip, pending)
             return
         if not pending.answer.set_running_or_notify_cancel():
             return
-        self._count = number
-        route, rows = drawn
-        rows = _from_robot(rows, fit.trip)
+        self._count += 1
+        route, rows = drawn[0], _from_robot(drawn[1], fit.trip)
         departure = self._departure(fit, route, rows, source, pending)
         under_way = _UnderWay(trip_on(fit.cached.plan, route, rows, _destination(fit.trip)),
                               departure, pending.trip_request)
@@ -358,11 +349,13 @@ class Dispatcher:
         path = self._path(rows, trip, leaving)
         name = '' if parameters.publish_path else f'{pending.call.name}/path'
         tight = tight_turns(rows, fit.plan.options.drive.turning_radius)
+        note = (f'the path joins the route of an earlier start: value {fit.assessment.value:.4g}, '
+                f'bound {fit.assessment.lower_bound:.4g}') if fit.joined else ''
         return Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
             fit.joined is not None, source, route, path,
             self._publishers.as_recorded('path', path_bytes(path), name), self._displayed.markers,
-            pending.begin_ns, leaving, fit.assessment, tight, fit.note,
+            pending.begin_ns, leaving, fit.assessment, tight, note,
         )
 
     def _depart(self, under_way: _UnderWay) -> Answer:
@@ -393,12 +386,9 @@ class Dispatcher:
 
     def _path(self, rows: FloatArray, trip: Trip, stamp_ns: int | None = None) -> Path:
         """Return the message of a path from the pose of the start to that of the goal."""
-        return path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose,
-                           self._header(trip, stamp_ns))
-
-    def _header(self, trip: Trip, stamp_ns: int | None = None) -> Header:
-        stamp = self._now() if stamp_ns is None else stamp_ns
-        return Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=stamp).to_msg())
+        stamp = Time(nanoseconds=stamp_ns or self._now()).to_msg()
+        header = Header(frame_id=trip.map.frame, stamp=stamp)
+        return path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
 
     def _refuse_unless_active(self) -> None:
         if self._shutdown_began is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -196,14 +197,11 @@ class Inputs:
 
     def robot_place(self, robot: RobotOptions) -> tuple[float, float] | None:
         """Return where the robot is on the current map [m]; None if that is not known."""
-        pose = robot_pose(robot)
-        if pose is None:
-            return None
-        try:
-            at = self._transforms.to_frame(pose, 'start', self.current_map().frame, robot.max_age)
-        except FrameMismatch:
-            return None
-        return position_from_ros(at, 'start')
+        pose, frame = robot_pose(robot), self.current_map().frame
+        with suppress(FrameMismatch):
+            return pose and position_from_ros(
+                self._transforms.to_frame(pose, 'start', frame, robot.max_age), 'start')
+        return None
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:

@@ -106,12 +106,6 @@ class Fit:
         """What a departure is worth on the trip's map."""
         return self.joined.assessment if self.joined else self.cached.ground.assess(self.trip.map)
 
-    @property
-    def note(self) -> str:
-        """A remark about the start for the answer; '' if there is none."""
-        worth = f'value {self.assessment.value:.4g}, bound {self.assessment.lower_bound:.4g}'
-        return f'the path joins the route of an earlier start: {worth}' if self.joined else ''
-
     def draw(self, source: list[int], spacing: float) -> tuple[Route, FloatArray] | None:
         """Draw a route that is clear on the trip's map, and its path (L, 3) = (x, y, yaw).
 
