@@ -29,7 +29,20 @@ uint32 height
 int8[] data
 """},
     'tf2_msgs': {'msg/TFMessage.msg': 'geometry_msgs/TransformStamped[] transforms\n'},
-    'nav2_msgs': {f'action/{name}.action': f"""
+    'bond': {'msg/Status.msg': """
+std_msgs/Header header
+string id
+string instance_id
+bool active
+float32 heartbeat_timeout
+float32 heartbeat_period
+"""},
+    'nav2_msgs': {'srv/IsPathValid.srv': """
+nav_msgs/Path path
+---
+bool is_valid
+int32[] invalid_pose_indices
+"""} | {f'action/{name}.action': f"""
 {goal}
 geometry_msgs/PoseStamped start
 string planner_id
@@ -58,7 +71,7 @@ string error_msg
     )},
 }
 PREFIX = Path(sys.prefix)
-BUILT = PREFIX / 'built_interfaces_2'  # a new name for each change of the definitions
+BUILT = PREFIX / 'built_interfaces_3'  # a new name for each change of the definitions
 SHARE = PREFIX / 'share'
 C, PYTHON = 'rosidl_generator_c', 'rosidl_generator_py'
 DISPATCH, FAST_DDS, INTROSPECTION = (

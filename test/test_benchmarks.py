@@ -28,7 +28,7 @@ NODE_SCRIPTS = {
     'node_soak': '--seconds 0.5 --period 0.1 --spacing 5',
 }
 if not interfaces._missing():
-    NODE_SCRIPTS['node_motion'] = '--seconds 2 --cells 400 --nodes 60'
+    NODE_SCRIPTS['node_motion'] = '--trips 2 --speeds 2 --hurry 3'
 
 
 def run(script, arguments, folder):

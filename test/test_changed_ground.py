@@ -13,7 +13,14 @@ from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
-from ambush_planner.planning.changed_ground import Assessment, ChangedGround
+from ambush_planner.planning.changed_ground import (
+    Assessment,
+    ChangedGround,
+    clear_steps,
+    drivable_steps,
+    has_arrived,
+    way_out,
+)
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 
@@ -177,3 +184,62 @@ def test_segments_are_clear_exactly_if_they_are_on_the_whole_map(clearance, seed
               & risk_map.contains(a) & risk_map.contains(b))
     clear = ground.clear(risk_map.to_world(a), risk_map.to_world(b), on)
     assert clear.tolist() == wanted.tolist()
+
+
+RISK, CLEARANCE = OccupancyOptions(obstacle_threshold=99), NetworkOptions(clearance=0.3)
+
+
+@given(seed=st.integers(0, 10**6), clearance=st.sampled_from([0.0, 0.3]))
+def test_a_paths_steps_are_clear_as_on_the_whole_map(seed, clearance):
+    """Read in pieces, the map gives the same answers as an obstacle field of all of it."""
+    rng = np.random.default_rng(seed)
+    grid = OccupancyMap(np.where(rng.random((30, 60)) < 0.03, 100, 10).astype(np.int8), 0.2)
+    points = rng.uniform((0.5, 0.5), (11.5, 5.5), (1, 2)) + np.cumsum(
+        rng.normal(0.0, 0.06, (120, 2)), axis=0)
+    field = ObstacleField(risk_map_from_occupancy(grid.values, 0.2, options=RISK))
+    wanted = field.clear_segments(points[:-1], points[1:], clearance)
+    found = clear_steps(points, grid, RISK, NetworkOptions(clearance=clearance))
+    np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize(('y', 'box', 'clear'), [
+    (1.15, 99, True), (1.15, 5.0, False), (1.15, 1.8, False),
+    (0.95, 99, True),  # strayed to within the clearance of the wall
+    (0.6, 99, True),  # in the wall itself
+    (0.6, 1.8, False), (0.0001, 99, False),  # more than a metre of wall
+])
+def test_a_robot_beside_its_path_may_come_back_to_it(y, box, clear):
+    """The path keeps 0.35 m from a wall whose upper end is at 0.8 m."""
+    values = np.zeros((20, 40), np.int8)
+    values[:4] = 99
+    if box < 8.0:
+        values[5:7, int(box / 0.2)] = 100
+    points = np.array([(1.0, y), *((x, 1.15) for x in np.arange(1.2, 7.0, 0.2))])
+    if y < 0.5:
+        points[1:-1, 1] = 0.5
+    assert drivable_steps(points, OccupancyMap(values, 0.2), RISK, CLEARANCE).all() == clear
+
+
+@pytest.mark.parametrize(('x', 'y', 'out'), [
+    (4.0, 2.0, None),  # clear
+    (1.0, 2.1, 1.7),  # the nearest cell of which the whole clearance is free
+    (0.2, 2.1, None),  # too far
+    (1.0, 3.1, None),  # behind lethal cells
+    (-1.0, 2.1, None),  # off the map
+])
+def test_the_way_out_of_an_inflation_is_short_and_straight(x, y, out):
+    values = np.zeros((20, 40), np.int8)
+    values[:, :7] = 99  # up to 1.4 m
+    values[14:17, 6] = 100
+    found = way_out((x, y), OccupancyMap(values, 0.2), RISK, NetworkOptions(clearance=0.15))
+    assert found == ((x, y) if out is None else pytest.approx((out, y)))
+
+
+@pytest.mark.parametrize(('start', 'goal', 'there'), [
+    ((1.0, 1.0), (1.0, 1.0), True), ((1.0, 1.0), (1.1, 1.15), True),
+    ((1.0, 1.0), (1.3, 1.0), False), ((0.1, 1.0), (0.1, 1.0), False),
+])
+def test_a_convoy_has_arrived_within_a_cell_of_a_clear_goal(start, goal, there):
+    values = np.zeros((20, 40), np.int8)
+    values[:, 0] = 100
+    assert has_arrived(start, goal, OccupancyMap(values, 0.2), RISK, NetworkOptions()) == there

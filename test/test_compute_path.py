@@ -4,12 +4,14 @@ from contextlib import contextmanager
 from importlib import import_module
 
 import interfaces
+import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from handed_on import halt_workers
 from rclpy.action import ActionClient
 from recording_samples import read_with_rosbags
-from ros_harness import pose, stage, wait_until
+from ros_harness import pose, risk_grid, stage, wait_until
+from waiting import answer_of
 
 pytestmark = pytest.mark.slow
 START, GOAL = pose(1.5, 5.5), pose(8.5, 5.5)
@@ -186,3 +188,34 @@ def test_a_solve_ends_when_its_only_goal_is_cancelled(action):
         goals.client.diagnostics(state='ready')
         assert goals.result(handle)[0] == GoalStatus.STATUS_CANCELED
         assert goals.client.call('cancel').message == 'no solve is running'
+
+
+def test_answers_for_the_planners_of_planner_ids(action):
+    with asking(action, None, {'planner_ids': ['', 'GridBased']}) as goals:
+        for name in ('', 'GridBased', 'ambush_planner'):
+            assert goals.result(goals.send(planner_id=name))[0] == GoalStatus.STATUS_SUCCEEDED
+        assert goals.refused(planner_id='Smac')[0] == CODES['INVALID_PLANNER']
+
+
+def test_a_path_is_valid_as_long_as_the_newest_map_is_clear_along_it(action):
+    kind = import_module('nav2_msgs.srv').IsPathValid
+    with stage() as running:
+        client = running.give(risk_grid(np.full((20, 20), 10)))
+        service = client.node.create_client(kind, 'ambush_planner/is_path_valid')
+        path = client.get_plan(START, GOAL)
+
+        def validity(path):
+            answer = answer_of(service, kind.Request(path=path))
+            return answer.is_valid, list(answer.invalid_pose_indices)
+
+        assert validity(path) == (True, [])
+        blocked = np.full((20, 20), 10)
+        middle = path.poses[len(path.poses) // 2].pose.position
+        blocked[int(middle.y / 0.5), int(middle.x / 0.5)] = 100
+        client.publish('alpha_map', risk_grid(blocked))
+        wait_until(lambda: not validity(path)[0], 'the new map')
+        assert len(path.poses) // 2 in validity(path)[1]
+        assert not validity(type(path)(header=path.header))[0]
+        path.header.frame_id = 'odom'
+        assert validity(path) == (False, [])
+        client.diagnostics(code='TF_ERROR')

@@ -70,3 +70,46 @@ def test_a_strategy_with_circles_has_no_condition():
     circle = strategy_on(4, [(0, 1), (1, 2), (2, 1), (2, 3)], [1.0, 1.5, 0.5, 1.0])
     share, p = ConditionedStrategy(circle).avoiding(np.zeros(4, bool))
     assert share == 0.0 and not p.any()
+
+
+class Choices:
+    """A random generator that chooses as it is told, and multiplies the probabilities."""
+
+    def __init__(self, heads_of, wanted):
+        self.probability, self._heads_of, self._wanted = 1.0, heads_of, wanted
+
+    def choice(self, count, p):
+        heads = self._heads_of(self._wanted[0])
+        assert len(heads) == count
+        k = heads.index(self._wanted[1])
+        self.probability, self._wanted = self.probability * p[k], self._wanted[1:]
+        return k
+
+
+@given(strategies(), st.data())
+def test_the_rest_of_a_route_has_its_conditional_probability(drawn, data):
+    """P(rest | it begins at the node and is clear), from all routes one by one."""
+    strategy, lost = drawn
+    network, conditioned = strategy.network, ConditionedStrategy(strategy)
+    node = data.draw(st.sampled_from(range(len(network.points))))
+    rests = {}
+    for route, chance in routes_of(strategy):
+        nodes = [network.source, *network.heads[route].tolist()]
+        if node in nodes and not lost[route[nodes.index(node):]].any():
+            rest = tuple(nodes[nodes.index(node):])
+            rests[rest] = rests.get(rest, 0.0) + chance
+    if not rests or node == network.target:
+        there = conditioned.draw_from(node, lost, np.random.default_rng(1))
+        assert (there is None) if node != network.target else there.tolist() == [node]
+        return
+    after = {}
+    for rest in rests:
+        for tail, head in zip(rest, rest[1:], strict=False):
+            after.setdefault(tail, set()).add(head)
+    tails, heads = conditioned._tails, conditioned._heads
+    in_order = lambda tail: [h for t, h in zip(tails, heads, strict=True)  # noqa: E731
+                             if t == tail and h in after[tail]]
+    for rest, chance in rests.items():
+        rng = Choices(in_order, rest)
+        assert conditioned.draw_from(node, lost, rng).tolist() == list(rest)
+        assert rng.probability == pytest.approx(chance / sum(rests.values()))

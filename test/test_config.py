@@ -35,7 +35,7 @@ def explained(declaration):
     text = declaration.description
     if declaration.choices:
         text += f' One of {", ".join(declaration.choices)}.'
-    elif isinstance(declaration.default, bool | str):
+    elif isinstance(declaration.default, bool | str | list):
         pass
     elif declaration.high == math.inf:
         text += f' Range: from {declaration.low:g}.'

@@ -19,7 +19,8 @@ from ambush_planner.recordings.verify import Verifier
 
 POLICY = Path(__file__).resolve().parent.parent / 'config' / 'ambush_planner.policy.xml'
 # Topics of every node, which contain no routes.
-EVERYBODYS = {'/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static', '/clock'}
+EVERYBODYS = {'/bond', '/rosout', '/parameter_events', '/diagnostics', '/tf', '/tf_static',
+              '/clock'}
 INPUTS = ('alpha_map', 'start_pose', 'goal_pose', 'initialpose', 'via_poses')
 START, GOAL = (1.5, 5.5), (8.5, 5.5)
 
@@ -87,7 +88,7 @@ def test_the_node_may_do_all_that_it_does(names):
 def test_the_node_may_do_nothing_else(names):
     """Apart from topics and services that other installed packages add."""
     profile = Profile('/ambush_planner')
-    others = {'/ambush_planner/transition_event'}
+    others = {'/ambush_planner/transition_event', '/bond'}
     assert profile.listed('topic', 'publish') <= names.published | others
     others = {'/alpha_map_updates', '/costmap', '/costmap_updates', '/tf', '/tf_static', '/clock',
               '/parameter_events'}
@@ -95,7 +96,7 @@ def test_the_node_may_do_nothing_else(names):
     of_a_lifecycle = {
         f'/ambush_planner/{name}' for name in (
             'change_state', 'get_state', 'get_available_states', 'get_available_transitions',
-            'get_transition_graph')
+            'get_transition_graph', 'is_path_valid')
     }
     assert profile.listed('service', 'reply') <= names.served | of_a_lifecycle
     assert profile.listed('action', 'execute') == {

@@ -10,13 +10,15 @@ import xml.etree.ElementTree as ElementTree
 from contextlib import contextmanager
 from pathlib import Path
 
+import interfaces
+import pytest
 import yaml
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from ros_harness import Client, free_domain, pose, risk_grid, ros_context, spinning, stage
 from test_config import flat
-from waiting import TIMEOUT, answer_of
+from waiting import TIMEOUT, answer_of, wait_until
 
 from ambush_planner.maps.ros_messages import path_from_ros
 from ambush_planner.planning.parameters import PARAMETERS
@@ -34,7 +36,12 @@ def arguments(**given):
     for each in TREE.findall('arg'):
         values[each.get('name')] = substituted(each.get('default'), values)
     assert given.keys() <= values.keys()
-    return {**values, **given}
+    values |= given
+    for each in TREE.findall('let'):
+        wanted = 'true' if each.get('if') else 'false'
+        if substituted(each.get('if') or each.get('unless'), values) == wanted:
+            values[each.get('name')] = each.get('value')
+    return values
 
 
 def substituted(text, values):
@@ -69,7 +76,7 @@ def node_of(executable):
 
 
 @contextmanager
-def launched(tmp_path, **given):
+def launched(tmp_path, environment=None, **given):
     """The planner as the launch file starts it, in a process of its own, and a client's node."""
     values = arguments(**given)
     command = [sys.executable, '-m', 'ambush_planner.ros.planner_node',
@@ -79,7 +86,8 @@ def launched(tmp_path, **given):
         node = Node('client', context=context, namespace=values['namespace'])
         with (tmp_path / 'output').open('w') as output:
             running = subprocess.Popen(command, stdout=output, stderr=output,
-                                       env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
+                                       env={**os.environ, **(environment or {}),
+                                            'ROS_DOMAIN_ID': str(domain)})
         try:
             with spinning(node, SingleThreadedExecutor(context=context)):
                 yield node, running
@@ -95,7 +103,7 @@ def parameters(node, planner, *names):
 
 
 def test_every_name_in_the_file_exists():
-    declared = {each.get('name') for each in TREE.findall('arg')}
+    declared = {each.get('name') for each in (*TREE.findall('arg'), *TREE.findall('let'))}
     used = set(re.findall(r'\$\(var (\w+)\)', FILE.read_text()))
     assert used == declared
     assert all(each.get('description') for each in TREE.findall('arg'))
@@ -154,7 +162,8 @@ def test_paths_for_nav2_are_dense_enough_for_mppi():
 def test_the_documents_table_has_the_arguments():
     table = DOCUMENT.split('| argument | default | |')[1].split('\n\n')[0]
     cells = [row.split('|')[1] for row in table.splitlines()[2:]]
-    assert set(re.findall(r'`(\w+)`', ' '.join(cells))) == set(arguments())
+    assert set(re.findall(r'`(\w+)`', ' '.join(cells))) == {
+        each.get('name') for each in TREE.findall('arg')}
 
 
 # A substitute for nav2_simple_commander, with the names that the document uses.
@@ -209,9 +218,55 @@ def follow_path(running, tmp_path):
         check=False, env={**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONPATH': str(tmp_path)})
 
 
+def test_the_planner_takes_the_names_of_the_planner_server(tmp_path):
+    for package in ('nav2_msgs', 'tf2_msgs'):
+        interfaces.install(package)
+    own = ['compute_path_to_pose/_action/send_goal', 'compute_path_through_poses/_action/send_goal',
+           'is_path_valid']
+    built = [str(interfaces.BUILT / package) for package in ('nav2_msgs', 'tf2_msgs')]
+    environment = {'PYTHONPATH': os.pathsep.join(built)}
+    for replaced, prefix in (('true', '/convoy/'), ('false', '/convoy/ambush_planner/')):
+        with launched(tmp_path, environment, namespace='convoy', replace_planner_server=replaced,
+                      params_file=str(NAV2)) as (node, _):
+            wait_until(lambda node=node, prefix=prefix: {prefix + name for name in own} <= {
+                name for name, _ in node.get_service_names_and_types()}, 'the services')
+            wait_until(lambda node=node: node.count_subscribers('/convoy/tf'), 'a listener to tf')
+            assert not node.count_subscribers('/tf')
+            (ids,) = parameters(node, '/convoy/ambush_planner', 'planner_ids')
+            assert ids.string_array_value == ['', 'GridBased']
+
+
+# Nodes with their ports, from Nav2's nav2_tree_nodes.xml; None: BehaviorTree.CPP's own.
+TREE_NODES = {
+    'RecoveryNode': 'number_of_retries', 'PipelineSequence': '', 'RateController': 'hz',
+    'RoundRobin': '', 'GoalUpdated': '', 'GlobalUpdatedGoal': '',
+    'IsPathValid': 'path server_timeout', 'Wait': 'wait_duration',
+    'ComputePathToPose': 'goal path planner_id server_name server_timeout error_code_id',
+    'ComputePathThroughPoses': 'goals path planner_id server_name server_timeout error_code_id',
+    'FollowPath': 'path controller_id error_code_id', 'ClearEntireCostmap': 'service_name',
+    'BackUp': 'backup_dist backup_speed', 'RemovePassedGoals': 'input_goals output_goals radius',
+    'Sequence': '', 'Fallback': '', 'ReactiveSequence': '', 'ReactiveFallback': '', 'Inverter': '',
+}
+ONE_CHILD = {'RateController', 'Inverter', 'BehaviorTree'}
+LEAVES = {name for name in TREE_NODES if TREE_NODES[name] and name not in ONE_CHILD} - {
+    'RecoveryNode'} | {'GoalUpdated', 'GlobalUpdatedGoal'}
+
+
+@pytest.mark.parametrize('file', ['ambush_tree.xml', 'ambush_tree_through_poses.xml'])
+def test_the_trees_use_nodes_and_ports_of_nav2(file):
+    root = ElementTree.parse(ROOT / 'config' / file).getroot()
+    (tree,) = root
+    assert (root.get('BTCPP_format'), tree.get('ID')) == ('4', root.get('main_tree_to_execute'))
+    for each in tree.iter():
+        if each is not tree:
+            assert set(each.keys()) <= {'name', *TREE_NODES[each.tag].split()}
+        if each.tag in ONE_CHILD:
+            assert len(each) == 1
+        assert len(each) == 0 if each.tag in LEAVES else len(each) >= 1
+        assert each.tag != 'RecoveryNode' or len(each) == 2
+        assert each.get('planner_id', '') == ''
+
+
 def test_the_behaviour_tree_of_the_docs_is_the_one_that_is_installed():
     (shown,) = re.findall(r'```xml\n(<root.*?)```', DOCUMENT, re.DOTALL)
-    assert shown == (ROOT / 'config' / 'ambush_tree.xml').read_text()
-    (asks,) = ElementTree.fromstring(shown).iter('ComputePathToPose')
-    assert asks.get('server_name') == '/ambush_planner/compute_path_to_pose'
-    assert asks.get('planner_id') == ''
+    assert (ROOT / 'config' / 'ambush_tree.xml').read_text().endswith(shown)

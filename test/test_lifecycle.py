@@ -1,6 +1,7 @@
 """The lifecycle states, changed by the services that Nav2's lifecycle manager calls."""
 
 
+import interfaces
 import pytest
 from handed_on import halt_workers
 from lifecycle_msgs.msg import Transition
@@ -187,3 +188,22 @@ def test_a_failed_configuration_says_why_and_leaves_nothing(monkeypatch):
         monkeypatch.undo()
         start(running)
         assert running.give().call('new_route').success
+
+
+def test_a_manager_hears_the_heartbeat_of_an_active_node():
+    """As nav2_util's nodes do it: the id is the node's name, and the end is announced."""
+    interfaces.install('bond')
+    from bond.msg import Status
+    heard = []
+    try:
+        with stage(parameters=WAITING) as running:
+            running.client.node.create_subscription(Status, 'bond', heard.append, 10)
+            manager = start(running)
+            wait_until(lambda: len(heard) > 3, 'heartbeats')
+            assert all(each.active and each.id == 'ambush_planner' for each in heard)
+            assert len({each.instance_id for each in heard}) == 1
+            assert heard[0].heartbeat_timeout == 4.0
+            manager.go(deactivate='inactive')
+            wait_until(lambda: not heard[-1].active, 'the end')
+    finally:
+        interfaces.uninstall('bond')

@@ -13,11 +13,12 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.changed_ground import ChangedGround
-from ambush_planner.planning.moved_start import REGION, joined_plan
+from ambush_planner.planning.changed_ground import ChangedGround, drivable_steps
+from ambush_planner.planning.moved_start import REGION, joined_plan, other_rest
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import depart, departure_path
 from ambush_planner.planning.trip import plan_trip
+from ambush_planner.planning.trip_under_way import Destination, trip_on
 
 START, GOAL = (1.0, 3.0), (9.0, 3.0)
 
@@ -135,3 +136,36 @@ def test_no_clear_way():
     walled.values[9:16, 7:10] = 100
     walled.values[10:15, 8] = 20
     assert joined_plan(ground, walled, ((2.125, 3.1), GOAL)) is None
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31), share=st.floats(0.1, 0.8), radius=st.sampled_from([0.0, 1.2]))
+def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radius):
+    """Whatever comes into the way, the rest goes on along routes of the plan, clear of it."""
+    rng = np.random.default_rng(seed)
+    ground, grid = ground_on(rng.integers(0, 60, (24, 40), dtype=np.int8), radius)
+    plan, network = ground.plan, ground.plan.network
+    route = depart(plan, rng)
+    rows = departure_path(plan, route, 0.1)
+    trip = trip_on(plan, route, rows, Destination(('map', 'robot'), GOAL, 0.25))
+    at = int(share * len(rows))
+    place = tuple(rows[at, :2].tolist())
+    trip.follow(place)
+    newest = OccupancyMap(grid.values.copy(), 0.25)
+    column, row = np.floor(rows[min(at + 15, len(rows) - 5), :2] / 0.25).astype(int)
+    newest.values[row - 1:row + 1, column - 1:column + 1] = 100
+    ahead = trip.nodes_ahead(place)
+    found = other_rest(ground, newest, (place, GOAL), ahead, rng, 0.1)
+    if found is None:
+        return
+    rest, path = found
+    assert rest.nodes[0] == network.source and rest.nodes[1] in ahead
+    assert rest.nodes[-1] == network.target
+    used = {(tail, head) for tail, head, p in zip(
+        network.tails.tolist(), network.heads.tolist(), plan.strategy.edge_probability,
+        strict=True) if p > 0.0}
+    assert set(zip(rest.nodes[1:-1].tolist(), rest.nodes[2:].tolist(), strict=True)) <= used
+    assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
+    field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
+    assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
+    assert drivable_steps(path[:, :2], newest, OccupancyOptions(), plan.options.network).all()

@@ -120,7 +120,7 @@ def test_clear_routes_that_exceed_the_length_budget_are_a_warning(stale):
 
 def test_ground_that_changes_too_fast_is_reported(monkeypatch):
     """A departure gives up if every plan is out of date before it is solved."""
-    monkeypatch.setattr(plan_cache.CachedPlan, 'suits', lambda *_: False)
+    monkeypatch.setattr(plan_cache.CachedPlan, 'fit', lambda *_: None)
     with stage() as running:
         answer = running.give().call('new_route')
         assert not answer.success

@@ -20,7 +20,7 @@ KEYS = {
     'expected_length', 'shortest_length', 'nodes', 'edges', 'deciding_sites',
     'deciding_sites_near_ends', 'secured_value', 'stops', 'order', 'solve_seconds', 'departures',
     'departure_id', 'departure_value', 'departure_gap', 'recording', 'current_value', 'current_gap',
-    'current_length', 'stale', 'tight_turns', 'different_paths_of_1000', 'value_is',
+    'current_length', 'stale', 'last_answer', 'tight_turns', 'different_paths_of_1000', 'value_is',
 }
 
 
@@ -108,11 +108,16 @@ def test_goal_moves_as_far_as_the_tolerance_and_no_further(client):
     assert client.get_plan(START, GOAL, 2.0).poses[-1].pose == GOAL.pose, 'not blocked'
 
 
-def test_a_cached_plan_does_not_answer_for_a_goal_at_the_start(client):
-    assert client.get_plan(START, pose(1.51, 5.5)).poses
-    assert not client.get_plan(START, START).poses
-    client.diagnostics(
-        code='INVALID_NETWORK', message='start and goal are the same position, (1.5, 5.5)')
+def test_a_goal_within_a_cell_of_the_start_is_a_path_of_one_pose(client):
+    assert client.get_plan(START, GOAL).poses
+    for goal in (START, pose(1.6, 5.8, yaw=1.0)):
+        (only,) = client.get_plan(START, goal).poses
+        assert only.pose == goal.pose
+    assert client.diagnostics(departures='1', code='NONE')
+    assert len(client.received['path']) == 1, 'no departure'
+    assert not client.get_plan(START, pose(5.0, 5.5)).poses
+    assert not client.get_plan(pose(5.0, 5.5), pose(5.0, 5.5)).poses
+    client.diagnostics(code='START_OCCUPIED')
 
 
 def test_a_path_stays_when_map_goal_and_parameters_change(running):

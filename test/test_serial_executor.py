@@ -5,7 +5,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from ambush_planner.ros.serial_executor import SerialExecutor, completed, started
+from ambush_planner.worker.serial_executor import SerialExecutor, completed, started
 
 
 class Closed(Exception):

@@ -12,7 +12,7 @@ from rclpy.duration import Duration
 from rclpy.time import Time
 from scipy.spatial.transform import Rotation
 
-from ambush_planner.ros.tf_buffer import (
+from ambush_planner.maps.tf_buffer import (
     HISTORY_NS,
     StampedTransform,
     TransformBuffer,

@@ -86,3 +86,18 @@ def _tilt_fault(q: Any) -> str | None:
         return (f'orientation (x, y, z, w) = ({q.x}, {q.y}, {q.z}, {q.w}) tilts the map; only '
                 'rotation about z is supported')
     return None
+
+
+def update_fault(update: Any, frame_of_map: str, shape: tuple[int, ...]) -> str:
+    """Describe why a map_msgs/OccupancyGridUpdate does not fit a map (H, W); '' if it fits."""
+    (height, width), frame = shape, update.header.frame_id
+    rows, columns, x, y = update.height, update.width, update.x, update.y
+    if len(update.data) != rows * columns:
+        return (f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
+                f'{rows * columns}')
+    if frame != frame_of_map:
+        return f'its frame is {frame[:80]!r}, but the frame of the map is {frame_of_map!r}'
+    if x < 0 or y < 0 or x + columns > width or y + rows > height:
+        return (f'{columns} x {rows} cells from ({x}, {y}) do not fit into the map of '
+                f'{width} x {height} cells')
+    return ''

@@ -15,9 +15,10 @@ from ..arrays import FloatArray, IndexArray
 from ..game.certificate.certificate import Certificate
 from ..game.game import Game
 from ..game.revaluation import revalue
-from ..maps.obstacles import ObstacleField
+from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
-from ..maps.risk_map import RiskMap
+from ..maps.risk_map import RiskMap, to_world
+from ..network.construction import NetworkOptions
 from ..routes.corridor_update import with_moved_end, with_new_obstacles
 from ..routes.corridors import Corridors
 from ..routes.driven_path import Ends
@@ -40,6 +41,10 @@ LEAST_CLEAR = 0.1
 _LENGTH_TOLERANCE = 1e-6
 _TOUCH = 1e-6  # distance at which cells count as touched [cells]
 _MARGIN = 2  # width of the border around the part of the map that is tested [cells]
+# Number of steps of a path that are tested together: the map is read around them.
+_PIECE = 50
+# Maximum length of the way out of an obstacle [m], and number of places on it that are looked at.
+WAY_OUT, _SAMPLES = 1.0, 100
 
 
 @dataclass(frozen=True)
@@ -74,6 +79,16 @@ class Assessment:
     def is_over_budget(self) -> bool:
         """Whether the clear routes are longer on average than the length budget allows."""
         return self.length_budget * (1.0 + _LENGTH_TOLERANCE) < self.expected_length < math.inf
+
+    @property
+    def concern(self) -> str:
+        """What to know about the length of the clear routes, in words; '' if nothing."""
+        if not self.is_over_budget:
+            return ''
+        return (f'the routes that are clear on the current map have a mean length of '
+                f'{self.expected_length:.4g} {self.travel_unit}, '
+                f'{self.expected_length / self.length_budget:.3g} times the budget of '
+                f'{self.length_budget:.4g} {self.travel_unit} (strategy.max_detour)')
 
     def is_stale(self, original_value: float, tolerance: float) -> bool:
         """Whether to solve again; ``original_value`` is that on the strategy's own map."""
@@ -122,6 +137,28 @@ class ChangedGround:
         pairs = self.compare(newest).lost_pairs
         return not pairs or pairs.isdisjoint(pairwise(nodes.tolist()))
 
+    def connects(self, newest: OccupancyMap, ends: Ends) -> bool:
+        """Whether all first and last edges in use can be driven from the start and to the goal.
+
+        All of them: whether the plan suits must not depend on the route that is drawn.
+        """
+        network, (start, goal) = self.plan.network, ends
+        visits = network.places[[network.source, *network.stops, network.target]]
+        if len(np.unique(visits)) < len(visits):
+            return False  # a place visited twice cannot be moved for one visit only
+        if any(one == other for one, other in pairwise((start, *self.plan.stops_xy, goal))):
+            return False  # the solve will refuse it
+        clear = (self.plan.strategy.edge_probability > 0.0) & ~self.lost(newest)
+        points = network.points.copy()
+        points[[network.source, network.target]] = start, goal
+        # Start and goal separately: the rectangle around both may be the whole map.
+        for at_end in network.tails == network.source, network.heads == network.target:
+            a, b = (points[each[clear & at_end]] for each in (network.tails, network.heads))
+            # A step of length 0 has no direction.
+            if (a == b).all(axis=1).any() or not self.clear(a, b, newest).all():
+                return False
+        return True
+
     def draw(self, rng: np.random.Generator, newest: OccupancyMap) -> Route | None:
         """Draw routes until one is clear on the newest map; None after too many draws.
 
@@ -165,16 +202,7 @@ class ChangedGround:
 
         Those of one call should lie together: the map is read around all of them.
         """
-        ends = _map_axes(newest, np.concatenate((a, b)))
-        size = np.array(newest.values.shape[::-1]) * newest.resolution
-        on_map: npt.NDArray[np.bool_] = np.all((ends >= 0.0) & (ends <= size), axis=1)
-        found: npt.NDArray[np.bool_] = on_map[:len(a)] & on_map[len(a):]
-        if found.any():
-            tails, heads = ends.reshape(2, -1, 2)[:, found]
-            corner, part = self._part(newest, np.concatenate((tails, heads)), self._clearance)
-            found[found] = ObstacleField(part).clear_segments(tails - corner, heads - corner,
-                                                              self._clearance)
-        return found
+        return clear_segments(a, b, newest, self._occupancy, self.plan.options.network)
 
     def _corridors(self, newest: OccupancyMap) -> Corridors:
         """Return the plan's corridors among the new obstacles."""
@@ -195,18 +223,7 @@ class ChangedGround:
         wide = self.plan.tube
         if wide is None:
             wide = float(np.hypot(*(uv - uv[-1]).T).max())
-        return self._part(newest, uv, wide + self._clearance)
-
-    def _part(self, newest: OccupancyMap, uv: FloatArray,
-              reach: float) -> tuple[FloatArray, RiskMap]:
-        """Return the lower left corner of the map around some positions, and that map."""
-        step = newest.resolution
-        margin = math.ceil(reach / step) + _MARGIN
-        low = np.maximum(np.floor(uv.min(axis=0) / step).astype(np.int64) - margin, 0)
-        high = np.floor(uv.max(axis=0) / step).astype(np.int64) + margin + 1
-        values = newest.values[low[1]:high[1], low[0]:high[0]]
-        part = risk_map_from_occupancy(values, step, (0.0, 0.0, 0.0), self._occupancy)
-        return low * step, part
+        return _part(newest, self._occupancy, uv, wide + self._clearance)
 
     def compare(self, newest: OccupancyMap) -> Comparison:
         """Compare the newest map with the one planned on."""
@@ -320,6 +337,90 @@ class ChangedGround:
             moved = np.floor(uv[other] + _TOUCH * np.array(shift))
             found[other] = np.clip(moved, 0, last).astype(np.int64)
         return found
+
+
+def clear_segments(a: FloatArray, b: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
+                   network: NetworkOptions) -> npt.NDArray[np.bool_]:
+    """Which segments a -> b, both (K, 2) [m], keep the network's clearance on a map: (K,).
+
+    The map is read around all of them; ``occupancy`` says how.
+    """
+    ends = _map_axes(newest, np.concatenate((a, b)))
+    size = np.array(newest.values.shape[::-1]) * newest.resolution
+    on_map: npt.NDArray[np.bool_] = np.all((ends >= 0.0) & (ends <= size), axis=1)
+    found: npt.NDArray[np.bool_] = on_map[:len(a)] & on_map[len(a):]
+    if found.any():
+        tails, heads = ends.reshape(2, -1, 2)[:, found]
+        corner, part = _part(newest, occupancy, np.concatenate((tails, heads)), network.clearance)
+        found[found] = ObstacleField(part, network.clear_of_edge).clear_segments(
+            tails - corner, heads - corner, network.clearance)
+    return found
+
+
+def drivable_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
+                   network: NetworkOptions) -> npt.NDArray[np.bool_]:
+    """Which steps (L - 1,) a convoy at the first of the ``points`` (L, 2) [m] can drive on a map.
+
+    They keep the network's clearance, except for the first ``WAY_OUT``: the convoy may have strayed
+    from its path. If it stands in an obstacle, it may leave that.
+    """
+    along = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))[:-1]
+    later, at = int(np.searchsorted(along, WAY_OUT)), points[:1]
+    no_clearance = replace(network, clearance=0.0)
+    near = clear_steps(points[:later + 1], newest, occupancy, no_clearance)
+    if not clear_segments(at, at, newest, occupancy, no_clearance)[0]:
+        near[:int(near.argmax())] = True
+    return np.append(near, clear_steps(points[later:], newest, occupancy, network))
+
+
+def clear_steps(points: FloatArray, newest: OccupancyMap, occupancy: OccupancyOptions,
+                network: NetworkOptions) -> npt.NDArray[np.bool_]:
+    """Which steps (L - 1,) of a path with ``points`` (L, 2) [m] keep the clearance on a map."""
+    steps = np.arange(len(points) - 1)
+    pieces = np.array_split(steps, max(1, math.ceil(len(steps) / _PIECE)))
+    return np.concatenate([clear_segments(points[piece], points[piece + 1], newest, occupancy,
+                                          network) for piece in pieces])
+
+
+def has_arrived(start: tuple[float, float], goal: tuple[float, float], newest: OccupancyMap,
+                occupancy: OccupancyOptions, network: NetworkOptions) -> bool:
+    """Whether a start is within a cell of the goal, which is clear."""
+    at = np.array([goal])
+    return (math.dist(start, goal) <= newest.resolution
+            and bool(clear_segments(at, at, newest, occupancy, network)[0]))
+
+
+def way_out(place: tuple[float, float], newest: OccupancyMap, occupancy: OccupancyOptions,
+            network: NetworkOptions) -> tuple[float, float]:
+    """The nearest clear place within ``WAY_OUT`` of a convoy in a costmap's inflation [m].
+
+    Returns ``place`` if it is clear, or if no straight way to such a place avoids the cells of 100,
+    which the convoy cannot drive through.
+    """
+    uv = _map_axes(newest, np.array([place]))
+    if not ((uv >= 0.0) & (uv < np.multiply(newest.values.shape[::-1], newest.resolution))).all():
+        return place  # off the map
+    corner, part = _part(newest, occupancy, uv, WAY_OUT + network.clearance)
+    x, y = (uv[0] - corner).tolist()
+    free = nearest_free_cell(part, (x, y), WAY_OUT, network.clearance, network.clear_of_edge)
+    between = np.linspace((x, y), free, _SAMPLES) + corner
+    columns, rows = np.floor(between / newest.resolution).astype(np.int64).T
+    others = (columns != columns[0]) | (rows != rows[0])
+    if (newest.values[rows, columns][others] == 100).any():
+        return place
+    out_x, out_y = to_world(newest.origin, np.array(free) + corner).tolist()
+    return (out_x, out_y) if free != (x, y) else place
+
+
+def _part(grid: OccupancyMap, occupancy: OccupancyOptions, uv: FloatArray,
+          reach: float) -> tuple[FloatArray, RiskMap]:
+    """Return the lower left corner of the map within ``reach`` of positions, and that map."""
+    step = grid.resolution
+    margin = math.ceil(reach / step) + _MARGIN
+    low = np.maximum(np.floor(uv.min(axis=0) / step).astype(np.int64) - margin, 0)
+    high = np.floor(uv.max(axis=0) / step).astype(np.int64) + margin + 1
+    values = grid.values[low[1]:high[1], low[0]:high[0]]
+    return low * step, risk_map_from_occupancy(values, step, (0.0, 0.0, 0.0), occupancy)
 
 
 @dataclass(eq=False)

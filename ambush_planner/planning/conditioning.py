@@ -36,20 +36,12 @@ class ConditionedStrategy:
         Both are 0 if no route does, or if the strategy has a cycle.
         """
         p = np.zeros(len(lost))
-        if not len(self._order):
-            return 0.0, p
-        kept = (~lost[self._order]).tolist()
-        target_share = [0.0] * len(self._network.points)  # Z
-        target_share[self._network.target] = 1.0
-        steps = list(zip(self._tails, self._heads, self._chances, kept, strict=True))
-        for tail, head, chance, clear in reversed(steps):
-            if clear:
-                target_share[tail] += chance * target_share[head]
+        target_share = self._target_share(lost)
         if (share := target_share[self._network.source]) == 0.0:
             return 0.0, p
         visits, flows = [0.0] * len(target_share), []
         visits[self._network.source] = 1.0
-        for tail, head, chance, clear in steps:
+        for tail, head, chance, clear in self._clear_steps(lost):
             flow = 0.0
             if clear and visits[tail] > 0.0:
                 flow = visits[tail] * chance * target_share[head] / target_share[tail]
@@ -57,6 +49,40 @@ class ConditionedStrategy:
             flows.append(flow)
         p[self._order] = flows
         return share, p
+
+    def draw_from(self, node: int, lost: npt.NDArray[np.bool_],
+                  rng: np.random.Generator) -> IndexArray | None:
+        """Draw how a route goes on from ``node`` without the edges ``lost`` (M,).
+
+        Returns the nodes (K,) from there to the target; None if no route does, or if the strategy
+        has a cycle.
+        """
+        target_share = self._target_share(lost)
+        if target_share[node] == 0.0:
+            return None
+        leaving: dict[int, list[tuple[int, float]]] = {}
+        for tail, head, chance, clear in self._clear_steps(lost):
+            if clear and target_share[head] > 0.0:
+                leaving.setdefault(tail, []).append((head, chance * target_share[head]))
+        nodes = [node]
+        while nodes[-1] != self._network.target:
+            heads, weights = zip(*leaving[nodes[-1]], strict=True)
+            nodes.append(heads[int(rng.choice(len(heads), p=np.divide(weights, sum(weights))))])
+        return np.array(nodes)
+
+    def _target_share(self, lost: npt.NDArray[np.bool_]) -> list[float]:
+        """Return Z (N,), the probability of reaching the target without the edges ``lost``."""
+        share = [0.0] * len(self._network.points)
+        share[self._network.target] = 1.0 if len(self._order) else 0.0
+        for tail, head, chance, clear in reversed(self._clear_steps(lost)):
+            if clear:
+                share[tail] += chance * share[head]
+        return share
+
+    def _clear_steps(self, lost: npt.NDArray[np.bool_]) -> list[tuple[int, int, float, bool]]:
+        """Tail, head, probability at the tail, and whether it is not lost, of each edge in use."""
+        kept = (~lost[self._order]).tolist()
+        return list(zip(self._tails, self._heads, self._chances, kept, strict=True))
 
     def joins(self, p: FloatArray, nearing: npt.NDArray[np.bool_]) -> FloatArray:
         """Return where (N,) the routes of p (M,) first use an edge that is not ``nearing`` (M,).

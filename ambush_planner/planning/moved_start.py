@@ -6,6 +6,9 @@ alone, so the joined routes are those of an acyclic strategy again: on the netwo
 the convoy's place, joined to these nodes. Its value is computed like any other, and counts each
 site that can hit the way to the route. Held ground is around the convoy's place instead of the
 planned start.
+
+A convoy that is on its way, and finds the rest of its route blocked, takes another rest of the same
+plan (``other_rest``).
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.ambusher import Ambusher
 from ..game.game import make_game
@@ -24,7 +27,7 @@ from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.driven_path import Ends
 from .changed_ground import LEAST_CLEAR, Assessment, ChangedGround
-from .plan import Plan
+from .plan import Plan, Route, departure_path
 
 # Radius of the region around a plan's start within which its routes are joined [node spacings].
 REGION = 5.0
@@ -81,6 +84,34 @@ def joined_plan(ground: ChangedGround, newest: OccupancyMap, ends: Ends) -> Join
     return JoinedPlan(joined, Assessment(strategy.value, strategy.lower_bound, share,
                                          strategy.expected_length, strategy.length_budget,
                                          moved.travel_unit))
+
+
+def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: IndexArray,
+               rng: np.random.Generator, spacing: float) -> tuple[Route, FloatArray] | None:
+    """Draw another rest of a route that the convoy at ``ends[0]`` [m] is on.
+
+    The strategy is a Markov chain, so the rest is drawn from it on condition that it begins at the
+    first of the nodes ``ahead`` (K,) from which it can be driven on the newest map; the convoy
+    drives straight there.
+
+    Returns the route, with the source in place of the convoy, and its path (L, 3), at most
+    ``spacing`` [m] apart; None if no rest is clear.
+    """
+    network = ground.plan.network
+    lost = ground.lost(newest) | _through_start_again(network)
+    place = np.array([ends[0]])
+    for node in ahead.tolist():
+        at = network.points[[node]]
+        if (at == place).all() or not ground.clear(place, at, newest).all():
+            continue
+        rest = ground.conditioned.draw_from(node, lost, rng)
+        if rest is not None:
+            nodes = np.concatenate(([network.source], rest))
+            points = np.concatenate((place, network.points[rest]))
+            fitted = ground.fitted(newest, ends, network.places[[node]])
+            route = Route(frozen_array(nodes, np.int64), frozen_array(points, np.float64))
+            return route, departure_path(fitted, route, spacing, ends)
+    return None
 
 
 def _nearing(network: Network, place: tuple[float, float]) -> np.ndarray:

@@ -28,7 +28,7 @@ class Declaration:
     load`` can set it to the value that ``dump`` has written.
     """
 
-    default: bool | int | float | str
+    default: bool | int | float | str | list[str]
     description: str
     low: float = 0.0
     high: float = math.inf
@@ -128,6 +128,10 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         True,
         'Whether the node configures and activates itself at the start; false: a lifecycle '
         'manager does.', fixed=True),
+    'planner_ids': Declaration(
+        [''],
+        "Values of planner_id, besides the node's name, for which the actions answer, such as "
+        'GridBased for the trees of Nav2.'),
     'parameters.locked': Declaration(
         False, 'Whether parameters keep their values while the node is active.', fixed=True),
     'robot_base_frame': Declaration(

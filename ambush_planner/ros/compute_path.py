@@ -13,15 +13,15 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 
+from ..worker.serial_executor import started
 from .conversions import installed_type
-from .departure_record import Departure
+from .departure_record import Answer
 from .error_boundary import ErrorBoundary
 from .error_codes import FrameMismatch, InvalidPlanner, NoGoal, NoStart, code_of
 from .inputs import robot_pose
 from .parameter_changes import NodeSettings
 from .qos import REQUESTS
 from .requests import Requests, plan_response
-from .serial_executor import started
 
 # The actions and their types.
 ACTIONS = {'~/compute_path_to_pose': 'ComputePathToPose',
@@ -46,13 +46,14 @@ class ComputePath:
         self._name = name
         self._node, self._error_boundary, self._requests = node, error_boundary, requests
         self._settings = settings
-        self._waiting: dict[bytes, tuple[Any, Future[Departure]]] = {}
+        self._waiting: dict[bytes, tuple[Any, Future[Answer]]] = {}
         # One group, so that no goal ends while a request to cancel it is being handled.
         group = MutuallyExclusiveCallbackGroup()
         self._wake = node.create_guard_condition(self._finish, callback_group=group)
         self._action = installed_type('nav2_msgs.action', ACTIONS[name])
+        # Resolved here: rcl does not remap the names of actions.
         self.server = None if self._action is None else ActionServer(
-            node, self._action, name, self._result, callback_group=group,
+            node, self._action, node.resolve_topic_name(name), self._result, callback_group=group,
             handle_accepted_callback=self._accepted, cancel_callback=self._cancel,
             goal_service_qos_profile=REQUESTS, result_service_qos_profile=REQUESTS,
             cancel_service_qos_profile=REQUESTS, result_timeout=_RESULT_TIMEOUT,
@@ -70,7 +71,7 @@ class ComputePath:
         self._waiting[bytes(handle.goal_id.uuid)] = handle, departure
         departure.add_done_callback(self._departed)
 
-    def _departed(self, departure: Future[Departure]) -> None:
+    def _departed(self, departure: Future[Answer]) -> None:
         self._wake.trigger()
         if not departure.cancelled() and departure.exception() is None:
             self._requests.answered(departure.result(), plan_response(departure.result()))
@@ -91,7 +92,7 @@ class ComputePath:
                     handle.execute, partial(self._result, departure=departure)
                 ))
 
-    def _result(self, handle: Any, departure: Future[Departure]) -> Any:
+    def _result(self, handle: Any, departure: Future[Answer]) -> Any:
         result = self._action.Result()
         if departure.cancelled():
             handle.canceled()
@@ -117,11 +118,10 @@ class ComputePath:
         Raises InvalidPlanner if the goal is for another planner, NoGoal if it has no poses, and
         NoStart or FrameMismatch if the start is missing or has no frame, or the stops have several.
         """
-        name = self._node.get_name()
-        if goal.planner_id not in ('', name):
-            raise InvalidPlanner(
-                f'planner_id is {goal.planner_id[:80]!r}, but must be {name!r} or empty'
-            )
+        names = {self._node.get_name(), *self._settings.current.values['planner_ids']}
+        if goal.planner_id not in names:
+            raise InvalidPlanner(f'planner_id is {goal.planner_id[:80]!r}, but must be one of '
+                                 f'{sorted(names)} (planner_ids)')
         start = goal.start
         if not goal.use_start:
             start = robot_pose(self._settings.current.robot)

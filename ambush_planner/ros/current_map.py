@@ -15,7 +15,7 @@ from rclpy.serialization import serialize_message
 from ..errors import InvalidRiskMap
 from ..maps.occupancy import OccupancyMap, check_occupancy
 from ..maps.overlay import with_obstacles_of
-from ..maps.ros_messages import occupancy_from_ros
+from ..maps.ros_messages import occupancy_from_ros, update_fault
 from ..planning.node_parameters import COSTMAP_OBSTACLE
 
 
@@ -85,7 +85,7 @@ def updated_map(present: CurrentMap, update: Any) -> CurrentMap:
     Raises InvalidRiskMap if the update is malformed or does not fit the map.
     """
     (rows, columns), x, y = (update.height, update.width), update.x, update.y
-    if fault := _update_fault(present, update):
+    if fault := update_fault(update, present.frame, present.values.shape):
         raise InvalidRiskMap(f'map update: {fault}')
     new = np.frombuffer(update.data, np.int8).reshape(rows, columns)
     try:
@@ -98,18 +98,3 @@ def updated_map(present: CurrentMap, update: Any) -> CurrentMap:
     message = OccupancyGrid(header=update.header, info=present.received.message.info, data=cells)
     received = replace(present.received, message=message, serialised=None)
     return CurrentMap(values, present.resolution, present.origin, received=received)
-
-
-def _update_fault(present: CurrentMap, update: Any) -> str:
-    """Describe why an update does not fit a map; '' if it fits."""
-    (height, width), frame = present.values.shape, update.header.frame_id
-    rows, columns, x, y = update.height, update.width, update.x, update.y
-    if len(update.data) != rows * columns:
-        return (f'it holds {len(update.data)} cells, but width {columns} x height {rows} is '
-                f'{rows * columns}')
-    if frame != present.frame:
-        return f'its frame is {frame[:80]!r}, but the frame of the map is {present.frame!r}'
-    if x < 0 or y < 0 or x + columns > width or y + rows > height:
-        return (f'{columns} x {rows} cells from ({x}, {y}) do not fit into the map of '
-                f'{width} x {height} cells')
-    return ''

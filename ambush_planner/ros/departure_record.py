@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
-from types import MappingProxyType
 from typing import Any
 
-import numpy as np
-import scipy
 from nav_msgs.msg import Path
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from service_msgs.msg import ServiceEventInfo
 
 from ..network.road_network import in_map_frame
+from ..planning.changed_ground import Assessment
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Route
 from ..recordings import RecordedMessage, type_name
 from ..recordings.map_changes import MAP_CHANGES_FILE, map_changes_file
 from ..recordings.roads_file import ROADS_FILE, roads_file
 from ..recordings.strategy_file import STRATEGY_FILE
+from ..recordings.versions import software_versions
 from .conversions import fields_of
 from .current_map import ReceivedMessage
 from .inputs import Trip
@@ -41,7 +37,18 @@ class ServiceCall:
     kind: Any
     name: str
     request: Any
-    respond: Callable[[Departure], Any]
+    respond: Callable[[Answer], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """The answer to a request for a path, and its times; the ``departure`` if it is one."""
+
+    path: Path
+    remarks: str
+    begin_ns: int
+    end_ns: int
+    departure: Departure | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +57,9 @@ class Departure:
 
     ``trip`` is the requested one, on the newest map; the plan that is ``held`` may be of an older
     map and a nearby trip. ``published`` is the path and ``others`` are markers and diagnostics, as
-    they were published. ``remarks`` are on the start, which may have been ``joined`` to the plan,
-    and on recordings that failed. The ``response`` was given at ``end_ns``; None until then.
+    they were published. ``worth`` is what it is worth on that map. ``remarks`` are on the start,
+    which may have been ``joined`` to the plan, and on recordings that failed. The ``response`` was
+    given at ``end_ns``; None until then.
     """
 
     id: str
@@ -68,6 +76,8 @@ class Departure:
     others: tuple[RecordedMessage, ...]
     begin_ns: int
     end_ns: int
+    worth: Assessment
+    tight_turns: int
     remarks: str = ''
     response: Any = None
 
@@ -145,18 +155,3 @@ def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any])
     data = serialize_message(kind(info=info, **content))
     topic = f'{departure.call.name}/_service_event'
     return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)
-
-
-@cache
-def software_versions() -> Mapping[str, str]:
-    """The versions of the planner and of the software that it computes with."""
-    return MappingProxyType({'ambush_planner': _version_of('ambush_planner'),
-                             'python': platform.python_version(), 'numpy': np.__version__,
-                             'scipy': scipy.__version__, 'rclpy': _version_of('rclpy')})
-
-
-def _version_of(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return 'not installed'

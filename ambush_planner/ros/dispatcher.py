@@ -1,8 +1,9 @@
-"""Dispatches convoys: finds or solves the plan, draws the route, publishes the path."""
+"""Answers requests for a path: the rest of the trip under way, or a departure on a fresh route."""
 
 from __future__ import annotations
 
 import math
+import secrets
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, InvalidStateError
@@ -11,61 +12,78 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 from uuid import uuid4
 
+import numpy as np
+from nav_msgs.msg import Path
 from rclpy.clock import Clock
 from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.time import Time
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
+from ..maps.ros_messages import path_from_ros
+from ..planning.changed_ground import drivable_steps, has_arrived, way_out
+from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
-from ..planning.plan import Plan
+from ..planning.plan import Plan, Route
+from ..planning.trip_under_way import Destination, TripUnderWay, trip_on
 from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
+from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled, for_the_log
 from .cdr import path_bytes
 from .conversions import path_to_ros
-from .course import Course
-from .departure_path import draw_path, route_entropy_source
-from .departure_record import Departure, ServiceCall
+from .departure_record import Answer, Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
-from .error_codes import GroundChanges, NotActive
+from .error_codes import FrameMismatch, GroundChanges, NotActive
 from .inputs import Inputs, Trip, TripRequest
 from .parameter_changes import NodeSettings
 from .plan_cache import CachedPlan, Fit, PlanCache
 from .publishers import Publishers
 from .recordings import Recordings
 from .reporter import Reporter
-from .serial_executor import SerialExecutor
 
 # Time from the start of the shutdown to the end of the last recording [s]; half of the time in
 # which the node has to end.
 _SHUTDOWN_TIME = 1.0
-# Maximum number of solves for one departure while the map or the robot moves.
+# Maximum number of solves for one departure while the map changes.
 _MOST_SOLVES = 4
+# Maximum distance that a robot may drive while its plan is solved, to be solved for again [m].
+_MOST_BEHIND = 1.0
 
 INACTIVE = 'the node is inactive: activate it first (ros2 lifecycle set NODE activate)'
 
 
 @dataclass(eq=False)
 class _Pending:
-    """A requested departure; ``client`` is '' if it is not known who asked."""
+    """A request for a path; ``client`` is '' if it is not known who asked."""
 
     call: ServiceCall
     trip_request: TripRequest
     parameters: NodeParameters
     begin_ns: int
     client: str
-    departure: Future[Departure] = field(default_factory=Future)
+    answer: Future[Answer] = field(default_factory=Future)
     solves: int = 0
     asked: Trip | None = None  # as the last solve was asked for
+
+
+@dataclass(frozen=True, eq=False)
+class _UnderWay:
+    """A trip, the departure that it began with, and how often it has been diverted since."""
+
+    trip: TripUnderWay
+    departure: Departure
+    request: TripRequest
+    diversions: int = 0
 
 
 class Dispatcher:
     """The plans and the departures of a configured node; thread-safe.
 
-    Departures leave one after the other on a thread of their own, and no thread waits for a solve.
-    Requests are refused until ``resume`` is called.
+    Requests are answered one after the other on a thread of their own, and no thread waits for a
+    solve. They are refused until ``resume`` is called.
     Methods and the futures they return raise the planner's errors, and leave the dispatcher usable.
     """
 
@@ -81,7 +99,7 @@ class Dispatcher:
                                         self._departures)
         self._waiting: list[_Pending] = []
         self._count = 0
-        self._course = Course()
+        self._under_way: _UnderWay | None = None
         self._shutdown_began: float | None = None
         self._paused = True
         self._map_is_new = False
@@ -118,43 +136,42 @@ class Dispatcher:
         self._departures.close()
         began = self._shutdown_began or 0.0
         if lost := self._recordings.close(began + _SHUTDOWN_TIME - time.monotonic()):
-            self._logger.error(
-                f'recording: {lost} departures could not be written before the shutdown'
-            )
+            self._logger.error(f'recording: {lost} departures were not written before the shutdown')
 
     def map_changed(self) -> None:
         """Assess the displayed plan on the current map, and solve it again if it is stale."""
-        self._map_is_new = True
-        self.review()
-
-    def review(self) -> None:
-        """Assess the displayed plan if the map has changed since; called every second.
-
-        Not while the convoy is driving: its next plan is solved from where it will be, and each
-        departure assesses its own.
-        """
-        if self._map_is_new and not self._course.drives:  # one review covers many updates
-            self._map_is_new = False
+        if not self._map_is_new:  # one review covers many updates
+            self._map_is_new = True
             self._departures.submit(self._review)
 
+    def follow(self) -> None:
+        """Note how far the robot has come on its path; to be called about once a second."""
+        if self._under_way is not None:
+            self._departures.submit(self._follow)
+
     def depart(self, call: ServiceCall, trip_request: TripRequest,
-               client: str = '') -> Future[Departure]:
-        """Depart on a trip, unless the returned future is cancelled before the route is drawn.
+               client: str = '') -> Future[Answer]:
+        """Return a path for a trip, unless the returned future is cancelled before.
 
         It fails with SolveCancelled if the same ``client`` asks for another goal before that.
         """
         parameters = self._settings.agreeing()
-        self._refuse_unheard(call)
+        if call.kind is Trigger and not parameters.publish_path:
+            raise InvalidOption(
+                'new_route cannot return a path while path.publish is false: call get_plan'
+            )
         pending = _Pending(call, trip_request, parameters, self._now(), client)
-        self._departures.submit(lambda: self._begin(pending), pending.departure)
-        return pending.departure
+        self._departures.submit(lambda: self._begin(pending), pending.answer)
+        return pending.answer
 
-    def answered(self, departure: Departure, response: Any) -> None:
+    def answered(self, answer: Answer, response: Any) -> None:
         """Log and record a departure that has been answered."""
-        end = max(departure.end_ns, self._now())
+        if (departure := answer.departure) is None:
+            return
         self._logger.info(f'departure {departure.number} ({departure.id})')
         options = departure.parameters.recording
         if options.enabled and not options.required:
+            end = max(departure.end_ns, self._now())
             self._recordings.record(replace(departure, response=response, end_ns=end))
 
     def replan(self, trip_request: TripRequest) -> Future[Plan]:
@@ -177,47 +194,116 @@ class Dispatcher:
         self._departures.submit(begin, result)
         return result
 
+    def invalid_poses(self, path: Path) -> list[int]:
+        """Return which poses of a path, from the robot on, the newest map does not let it reach.
+
+        Raises NoMap, FrameMismatch if the path is not in the map's frame, and InvalidPose.
+        """
+        newest, parameters = self._inputs.current_map(), self._settings.current
+        if path.header.frame_id != newest.frame or not path.poses:
+            raise FrameMismatch(f'the path has {len(path.poses)} poses in the frame '
+                                f'{path.header.frame_id[:80]!r}, the map is in {newest.frame!r}')
+        points, place = path_from_ros(path)[:, :2], self._inputs.robot_place(parameters.robot)
+        first = int(np.hypot(*(points - place).T).argmin()) if place else 0
+        clear = drivable_steps(points[first:], newest, parameters.occupancy,
+                               parameters.planning.network)
+        return (np.flatnonzero(~clear) + first + 1).tolist()
+
     def cancel(self) -> int:
         """Cancel all solves, running and waiting; return their number."""
         return self._plans.cancel()
 
     def _begin(self, pending: _Pending) -> None:
-        """Refuse the client's waiting requests for other goals, and try to depart."""
-        self._waiting = [each for each in self._waiting if not each.departure.done()]
+        """Refuse the client's waiting requests for other goals, and try to answer."""
+        self._waiting = [each for each in self._waiting if not each.answer.done()]
         for older in self._waiting:
             same = pending.trip_request.leads_to(older.trip_request)
             if pending.client == older.client != '' and not same:
                 with suppress(InvalidStateError):  # it has been cancelled
-                    older.departure.set_exception(SolveCancelled(
+                    older.answer.set_exception(SolveCancelled(
                         'a newer request for another goal has replaced this one'
                     ))
         self._waiting.append(pending)
         self._try(pending)
 
-    def _try(self, pending: _Pending, solved: CachedPlan | None = None) -> None:
-        """Depart on a suitable plan, or have one solved and try again with it."""
-        if pending.departure.cancelled():
+    def _try(self, pending: _Pending) -> None:
+        """Answer without a departure, or depart on a plan, or try again once one is solved."""
+        if pending.answer.cancelled():
             return
         self._refuse_unless_active()
         parameters = pending.parameters
         trip = self._inputs.locate(pending.trip_request, parameters.robot)
-        under_way = self._course.under_way(trip)
-        found = solved and _fit(solved, trip, pending, under_way) or self._plans.fit_or_solve(
-            trip, parameters, under_way)
-        if isinstance(found, Fit):
-            self._leave(found, pending)
+        if pending.call.kind is not Trigger:  # new_route always draws
+            if answer := self._without_departure(trip, pending):
+                if pending.answer.set_running_or_notify_cancel():
+                    self._reporter.succeeded('request')
+                    pending.answer.set_result(answer)
+                return
+        trip = _out_of_obstacle(trip, parameters)
+        if fit := self._plans.fit(trip, parameters):
+            self._leave(fit, pending)
         else:
-            self._try_after(found, trip, pending)
+            self._solve_for(trip, pending)
 
-    def _try_after(self, solve: Future[CachedPlan], trip: Trip, pending: _Pending) -> None:
-        pending.solves, pending.asked = pending.solves + 1, trip
+    def _without_departure(self, trip: Trip, pending: _Pending) -> Answer | None:
+        """Return the answer to a robot that has arrived or is on its way, if it is."""
+        parameters = pending.parameters
+        if not trip.stops_xy and has_arrived(trip.start_xy, trip.goal_xy, trip.map,
+                                             parameters.occupancy, parameters.planning.network):
+            path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
+            return self._answer(pending, path, 'arrived')
+        under_way = self._under_way
+        if under_way is None or not trip.moves or not under_way.trip.continues(
+            _destination(trip), trip.start_xy, trip.goal_tolerance
+        ):
+            return None
+        return self._continued(under_way, trip, pending) or self._diverted(under_way, trip, pending)
+
+    def _continued(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
+        """Return the rest of the path, if it is clear on the newest map."""
+        departure, planned = under_way.departure, under_way.departure.parameters
+        rest = under_way.trip.rest(trip.start_xy, trip.goal_xy)
+        if not drivable_steps(rest[:, :2], trip.map, planned.occupancy,
+                              planned.planning.network).all():
+            return None
+        self._reporter.set(last_answer='continued')
+        return self._answer(pending, self._path(rest, trip),
+                            f'departure {departure.number} continued')
+
+    def _diverted(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
+        """Return the rest of another route of the same plan, if there is a clear one."""
+        departure, before = under_way.departure, under_way.trip
+        held, number = departure.held, under_way.diversions + 1
+        if not trip.map.same_ground(held.trip.map):
+            return None
+        source = _entropy_source(departure.parameters.seed, departure.number, number)
+        x, y = before.path[-1, :2].tolist()
+        drawn = other_rest(held.ground, trip.map, (trip.start_xy, (x, y)),
+                           before.nodes_ahead(trip.start_xy), np.random.default_rng(source),
+                           departure.parameters.path_spacing or held.plan.spacing)
+        if drawn is None:
+            return None
+        path = self._path(drawn[1], trip)
+        if departure.parameters.publish_path:
+            self._publishers.publish('path', path_bytes(path))
+        self._under_way = replace(under_way, diversions=number,
+                                  trip=trip_on(held.plan, *drawn, before.destination))
+        self._reporter.set(last_answer='diverted')
+        return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
+                                           'longer clear, and another route of its plan is')
+
+    def _solve_for(self, trip: Trip, pending: _Pending) -> None:
+        """Try again with a plan for this trip; raises GroundChanges after too many."""
+        before, pending.asked, pending.solves = pending.asked, trip, pending.solves + 1
+        driven = math.dist(before.start_xy, trip.start_xy) if before and trip.moves else 0.0
+        if driven > _MOST_BEHIND:
+            raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
+                                'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
-            raise GroundChanges(
-                f'{_MOST_SOLVES} plans in a row were out of date when they were solved: the map '
-                'changes or the robot moves too fast; increase network.spacing, '
-                'route.start_tolerance or strategy.max_gap'
-            )
-        self._when_solved(solve, lambda cached: self._try(pending, cached), pending.departure)
+            raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the map '
+                                'changes too fast; increase network.spacing or strategy.max_gap')
+        self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
+                          lambda _: self._try(pending), pending.answer)
 
     def _when_solved(self, solve: Future[CachedPlan], use: Callable[[CachedPlan], None],
                      result: Future[Any]) -> None:
@@ -229,86 +315,80 @@ class Dispatcher:
         result.add_done_callback(lambda _: self._plans.withdraw(solve))
 
     def _leave(self, fit: Fit, pending: _Pending) -> None:
-        """Draw a route, publish its path, and complete the departure."""
-        cached, trip = fit.cached, fit.trip
+        """Draw a route and publish its path: this is a departure."""
         self._recordings.wait_for_room()
         self._refuse_unless_active()
         if fit.plan is not self._displayed.plan:
-            self._displayed.show(cached, fit.plan, fit.assessment)
-            if cached.trip.map is not trip.map:
-                self._map_is_new = True
+            self._displayed.show(fit.cached, fit.plan, fit.assessment)
+            if fit.cached.trip.map is not fit.trip.map:
+                self.map_changed()
         parameters = pending.parameters
-        departure_id, number = str(uuid4()), self._count + 1
-        source = route_entropy_source(parameters.seed, number)
+        source = _entropy_source(parameters.seed, self._count + 1)
+        drawn = fit.draw(source, parameters.path_spacing)
+        if drawn is None:
+            self._solve_for(fit.trip, pending)
+            return
+        if not pending.answer.set_running_or_notify_cancel():
+            return
+        self._count += 1
+        route, rows = drawn[0], _from_robot(drawn[1], fit.trip)
+        departure = self._departure(fit, route, rows, source, pending)
+        under_way = _UnderWay(trip_on(fit.cached.plan, route, rows, _destination(fit.trip)),
+                              departure, pending.trip_request)
+        if parameters.recording.required:
+            self._leave_once_recorded(under_way, pending)
+        else:
+            pending.answer.set_result(self._depart(under_way))
+
+    def _departure(self, fit: Fit, route: Route, rows: FloatArray, source: list[int],
+                   pending: _Pending) -> Departure:
+        """Return a departure that has not left."""
+        trip, parameters = fit.trip, pending.parameters
         # The times of a departure ascend, even if the clock is set back.
         leaving = max(pending.begin_ns, self._now())
-        drawn = draw_path(fit, source, parameters.path_spacing)
-        if drawn is None:
-            self._try_after(self._plans.solve(trip, parameters), trip, pending)
-            return
-        if not pending.departure.set_running_or_notify_cancel():
-            return
-        route, rows = drawn
-        header = Header(frame_id=trip.map.frame, stamp=Time(nanoseconds=leaving).to_msg())
-        path = path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
-        self._count = number
-        tight = tight_turns(rows, cached.plan.options.drive.turning_radius)
+        path = self._path(rows, trip, leaving)
         name = '' if parameters.publish_path else f'{pending.call.name}/path'
-        published = self._publishers.as_recorded('path', path_bytes(path), name)
-        late_start = fit.note if fit.late_by else ''
+        tight = tight_turns(rows, fit.plan.options.drive.turning_radius)
+        note = (f'the path joins the route of an earlier start: value {fit.assessment.value:.4g}, '
+                f'bound {fit.assessment.lower_bound:.4g}') if fit.joined else ''
+        return Departure(
+            str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
+            fit.joined is not None, source, route, path,
+            self._publishers.as_recorded('path', path_bytes(path), name), self._displayed.markers,
+            pending.begin_ns, leaving, fit.assessment, tight, note,
+        )
 
-        def publish() -> tuple[RecordedMessage, str]:
-            if parameters.publish_path:
-                self._publishers.publish('path', published.data)
-            self._solve_ahead(trip, self._course.depart(trip, rows[:, :2]), parameters)
-            return self._reporter.departed(number, departure_id, tight, fit.assessment,
-                                           late_start)
+    def _depart(self, under_way: _UnderWay) -> Answer:
+        """Publish the path and a report; return the answer."""
+        departure = under_way.departure
+        if departure.parameters.publish_path:
+            self._publishers.publish('path', departure.published.data)
+        if departure.trip.moves:
+            self._under_way = under_way
+        return _answer_of(departure, *self._reporter.departed(departure))
 
-        def departure(report: RecordedMessage, trouble: str) -> Departure:
-            return Departure(
-                departure_id, number, pending.call, trip, parameters, cached,
-                fit.joined is not None, source, route, path, published,
-                (*self._displayed.markers, report), pending.begin_ns, max(leaving, self._now()),
-                '; '.join(filter(None, (fit.note, trouble))),
-            )
-
-        if parameters.recording.required:
-            later = departure(*self._reporter.departed(
-                number, departure_id, tight, fit.assessment, late_start, publish=False
-            ))
-            self._leave_once_recorded(later, publish, pending.departure)
-        else:
-            pending.departure.set_result(departure(*publish()))
-
-    def _solve_ahead(self, trip: Trip, place: tuple[float, float] | None,
-                     parameters: NodeParameters) -> None:
-        """Solve in the background from the place where the convoy will ask again, if it drives.
-
-        Not on roads, where plans cannot be joined, nor before stops, which may lie behind by then.
-        """
-        if place and not trip.stops_xy and not parameters.planning.network.roads:
-            with suppress(SolveCancelled):
-                self._plans.solve(replace(trip, start_xy=place), parameters, background=True)
-
-    def _leave_once_recorded(self, departure: Departure, publish: Callable[[], object],
-                             result: Future[Departure]) -> None:
-        """Publish the path and complete the departure when its recording is on the disk."""
+    def _leave_once_recorded(self, under_way: _UnderWay, pending: _Pending) -> None:
+        """Publish the path and complete the request when its recording is on the disk."""
         def leave() -> None:
             written.result()
             self._refuse_unless_active()
-            publish()
-            result.set_result(departure)
+            self._depart(under_way)
+            pending.answer.set_result(answer)
 
-        response = departure.call.respond(departure)
-        written = self._recordings.record(replace(departure, response=response))
-        written.add_done_callback(lambda _: self._departures.submit(leave, result))
+        departure = under_way.departure
+        answer = _answer_of(departure, *self._reporter.departed(departure, publish=False))
+        response = departure.call.respond(answer)
+        written = self._recordings.record(replace(answer.departure or departure, response=response))
+        written.add_done_callback(lambda _: self._departures.submit(leave, pending.answer))
 
-    def _refuse_unheard(self, call: ServiceCall) -> None:
-        """Refuse a departure whose path would reach nobody."""
-        if call.kind is Trigger and not self._settings.current.publish_path:
-            raise InvalidOption(
-                'new_route cannot return a path while path.publish is false: call get_plan'
-            )
+    def _answer(self, pending: _Pending, path: Path, remarks: str) -> Answer:
+        return Answer(path, remarks, pending.begin_ns, max(pending.begin_ns, self._now()))
+
+    def _path(self, rows: FloatArray, trip: Trip, stamp_ns: int | None = None) -> Path:
+        """Return the message of a path from the pose of the start to that of the goal."""
+        stamp = Time(nanoseconds=stamp_ns or self._now()).to_msg()
+        header = Header(frame_id=trip.map.frame, stamp=stamp)
+        return path_to_ros(rows, trip.start_pose.pose, trip.goal_pose.pose, header)
 
     def _refuse_unless_active(self) -> None:
         if self._shutdown_began is not None:
@@ -318,8 +398,15 @@ class Dispatcher:
 
     def _review(self) -> None:
         """Assess the displayed plan; solve it again if it is stale and the node is active."""
+        self._map_is_new = False
         after_resolve = None if self._paused else self.map_changed
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
+
+    def _follow(self) -> None:
+        if (under_way := self._under_way) is not None:
+            robot = under_way.departure.parameters.robot
+            with suppress(AmbushPlannerError):  # TF does not know where the robot is
+                under_way.trip.follow(self._inputs.locate(under_way.request, robot).start_xy)
 
     def _now(self) -> int:
         """Return the time of the node's clock [ns]."""
@@ -332,18 +419,40 @@ class Dispatcher:
         self._reporter.recording(True, error)
 
 
-def _fit(solved: CachedPlan, trip: Trip, pending: _Pending, under_way: bool) -> Fit | None:
-    """Return how to depart on a plan that was solved for a request, if that is possible.
+def _destination(trip: Trip) -> Destination:
+    return Destination((trip.map.frame, trip.robot), trip.goal_xy, trip.map.resolution,
+                       trip.stops_xy)
 
-    From where the convoy is now or, without a clear way onto the routes, where it was when asked.
+
+def _out_of_obstacle(trip: Trip, parameters: NodeParameters) -> Trip:
+    """Return the trip of a robot in the inflation of a costmap, from where it can drive out."""
+    if not trip.moves or parameters.values['map.preset'] == 'alpha':
+        return trip
+    return replace(trip, start_xy=way_out(trip.start_xy, trip.map, parameters.occupancy,
+                                          parameters.planning.network))
+
+
+def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:
+    """Return the path (L, 3) with the robot's place before it, if it begins elsewhere."""
+    at = trip.start_pose.pose.position
+    return rows if (at.x, at.y) == trip.start_xy else np.vstack(((at.x, at.y, rows[0, 2]), rows))
+
+
+def _answer_of(departure: Departure, report: RecordedMessage, trouble: str) -> Answer:
+    """Return the answer of a departure, with the report as it is recorded."""
+    left = replace(departure, others=(*departure.others, report),
+                   remarks='; '.join(filter(None, (departure.remarks, trouble))))
+    return Answer(left.path, left.remarks, left.begin_ns, left.end_ns, left)
+
+
+def _entropy_source(seed: int, *numbers: int) -> list[int]:
+    """Return the seed of the random generator of one departure, or of one diversion of it.
+
+    With seed -1 this is 256 bits from the operating system. With a fixed seed it follows from the
+    numbers, so that each route can be reproduced on its own. Nothing else goes in: no time, no
+    input.
     """
-    if fit := solved.fit(trip, pending.parameters, under_way):
-        return fit
-    asked = pending.asked
-    if asked is None or not trip.moves or asked.map.frame != trip.map.frame:
-        return None
-    fit = solved.fit(replace(asked, map=trip.map), pending.parameters, under_way)
-    return fit and replace(fit, late_by=math.dist(asked.start_xy, trip.start_xy))
+    return [secrets.randbits(256)] if seed < 0 else [seed, *numbers]
 
 
 def _shutting_down() -> SolveCancelled:

@@ -13,13 +13,13 @@ from ..errors import AmbushPlannerError
 from ..planning.changed_ground import Assessment
 from ..planning.plan import Plan
 from ..recordings import RecordedMessage
+from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled
 from . import markers
 from .inputs import Inputs
 from .plan_cache import CachedPlan, PlanCache
 from .publishers import Publishers
 from .reporter import Reporter
-from .serial_executor import SerialExecutor
 
 
 class DisplayedPlan:
@@ -66,7 +66,8 @@ class DisplayedPlan:
         """Report how good the plan is on the current map.
 
         A plan that is blocked, or whose value has risen by more than ``tolerance``, is solved
-        again. Then ``after_resolve`` is called; if that is None, nothing is solved.
+        again, unless a robot has driven away from its start. Then ``after_resolve`` is called; if
+        that is None, nothing is solved.
         """
         cached, newest = self.cached, self._inputs.current_map()
         self._plans.keep_ground(newest)
@@ -84,7 +85,7 @@ class DisplayedPlan:
             f'new obstacles lie on {100.0 * (1.0 - assessment.clear_share):.0f} % of the routes'
             if assessment.is_blocked else f'the value has risen to {assessment.value:.4g}'
         )
-        if after_resolve is None:
+        if after_resolve is None or cached.trip.moves:
             self._reporter.set(assessment=assessment, stale=why)
         else:
             self._reporter.set(assessment=assessment, stale=f'{why}; a new plan is being solved')

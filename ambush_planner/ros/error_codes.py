@@ -5,23 +5,8 @@ Codes have the names of the constants of Nav2's ``ComputePathToPose`` if it has 
 
 from __future__ import annotations
 
-from ..errors import (
-    AmbushPlannerError,
-    BudgetInfeasible,
-    GoalBlocked,
-    GoalOutsideMap,
-    InvalidNetwork,
-    InvalidOption,
-    InvalidPose,
-    InvalidRiskMap,
-    NoRoute,
-    SolverFailed,
-    StartBlocked,
-    StartOutsideMap,
-    StopBlocked,
-    StopOutsideMap,
-    TimeLimit,
-)
+from .. import errors
+from ..errors import AmbushPlannerError
 from ..recordings import RecordingFailed
 from ..worker.solve_errors import QueueFull, SolveCancelled, WorkerFailed
 
@@ -65,22 +50,22 @@ _CODES: tuple[tuple[type[Exception], str], ...] = (
     (NoMap, 'NO_MAP'),
     (NoStart, 'NO_START'),
     (NoGoal, 'NO_GOAL'),
-    (InvalidPose, 'INVALID_POSE'),
+    (errors.InvalidPose, 'INVALID_POSE'),
     (UnreadableMessage, 'INVALID_MESSAGE'),
     (FrameMismatch, 'TF_ERROR'),
-    (StartOutsideMap, 'START_OUTSIDE_MAP'),
-    (GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
-    (StopOutsideMap, 'STOP_OUTSIDE_MAP'),
-    (StartBlocked, 'START_OCCUPIED'),
-    (GoalBlocked, 'GOAL_OCCUPIED'),
-    (StopBlocked, 'STOP_OCCUPIED'),
-    (NoRoute, 'NO_VALID_PATH'),
-    (BudgetInfeasible, 'NO_VALID_PATH'),
-    (TimeLimit, 'TIMEOUT'),
-    (InvalidRiskMap, 'INVALID_MAP'),
-    (InvalidNetwork, 'INVALID_NETWORK'),
-    (InvalidOption, 'INVALID_OPTION'),
-    (SolverFailed, 'SOLVER_FAILED'),
+    (errors.StartOutsideMap, 'START_OUTSIDE_MAP'),
+    (errors.GoalOutsideMap, 'GOAL_OUTSIDE_MAP'),
+    (errors.StopOutsideMap, 'STOP_OUTSIDE_MAP'),
+    (errors.StartBlocked, 'START_OCCUPIED'),
+    (errors.GoalBlocked, 'GOAL_OCCUPIED'),
+    (errors.StopBlocked, 'STOP_OCCUPIED'),
+    (errors.NoRoute, 'NO_VALID_PATH'),
+    (errors.BudgetInfeasible, 'NO_VALID_PATH'),
+    (errors.TimeLimit, 'TIMEOUT'),
+    (errors.InvalidRiskMap, 'INVALID_MAP'),
+    (errors.InvalidNetwork, 'INVALID_NETWORK'),
+    (errors.InvalidOption, 'INVALID_OPTION'),
+    (errors.SolverFailed, 'SOLVER_FAILED'),
     (SolveCancelled, 'CANCELLED'),
     (QueueFull, 'BUSY'),
     (NotActive, 'INACTIVE'),

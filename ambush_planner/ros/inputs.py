@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NoReturn
 
@@ -15,7 +16,7 @@ from ..planning.node_parameters import RobotOptions
 from ..recordings import type_name
 from .conversions import pose_to_ros
 from .current_map import CurrentMap, ReceivedMessage, joined_map, map_from, updated_map
-from .error_codes import NoGoal, NoMap, NoStart
+from .error_codes import FrameMismatch, NoGoal, NoMap, NoStart
 from .parameter_changes import NodeSettings
 from .qos import LATEST
 from .transforms import FrameTransforms
@@ -49,7 +50,7 @@ class TripRequest:
 class Trip:
     """A trip request located on a map; poses and positions [m] are in the map's frame.
 
-    The start ``moves`` if it was given in another frame, such as the robot's.
+    ``robot`` is the frame in which the start was given, if that is not the map's: the start moves.
     """
 
     map: CurrentMap
@@ -62,7 +63,12 @@ class Trip:
     goal_tolerance: float = 0.0
     via: ReceivedMessage | None = None
     stops_xy: tuple[tuple[float, float], ...] = ()
-    moves: bool = False
+    robot: str = ''
+
+    @property
+    def moves(self) -> bool:
+        """Whether the start is the place of a robot."""
+        return self.robot != ''
 
 
 class Inputs:
@@ -81,6 +87,8 @@ class Inputs:
         The node's parameters.
     with_costmap
         Whether a costmap is waited for, too.
+    asked_directly
+        Whether requests bring their own start and goal, so that those on the topics are not missed.
     """
 
     def __init__(self, transforms: FrameTransforms, start_topic: str,
@@ -94,6 +102,7 @@ class Inputs:
         self.start: ReceivedMessage | None = None
         self.goal: ReceivedMessage | None = None
         self.via: ReceivedMessage | None = None
+        self.asked_directly = False
         self._map: CurrentMap | None = None
         self._refused: InvalidRiskMap | None = None
 
@@ -137,8 +146,8 @@ class Inputs:
 
     def missing(self, robot: RobotOptions) -> tuple[str, ...]:
         """Return the topics of the inputs that have not arrived."""
-        inputs = {**self._arrived, 'start_pose': self.start or robot.frame,
-                  'goal_pose': self.goal}
+        poses = {'start_pose': self.start or robot.frame, 'goal_pose': self.goal}
+        inputs = {**self._arrived, **({} if self.asked_directly else poses)}
         return tuple(name for name, given in inputs.items() if not given)
 
     def latest(self, robot: RobotOptions) -> TripRequest:
@@ -177,13 +186,22 @@ class Inputs:
         goal_pose = self._transforms.to_frame(
             request.goal.message, 'goal', present.frame, robot.max_age
         )
-        at_robot = start is not request.start
+        given = request.start.message.header.frame_id if request.start else ''
+        frame = given or robot.frame
         return Trip(map=present, start=start, goal=request.goal, start_pose=start_pose,
                     goal_pose=goal_pose, start_xy=position_from_ros(start_pose, 'start'),
                     goal_xy=position_from_ros(goal_pose, 'goal'),
                     goal_tolerance=request.goal_tolerance, via=request.via,
                     stops_xy=self._located_stops(request.via, present.frame, robot.max_age),
-                    moves=at_robot or start.message.header.frame_id != present.frame)
+                    robot='' if frame == present.frame else frame)
+
+    def robot_place(self, robot: RobotOptions) -> tuple[float, float] | None:
+        """Return where the robot is on the current map [m]; None if that is not known."""
+        pose, frame = robot_pose(robot), self.current_map().frame
+        with suppress(FrameMismatch):
+            return pose and position_from_ros(
+                self._transforms.to_frame(pose, 'start', frame, robot.max_age), 'start')
+        return None
 
     def _located_start(self, start: ReceivedMessage | None, robot: RobotOptions,
                        frame: str) -> tuple[ReceivedMessage, PoseStamped]:

@@ -6,42 +6,39 @@ import math
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import chain
 from threading import RLock
 
+import numpy as np
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
+from ..arrays import FloatArray
 from ..planning.cell_losses import LatestLosses
 from ..planning.changed_ground import Assessment, ChangedGround
 from ..planning.moved_start import REGION, JoinedPlan, joined_plan
 from ..planning.node_parameters import NodeParameters
 from ..planning.options import start_tolerance
-from ..planning.plan import Plan, PlanRequest
+from ..planning.plan import Plan, PlanRequest, Route, depart, departure_path
 from ..planning.solving import WarmStart
+from ..routes.driven_path import Ends
 from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
-# Number of plans kept: there and back, and a detour each.
-_CAPACITY = 4
-# How many plans that are costly to join are evaluated for a convoy that cannot wait.
-_MOST_COSTLY = 2
-# How many plans are kept of those that were solved in the background, such as ahead of a convoy.
-_MOST_BACKGROUND = 2
-_Position = tuple[float, float]
+# Maximum number of plans kept, and of edges of all of them (0.4 kB each).
+_MOST_PLANS, _MOST_EDGES = 32, 1_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class CachedPlan:
-    """A plan with the trip and the parameters that it was solved for, perhaps in the background."""
+    """A plan with the trip and the parameters that it was solved for."""
 
     plan: Plan
     trip: Trip
     parameters: NodeParameters
     ground: ChangedGround
-    background: bool = False
 
-    def ends(self, trip: Trip) -> tuple[_Position, _Position]:
+    def ends(self, trip: Trip) -> Ends:
         """Return where a route for this trip begins and ends [m]: a blocked goal was moved."""
         return trip.start_xy, self.plan.goal_xy if self.goal_was_moved else trip.goal_xy
 
@@ -50,38 +47,30 @@ class CachedPlan:
         """Whether the goal was blocked and has been moved."""
         return self.plan.goal_xy != self.trip.goal_xy
 
-    def suits(self, trip: Trip, parameters: NodeParameters) -> bool:
-        """Whether one can depart on this plan for a trip that may differ a little."""
-        if not trip.map.same_ground(self.trip.map) or not self._is_for(trip, parameters):
-            return False
-        if self.goal_was_moved and _goal(self.trip) != _goal(trip):
-            return False
-        distance = _distance(self.trip, trip)
-        if distance > self.plan.start_tolerance:
-            return False
-        if not self._allows_departure(trip, parameters):
-            return False
-        return distance == 0.0 or self._connects(trip)
+    def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+        """Return how one can depart on this plan for a trip that may differ a little, if at all."""
+        if (_distance(self.trip, trip) > self.plan.start_tolerance
+                or not self._serves(trip, parameters)
+                or (self.goal_was_moved and _goal(self.trip) != _goal(trip))):
+            return None
+        same = _distance(self.trip, trip) == 0.0
+        return Fit(self, trip) if same or self.ground.connects(trip.map, self.ends(trip)) else None
 
-    def fit(self, trip: Trip, parameters: NodeParameters, under_way: bool) -> Fit | None:
-        """Return how one can depart on this plan for a trip, if at all.
+    def joined(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+        """Return how a robot that has moved joins this plan from where it is, if at all.
 
-        For a convoy ``under_way`` the plan can be worse than ``strategy.max_gap`` allows.
+        That must not raise the value by more than ``strategy.max_gap``.
         """
-        if self.suits(trip, parameters):
-            return Fit(self, trip)
-        joined = self._joined(trip, parameters, under_way)
-        return Fit(self, trip, joined) if joined else None
+        if not (self.is_near(trip) and self._serves(trip, parameters)):
+            return None
+        joined = joined_plan(self.ground, trip.map, self.ends(trip))
+        most = (1.0 + parameters.max_gap) * self.plan.strategy.value
+        return Fit(self, trip, joined) if joined and joined.assessment.value <= most else None
 
-    def _joined(self, trip: Trip, parameters: NodeParameters,
-                under_way: bool) -> JoinedPlan | None:
-        """Return the plan from where a convoy that moves is now, if its routes can be joined."""
-        if not (trip.moves and trip.map.same_ground(self.trip.map)
-                and self._is_for(trip, parameters) and _goal(self.trip) == _goal(trip)):
-            return None
-        if not (under_way or self._allows_departure(trip, parameters)):
-            return None
-        return joined_plan(self.ground, trip.map, self.ends(trip))
+    def is_near(self, trip: Trip) -> bool:
+        """Whether a trip is that of a robot near the start of this plan, to the same goal."""
+        return (trip.moves and _goal(self.trip) == _goal(trip)
+                and math.dist(self.trip.start_xy, trip.start_xy) <= REGION * self.plan.spacing)
 
     def answers(self, trip: Trip, parameters: NodeParameters) -> bool:
         """Whether the plan is for exactly this trip, perhaps on another map."""
@@ -89,52 +78,23 @@ class CachedPlan:
                 and _goal(self.trip) == _goal(trip)
                 and self._is_for(trip, parameters))
 
-    def _allows_departure(self, trip: Trip, parameters: NodeParameters) -> bool:
-        assessment = self.ground.assess(trip.map)
-        return assessment.allows_departure(parameters.max_gap, self.plan.strategy.gap)
+    def _serves(self, trip: Trip, parameters: NodeParameters) -> bool:
+        """Whether one may depart on this plan on a trip's map and with these parameters."""
+        return (trip.map.same_ground(self.trip.map) and self._is_for(trip, parameters)
+                and self.ground.assess(trip.map).allows_departure(parameters.max_gap,
+                                                                  self.plan.strategy.gap))
 
     def _is_for(self, trip: Trip, parameters: NodeParameters) -> bool:
         return _conditions(self.trip, self.parameters) == _conditions(trip, parameters)
 
-    def _connects(self, trip: Trip) -> bool:
-        """Whether all first and last edges in use can be driven from the start and to the goal.
-
-        All of them: whether the plan suits must not depend on the route that is drawn.
-        """
-        network, p = self.plan.network, self.plan.strategy.edge_probability
-        visits = [network.source, *network.stops.tolist(), network.target]
-        if len(set(network.places[visits].tolist())) < len(visits):
-            return False  # a place visited twice cannot be moved for one visit only
-        start, goal = self.ends(trip)
-        if any(one == other for one, other in pairwise((start, *self.plan.stops_xy, goal))):
-            return False  # the solve will refuse it
-        clear = (p > 0.0) & ~self.ground.lost(trip.map)
-        first = clear & (network.tails == network.source)
-        last = clear & (network.heads == network.target)
-        places = network.points.copy()
-        places[[network.source, network.target]] = start, goal
-        if (places[network.tails] == places[network.heads])[first | last].all(axis=1).any():
-            return False  # a step of length 0 has no direction
-        # Start and goal separately: the rectangle around both may be the whole map.
-        return all(
-            self.ground.clear(places[network.tails[edges]], places[network.heads[edges]],
-                              trip.map).all()
-            for edges in (first, last)
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A plan that one can depart on for a trip: as it is, or ``joined`` from where the convoy is.
-
-    ``late_by`` is the distance of the convoy from the start of the trip, which is where it was when
-    it asked [m].
-    """
+    """A plan that one can depart on for a trip: as it is, or ``joined`` from where the robot is."""
 
     cached: CachedPlan
     trip: Trip
     joined: JoinedPlan | None = None
-    late_by: float = 0.0
 
     @property
     def plan(self) -> Plan:
@@ -146,15 +106,19 @@ class Fit:
         """What a departure is worth on the trip's map."""
         return self.joined.assessment if self.joined else self.cached.ground.assess(self.trip.map)
 
-    @property
-    def note(self) -> str:
-        """A remark about the start for the response and the diagnostics; '' if there is none."""
-        worth = f'value {self.assessment.value:.4g}, bound {self.assessment.lower_bound:.4g}'
-        if self.late_by:
-            return ('the path begins where the convoy was at the request, '
-                    f'{self.late_by:.3g} m away, because no clear way to the routes leads from '
-                    f'where it is now: {worth}')
-        return f'the path joins the route of an earlier start: {worth}' if self.joined else ''
+    def draw(self, source: list[int], spacing: float) -> tuple[Route, FloatArray] | None:
+        """Draw a route that is clear on the trip's map, and its path (L, 3) = (x, y, yaw).
+
+        ``source`` seeds the random generator. Poses are at most ``spacing`` [m] apart; 0: as far as
+        the plan says. None if hardly any route is clear.
+        """
+        rng, newest, plan = np.random.default_rng(source), self.trip.map, self.plan
+        ground, ends = self.cached.ground, self.cached.ends(self.trip)
+        route = depart(plan, rng) if self.joined else ground.draw(rng, newest)
+        if route is None:
+            return None
+        fitted = plan if self.joined else ground.fitted(newest, ends)
+        return route, departure_path(fitted, route, spacing or plan.spacing, ends)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +128,6 @@ class _Pending:
     trip: Trip
     parameters: NodeParameters
     solve: Future[CachedPlan]
-    background: bool
 
 
 class PlanCache:
@@ -183,45 +146,45 @@ class PlanCache:
         """Whether a solve runs or waits."""
         return self._queue.busy
 
-    def fit_or_solve(self, trip: Trip, parameters: NodeParameters,
-                     under_way: bool) -> Fit | Future[CachedPlan]:
-        """Return the nearest plan that suits the trip, or can be joined at little cost, or a solve.
+    def fit(self, trip: Trip, parameters: NodeParameters) -> Fit | None:
+        """Return the nearest plan that suits a trip, else the nearest one that can be joined."""
+        with self._lock:
+            plans = sorted(self._plans, key=lambda one: _distance(one.trip, trip))
+            near = [each for each in plans if each.is_near(trip)]
+            tries = chain((each.fit(trip, parameters) for each in plans),
+                          (each.joined(trip, parameters) for each in near[:1]))
+            fit = next(filter(None, tries), None)
+            if fit is not None:
+                self._keep(fit.cached)
+            return fit
 
-        Joining must not raise the value by more than ``strategy.max_gap``. A convoy ``under_way``
-        takes the cheaper of the two nearest plans that it can join, however high the value.
-        A solve for nearly this trip that waits or runs is shared; check that its plan ``suits``.
+    def share_or_solve(self, trip: Trip, parameters: NodeParameters) -> Future[CachedPlan]:
+        """Share a solve for nearly this trip that waits or runs, or solve; check that it fits.
+
         Raises SolveCancelled if the cache is closed, and QueueFull if too many solves wait.
         """
         with self._lock:
-            costly = []
-            for each in sorted(self._plans, key=lambda one: _distance(one.trip, trip)):
-                if (fit := each.fit(trip, parameters, under_way)) is None:
-                    continue
-                most = (1.0 + parameters.max_gap) * each.plan.strategy.value
-                if not fit.joined or fit.assessment.value <= most:
-                    self._keep(each)
-                    return fit
-                costly.append(fit)
-                if under_way and len(costly) == _MOST_COSTLY:
-                    break
-            if costly and under_way:
-                best = min(costly, key=lambda fit: fit.assessment.value)
-                self._keep(best.cached)
-                return best
             for pending in self._pending:
                 if not pending.solve.done() and _will_suit(pending, trip, parameters):
-                    return self._submit(pending.trip, pending.parameters, background=False)
-            return self._submit(trip, parameters, background=False)
+                    return self.solve(pending.trip, pending.parameters)
+            return self.solve(trip, parameters)
 
     def solve(self, trip: Trip, parameters: NodeParameters, *,
               background: bool = False) -> Future[CachedPlan]:
-        """Solve for exactly this trip; raises as ``fit_or_solve`` does.
+        """Solve for exactly this trip; raises as ``share_or_solve`` does.
 
         A ``background`` solve gives way to solves that somebody waits for, and to the next
         background solve.
         """
         with self._lock:
-            return self._submit(trip, parameters, background)
+            request = _request(trip, parameters, self._warm_start(trip, parameters))
+            solve = self._queue.submit(_key(trip, parameters), request,
+                                       partial(self._solved, trip, parameters),
+                                       parameters.queue_size, background)
+            if all(each.solve is not solve for each in self._pending):
+                self._pending.append(_Pending(trip, parameters, solve))
+                solve.add_done_callback(self._remove_pending)
+            return solve
 
     def keep_ground(self, newest: CurrentMap) -> None:
         """Drop the plans for other ground than this map's."""
@@ -244,17 +207,6 @@ class PlanCache:
         """Cancel all solves and end the worker process."""
         self._queue.close()
 
-    def _submit(self, trip: Trip, parameters: NodeParameters,
-                background: bool) -> Future[CachedPlan]:
-        request = _request(trip, parameters, self._warm_start(trip, parameters))
-        solve = self._queue.submit(_key(trip, parameters), request,
-                                   partial(self._solved, trip, parameters, background),
-                                   parameters.queue_size, background)
-        if all(each.solve is not solve for each in self._pending):
-            self._pending.append(_Pending(trip, parameters, solve, background))
-            solve.add_done_callback(self._remove_pending)
-        return solve
-
     def _warm_start(self, trip: Trip, parameters: NodeParameters) -> WarmStart | None:
         """Return the multipliers of a plan for the same trip on an earlier map, if any."""
         for each in reversed(self._plans):
@@ -264,11 +216,10 @@ class PlanCache:
                 return WarmStart(each.plan.network, multipliers)
         return None
 
-    def _solved(self, trip: Trip, parameters: NodeParameters, background: bool,
-                plan: Plan) -> CachedPlan:
+    def _solved(self, trip: Trip, parameters: NodeParameters, plan: Plan) -> CachedPlan:
         """Keep the plan; this happens before the future of its solve is done."""
         ground = ChangedGround(plan, trip.map, parameters.occupancy, self._losses)
-        cached = CachedPlan(plan, trip, parameters, ground, background)
+        cached = CachedPlan(plan, trip, parameters, ground)
         with self._lock:
             self._keep(cached)
         self._logger.info(f'plan solved in {plan.seconds:.2f} s: value {plan.strategy.value:.6g}, '
@@ -280,12 +231,12 @@ class PlanCache:
             self._pending = [each for each in self._pending if each.solve is not solve]
 
     def _keep(self, cached: CachedPlan) -> None:
+        """Make a plan the most recently used one, and drop the oldest beyond the limits."""
         others = [each for each in self._plans
                   if not each.answers(cached.trip, cached.parameters)]
-        background = [each for each in others if each.background]
-        if cached.background and len(background) >= _MOST_BACKGROUND:
-            others.remove(background[0])
-        self._plans = [*others, cached][-_CAPACITY:]
+        edges = np.cumsum([len(each.plan.network.edges) for each in (cached, *reversed(others))])
+        kept = min(_MOST_PLANS, max(1, int((edges <= _MOST_EDGES).sum())))
+        self._plans = [*others, cached][-kept:]
 
 
 def _distance(one: Trip, other: Trip) -> float:
@@ -298,16 +249,16 @@ def _will_suit(pending: _Pending, trip: Trip, parameters: NodeParameters) -> boo
     other, used = pending.trip, pending.parameters
     # If the planner chooses the spacing, it is at least the map's resolution.
     spacing = parameters.planning.network.spacing or trip.map.resolution
-    near = _distance(other, trip) <= start_tolerance(parameters.planning, spacing)
-    if trip.moves and not pending.background and _goal(other) == _goal(trip):
-        near = near or math.dist(other.start_xy, trip.start_xy) <= REGION * spacing
+    joins = trip.moves and _goal(other) == _goal(trip)
+    near = _distance(other, trip) <= (
+        REGION * spacing if joins else start_tolerance(parameters.planning, spacing))
     return (trip.map.same_ground(other.map)
             and _conditions(other, used) == _conditions(trip, parameters)
             and used.planning.strategy.time_limit == parameters.planning.strategy.time_limit
             and other.goal_tolerance == trip.goal_tolerance and near)
 
 
-def _goal(trip: Trip) -> tuple[_Position, float]:
+def _goal(trip: Trip) -> tuple[tuple[float, float], float]:
     return trip.goal_xy, trip.goal_tolerance
 
 

@@ -24,8 +24,9 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
+from ..recordings.versions import software_versions
+from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
-from .departure_record import software_versions
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary, protect_services
 from .error_codes import NotActive
@@ -83,6 +84,7 @@ class PlannerNode(LifecycleNode):
         self._topic_subscriptions: Subscriptions | None = None
         self._configure_error: Exception | None = None
         self._settings = NodeSettings(self, self._parameters_changed)
+        self._bond = Bond(self)
         if self._settings.current.seed >= 0:
             self.get_logger().warning(
                 'the parameter seed is set: every run draws the same sequence of routes, which '
@@ -130,6 +132,7 @@ class PlannerNode(LifecycleNode):
         """Answer requests."""
         _configured(self._dispatcher).resume()
         self._settings.active = True
+        self._bond.set_active(True)
         self._reporter.set(lifecycle='active')
         return TransitionCallbackReturn.SUCCESS
 
@@ -137,6 +140,7 @@ class PlannerNode(LifecycleNode):
         """Refuse requests and cancel solves; plans and inputs are kept."""
         _configured(self._dispatcher).pause()
         self._settings.active = False
+        self._bond.set_active(False)
         self._reporter.set(lifecycle='inactive')
         return TransitionCallbackReturn.SUCCESS
 
@@ -148,6 +152,7 @@ class PlannerNode(LifecycleNode):
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Refuse requests for good."""
+        self._bond.set_active(False)
         self._configured.close()
         self._reporter.set(lifecycle='finalized')
         return TransitionCallbackReturn.SUCCESS
@@ -224,8 +229,9 @@ class PlannerNode(LifecycleNode):
         self._reporter.warn('alpha_map', listening.volatile_map_warning() if listening else '')
         self._reporter.warn('costmap', listening.costmap_warning() if listening else '')
         self._error_boundary.log_repeated()
+        self._report_missing()
         if self._dispatcher is not None:
-            self._dispatcher.review()
+            self._dispatcher.follow()
         self._reporter.report()
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from rclpy.clock import Clock
 
-from ..planning.changed_ground import Assessment
 from ..recordings import RecordedMessage
+from .departure_record import Departure
 from .diagnostics import Status, status_to_ros
 from .publishers import Publishers
 
@@ -72,18 +72,16 @@ class Reporter:
 
         self._change(change)
 
-    def departed(self, number: int, departure_id: str, tight_turns: int, worth: Assessment,
-                 late_start: str, publish: bool = True) -> tuple[RecordedMessage, str]:
+    def departed(self, departure: Departure,
+                 publish: bool = True) -> tuple[RecordedMessage, str]:
         """Report a departure; return the report and the recording's problem, '' if it has none.
 
-        ``worth`` is its assessment; ``late_start`` says why it begins at an earlier position of the
-        convoy. Both results come from one status, so the answer and the recorded diagnostics agree.
-        Without ``publish`` the report is only returned, for a departure that leaves once recorded.
+        Both come from one status, so the answer and the recorded diagnostics agree. Without
+        ``publish`` the report is only returned, for a departure that leaves once recorded.
         """
         with self._lock:
-            status = replace(self._status.without_problem('request'), departures=number,
-                             departure_id=departure_id, tight_turns=tight_turns,
-                             departure_worth=worth, late_start=late_start)
+            status = replace(self._status.without_problem('request'), last=departure,
+                             last_answer='new')
             if publish:
                 self._status = status
                 problem = status.problems.get('recording')

@@ -18,14 +18,15 @@ from std_srvs.srv import Trigger
 from ..errors import InvalidOption
 from ..planning.plan import Plan
 from ..recordings import type_name
+from ..worker.serial_executor import completed, started
+from .conversions import installed_type
 from .current_map import ReceivedMessage
-from .departure_record import Departure, ServiceCall
+from .departure_record import Answer, ServiceCall
 from .dispatcher import Dispatcher
 from .error_boundary import ErrorBoundary
 from .inputs import Inputs, TripRequest
 from .parameter_changes import NodeSettings
 from .qos import LATEST, REQUESTS
-from .serial_executor import completed, started
 
 _Result = TypeVar('_Result')
 
@@ -51,11 +52,18 @@ class Requests:
         self._serve(Trigger, '~/cancel', lambda _: completed(self._dispatcher().cancel()),
                     _cancel_response, MutuallyExclusiveCallbackGroup())
 
+        if valid := installed_type('nav2_msgs.srv', 'IsPathValid'):
+            self._serve(valid, '~/is_path_valid',
+                        lambda request: completed(self._dispatcher().invalid_poses(request.path)),
+                        lambda poses: valid.Response(is_valid=not poses,
+                                                     invalid_pose_indices=poses), planning)
+
     def start_plan(self, request: GetPlan.Request, stops: PoseArray | None = None,
-                   client: str = '') -> Future[Departure]:
-        """Start a departure between the poses of a request, for a ``client`` with one goal."""
+                   client: str = '') -> Future[Answer]:
+        """Ask for a path between the poses of a request, for a ``client`` with one goal."""
         if not 0.0 <= request.tolerance < math.inf:
             raise InvalidOption(f'tolerance must be finite and >= 0 [m], got {request.tolerance}')
+        self._inputs().asked_directly = True
         self._inputs().current_map()
         start, goal, via = (
             # As if they had arrived on the topics.
@@ -66,9 +74,9 @@ class Requests:
         trip = TripRequest(start, goal, request.tolerance, via if stops else None)
         return self._depart(GetPlan, '~/get_plan', request, trip, client)
 
-    def answered(self, departure: Departure, response: Any) -> None:
+    def answered(self, answer: Answer, response: Any) -> None:
         """Log and record a departure that has been answered."""
-        self._dispatcher().answered(departure, response)
+        self._dispatcher().answered(answer, response)
 
     def _serve(self, kind: Any, name: str, start: Callable[[Any], Future[_Result]],
                to_response: Callable[[_Result], Any], group: CallbackGroup,
@@ -101,11 +109,11 @@ class Requests:
             partial(respond, header)
         )
 
-    def _start_new_route(self, request: Trigger.Request) -> Future[Departure]:
+    def _start_new_route(self, request: Trigger.Request) -> Future[Answer]:
         return self._depart(Trigger, '~/new_route', request, self._latest_trip(), 'topics')
 
     def _depart(self, kind: Any, service: str, request: Any, trip: TripRequest,
-                client: str) -> Future[Departure]:
+                client: str) -> Future[Answer]:
         respond = self._new_route_response if kind is Trigger else plan_response
         call = ServiceCall(kind, self._node.resolve_service_name(service), request, respond)
         return self._dispatcher().depart(call, trip, client)
@@ -113,17 +121,16 @@ class Requests:
     def _latest_trip(self) -> TripRequest:
         return self._inputs().latest(self._settings.current.robot)
 
-    def _new_route_response(self, departure: Departure) -> Trigger.Response:
+    def _new_route_response(self, answer: Answer) -> Trigger.Response:
         path = self._node.resolve_topic_name('path')
-        remarks = f'; {departure.remarks}' if departure.remarks else ''
-        return _success(
-            f'departure {departure.number} ({departure.id}) is published on {path}{remarks}'
-        )
+        left, remarks = answer.departure, f'; {answer.remarks}' if answer.remarks else ''
+        assert left is not None  # new_route always draws
+        return _success(f'departure {left.number} ({left.id}) is published on {path}{remarks}')
 
 
-def plan_response(departure: Departure) -> GetPlan.Response:
+def plan_response(answer: Answer) -> GetPlan.Response:
     """Return the answer of ``~/get_plan``."""
-    return GetPlan.Response(plan=departure.path)
+    return GetPlan.Response(plan=answer.path)
 
 
 def _replan_response(plan: Plan) -> Trigger.Response:

@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from ..maps.ros_messages import position_from_ros
+from ..maps.tf_buffer import Found, Rigid, StampedTransform, TransformBuffer, TransformUnknown
 from .conversions import installed_type
 from .error_codes import FrameMismatch
 from .listener import Listener
 from .qos import TF, TF_STATIC
-from .tf_buffer import Found, Rigid, StampedTransform, TransformBuffer, TransformUnknown
 
 # Maximum length of a frame's name in messages [characters].
 _LONGEST_SHOWN = 80

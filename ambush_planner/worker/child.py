@@ -22,7 +22,6 @@ from .solve_errors import WorkerFailed, no_plan_in, unexpected
 
 PICKLE_PROTOCOL = 5
 _PR_SET_PDEATHSIG = 1  # from Linux' prctl.h
-_NICENESS = 5  # lower priority than the node's callbacks
 _OOM_SCORE = '500'  # the kernel kills the worker before the node when memory runs out
 
 
@@ -47,7 +46,7 @@ def main() -> None:
 def serve(connection: socket.socket) -> None:
     """Answer requests until the other side closes the socket, perhaps in the middle of one."""
     _follow_parent()
-    _lower_priority()
+    _die_first()
     with suppress(EOFError, ConnectionError), connection.makefile('rwb') as stream:
         socket.send_fds(connection, [b'.'], [os.pidfd_open(os.getpid())])
         while True:
@@ -80,8 +79,8 @@ def _follow_parent() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
-def _lower_priority() -> None:
-    os.nice(_NICENESS)
+def _die_first() -> None:
+    """Offer this process to the kernel when memory runs out, before the node."""
     if sys.platform == 'linux':
         with suppress(OSError):
             Path('/proc/self/oom_score_adj').write_text(_OOM_SCORE)

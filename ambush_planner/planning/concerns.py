@@ -1,0 +1,130 @@
+"""The numbers of a plan, and what limits them in words: for whoever reads its value."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..game.game import Game
+from ..game.revaluation import open_gap
+from .options import holds_anywhere, start_tolerance
+from .plan import DRAWN, Plan
+
+_DIFFERENT = f'different_paths_of_{DRAWN}'
+_STRATEGY_NUMBERS = (
+    'value', 'lower_bound', 'gap', 'edge_entropy', 'route_entropy', 'entropy_gap',
+    'expected_length', 'shortest_length',
+)
+# Share of the routes that a single ambush meets from which they count as all.
+ALL_ROUTES = 0.99
+
+
+def concerns(plan: Plan) -> list[str]:
+    """Return what should be known about the value of a plan, one sentence each."""
+    found = _gap(plan), _counting_gap(plan), _held_ground(plan)
+    return [text for text in found if text]
+
+
+def _gap(plan: Plan) -> str:
+    """Whether the time limit ended the search for the best strategy."""
+    gap = open_gap(plan.strategy, plan.options.strategy)
+    if gap == 0.0:
+        return ''
+    return (
+        f'max_planning_time ended the search for the best strategy: the value '
+        f'{plan.strategy.value:.4g} may be up to {gap:.3g} above the minimum, besides '
+        'strategy.risk_slack; increase max_planning_time or network.spacing'
+    )
+
+
+def _counting_gap(plan: Plan) -> str:
+    """Whether counting each route once left the value over its slack."""
+    if not plan.strategy.counting_gap:
+        return ''
+    return (
+        f'no strategy closer to the bound was found, because some routes enter the reach of an '
+        f'ambush more than once or cells between the nodes cost more: the value is '
+        f'{plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
+    )
+
+
+def _held_ground(plan: Plan) -> str:
+    """Whether held ground decides too much: the value, or whether there is one."""
+    bottleneck, game = plan.bottleneck, plan.strategy.game
+    held = game.options.held_radius
+    if not len(game.sites):
+        return (f'the value is 0: nobody can wait within {held:.4g} m of start, stops and goal, '
+                'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
+    if not bottleneck.value > 0.0:
+        return 'the value is 0: some routes meet no ambush that causes a loss; check the map'
+    enough = game.reach + start_tolerance(plan.options, plan.spacing)
+    asked = plan.options.game.secured_radius
+    hold = 0.0 <= asked < enough
+    if place := _covers_all(plan):
+        remedy = (f'hold {enough:.3g} m there (game.secured_radius -1), or ' if hold else '')
+        return (f'{place}: the value {plan.strategy.value:.4g} is what an ambush costs that is '
+                f'certain; {remedy}choose another place, a smaller game.ambush_radius or a larger '
+                'strategy.max_detour')
+    if hold and game.reach > 0.0:
+        return (f'an ambush reaches {game.reach:.4g} m, tube included, but ground is held only '
+                f'within {asked:.4g} m of start and goal: an ambush just outside may hit every '
+                f'route; hold {enough:.3g} m (game.secured_radius -1)')
+    if not bottleneck.near_ends:
+        return ''
+    return (
+        f'{len(bottleneck.sites)} nodes decide the value {bottleneck.value:.4g}, '
+        f'{bottleneck.near_ends} of them within {bottleneck.distance:.3g} m of start or goal; if '
+        f'that ground were held (game.secured_radius), the value would be '
+        f'{bottleneck.secured_value:.4g}'
+    )
+
+
+def _covers_all(plan: Plan) -> str:
+    """Which single place meets every route, '' if none does.
+
+    Against a best strategy all sites that the ambusher uses cost the same, so that a site which
+    costs no more than the value if it meets a route meets them all.
+    """
+    network, game = plan.network, plan.strategy.game
+    sites = plan.bottleneck.sites
+    sites = sites[ALL_ROUTES * game.loss[sites] <= plan.strategy.value]
+    if game.ambushers > 1 or not len(sites):
+        return ''
+    ends = network.points[[network.source, *network.stops, network.target]]
+    away = np.hypot(*np.moveaxis(game.network.points[sites][:, None] - ends, 2, 0))
+    at = int(away.min(axis=0).argmin())
+    name = {0: 'the start', len(ends) - 1: 'the goal'}.get(at, f'stop {at}')
+    if away.min() > game.options.held_radius + 2.0 * max(game.reach, plan.spacing):
+        return f'one place meets every route, {away.min():.3g} m from {name}'
+    return f'one place covers every way {"into" if at == len(ends) - 1 else "out of"} {name}'
+
+
+def _is_chance(game: Game) -> bool:
+    """Whether the value is a probability: one ambush, which costs 1 wherever it is."""
+    return game.ambushers == 1 and not np.any((game.loss != 0.0) & (game.loss != 1.0))
+
+
+def plan_numbers(plan: Plan | None) -> dict[str, str]:
+    """Return the numbers of a plan by stable keys, as text; empty ones without a plan."""
+    if plan is None:
+        return dict.fromkeys((
+            *_STRATEGY_NUMBERS, 'value_is', _DIFFERENT, 'value_holds_at', 'held_radius', 'nodes',
+            'edges', 'deciding_sites', 'deciding_sites_near_ends', 'secured_value', 'stops',
+            'order', 'solve_seconds',
+        ), '')
+    return {
+        **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
+        'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
+        _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
+        'value_holds_at': ('any cell of the map'
+                           if holds_anywhere(plan.options)
+                           else "the network's nodes"),
+        'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',
+        'nodes': str(len(plan.network.points)),
+        'edges': str(len(plan.network.edges)),
+        'deciding_sites': str(len(plan.bottleneck.sites)),
+        'deciding_sites_near_ends': str(plan.bottleneck.near_ends),
+        'secured_value': f'{plan.bottleneck.secured_value:.9g}',
+        'stops': str(len(plan.order)),
+        'order': plan.order_found if plan.order else '',
+        'solve_seconds': f'{plan.seconds:.3f}',
+    }

@@ -1,0 +1,196 @@
+"""The trip that the robot is on, and which requests continue it.
+
+A request continues the trip, and is no departure, if all of this holds:
+
+1. It is for the *same trip*: for the same robot, to the same goal, within a cell or the tolerance
+   for the goal, and through the stops that remain. Positions are compared in the map's frame:
+   a goal in another frame drifts.
+2. The robot is *on the path*: within ``tolerance`` of what remains of it. Progress along the path
+   only grows, because a path may come near itself; a robot that is back along it by more than
+   ``back`` is no longer on it.
+3. The robot has *not arrived*, if the request asks for stops again that it has passed.
+
+The answer is the rest of the path from the robot's place, if that is clear on the newest map. If
+not, it is another rest of the same plan that begins at one of the ``nodes_ahead``.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..arrays import FloatArray, IndexArray
+from .options import automatic_tube
+from .plan import Plan, Route
+
+Position = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Destination:
+    """Where a trip of one robot leads, in the map's frame: the goal, and the stops on the way [m].
+
+    ``frames`` are those of the map and of the robot; ``cell`` is the map's resolution [m].
+    """
+
+    frames: tuple[str, str]
+    goal: Position
+    cell: float
+    stops: tuple[Position, ...] = ()
+
+
+@dataclass(eq=False)
+class TripUnderWay:
+    """A path that the robot follows, and its progress on it.
+
+    Parameters
+    ----------
+    destination
+        As the trip was requested.
+    path : (L, 3) float
+        Poses (x, y, yaw) of the path [m, m, rad].
+    nodes, places : (K,) int, (K, 2) float
+        The drawn route, and where its nodes are [m].
+    passes, visits : (S,) int
+        Indices of the stops that were ahead at the begin of the path, among ``nodes`` and among the
+        stops of ``destination``, in the order of the route.
+    tolerance, back
+        The distance from the path up to which the robot is on it, and how far back along it [m].
+    """
+
+    destination: Destination
+    path: FloatArray
+    nodes: IndexArray
+    places: FloatArray
+    passes: IndexArray
+    visits: IndexArray
+    tolerance: float
+    back: float
+    progress: float = field(default=0.0, init=False)
+
+    def continues(self, request: Destination, place: Position, goal_tolerance: float) -> bool:
+        """Whether a request from ``place`` continues the trip; notes the progress."""
+        return (request.frames == self.destination.frames
+                and self.follow(place) is not None
+                and self._same_trip(request, max(request.cell, goal_tolerance))
+                and not (self._asks_again(request) and self._remaining <= self.tolerance))
+
+    def follow(self, place: Position) -> float | None:
+        """Note the progress of a robot at ``place``, and return how far along the path it is [m].
+
+        None if it is not on what remains of the path.
+        """
+        gaps, along = self._line.projected(place)
+        near = gaps <= self.tolerance
+        ahead, behind = near & (along >= self.progress), near & (along >= self.progress - self.back)
+        on_path = ahead if ahead.any() else behind
+        if not on_path.any():
+            return None
+        first = int(on_path.argmax())  # the first stretch that is near enough
+        end = first + int(np.append(on_path[first:], False).argmin())
+        at = float(along[first + int(gaps[first:end].argmin())])
+        self.progress = max(self.progress, at)
+        return at
+
+    def rest(self, place: Position, goal: Position) -> FloatArray:
+        """Return the rest of the path (L, 3) for a robot at ``place`` on it.
+
+        It meets the path as far ahead as the robot is beside it, and ends at ``goal`` if that is
+        within a cell of its end.
+        """
+        at = self.follow(place) or 0.0
+        gaps, along = self._line.projected(place)
+        beside = float(gaps[np.abs(along - at).argmin()])
+        ahead = self.path[self._line.along > at + beside]
+        rest = np.vstack(([(*place, 0.0)], ahead if len(ahead) else self.path[-1:]))
+        if math.dist(rest[-1, :2], goal) <= self.destination.cell:
+            rest[-1, :2] = goal
+        return rest
+
+    def nodes_ahead(self, place: Position) -> IndexArray:
+        """Return the nodes from which the route of a robot at ``place`` can change.
+
+        They are the next one and the last one that it has passed, to which it can turn back.
+        """
+        at = self.follow(place) or 0.0
+        following = int(np.searchsorted(self._nodes_along, at, side='right'))
+        steps = [k for k in (following, following - 1) if 0 < k < len(self.nodes)]
+        return self.nodes[steps]
+
+    def _same_trip(self, request: Destination, tolerance: float) -> bool:
+        """Whether a request is for the goal and the remaining stops of this trip."""
+        wanted, own = list(request.stops), self.destination
+        if math.dist(request.goal, own.goal) > tolerance:
+            return False
+        for number, stop in enumerate(own.stops):
+            if wanted and math.dist(wanted[0], stop) <= tolerance:
+                wanted.pop(0)
+            elif number not in self._passed:
+                return False
+        return not wanted
+
+    def _asks_again(self, request: Destination) -> bool:
+        """Whether a request for this trip names stops that have been passed."""
+        return len(request.stops) > len(self.destination.stops) - len(self._passed)
+
+    @property
+    def _passed(self) -> set[int]:
+        """The stops that have been passed, as indices of those requested."""
+        ahead = self._nodes_along[self.passes] > self.progress + self.tolerance
+        return set(range(len(self.destination.stops))) - set(self.visits[ahead].tolist())
+
+    @property
+    def _remaining(self) -> float:
+        return float(self._line.along[-1]) - self.progress
+
+    @cached_property
+    def _line(self) -> _Line:
+        return _Line(self.path[:, :2])
+
+    @cached_property
+    def _nodes_along(self) -> FloatArray:
+        """How far along the path (K,) each node of the route is passed [m]."""
+        steps = np.hypot(*np.diff(self.places, axis=0).T)
+        found = [0.0]
+        for place, step in zip(self.places[1:].tolist(), steps.tolist(), strict=True):
+            gaps, along = self._line.projected(place)
+            # The path turns off at most a tube before and after each step of the route.
+            near = (along >= found[-1]) & (along <= found[-1] + 2.0 * step + self.back)
+            found.append(float(along[near][gaps[near].argmin()]) if near.any() else found[-1])
+        found[-1] = float(self._line.along[-1])
+        return np.array(found)
+
+
+def trip_on(plan: Plan, route: Route, path: FloatArray, destination: Destination) -> TripUnderWay:
+    """Return the trip on a path (L, 3) along a route of a plan.
+
+    A robot is on the path within the tube, its tracking error and a cell.
+    """
+    tube = automatic_tube(plan.options, plan.spacing) if plan.tube is None else plan.tube
+    passes = np.flatnonzero(np.isin(route.nodes, plan.network.stops))
+    visits = np.array(plan.order, np.int64)[len(plan.order) - len(passes):]
+    return TripUnderWay(
+        destination, path, route.nodes, route.points, passes, visits,
+        tube + plan.options.drive.tracking_error + destination.cell, 2.0 * plan.spacing,
+    )
+
+
+class _Line:
+    """A line with ``points`` (L, 2) [m], of which ``along`` (L,) is the distance to each [m]."""
+
+    def __init__(self, points: FloatArray) -> None:
+        self._tails, self._steps = points[:-1], np.diff(points, axis=0)
+        lengths = np.hypot(*self._steps.T)
+        self._lengths = np.where(lengths > 0.0, lengths, 1.0)
+        self.along = np.concatenate(([0.0], np.cumsum(lengths)))
+
+    def projected(self, place: Position) -> tuple[FloatArray, FloatArray]:
+        """Distance of each segment (L - 1,) from a place, and its nearest point's ``along`` [m]."""
+        offset = place - self._tails
+        share = np.clip((offset * self._steps).sum(axis=1) / self._lengths**2, 0.0, 1.0)
+        gaps = np.hypot(*(offset - share[:, None] * self._steps).T)
+        return gaps, self.along[:-1] + share * np.diff(self.along)
+

@@ -1,0 +1,48 @@
+"""The heartbeat by which Nav2's lifecycle manager knows that an active node lives."""
+
+from __future__ import annotations
+
+from uuid import uuid4
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from .conversions import installed_type
+
+# Time between two heartbeats, and without any until the manager takes action [s]; as in Nav2.
+_PERIOD, _TIMEOUT = 0.1, 4.0
+
+
+class Bond:
+    """Sends bond/Status on ``bond`` while it is ``active``, if the package bond is installed.
+
+    This is the half of a bond that a managed node needs: the manager listens, and ends its half
+    when ours says that it ends. The executor sends the heartbeat, so a node that hangs has none.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node, self._instance = node, str(uuid4())
+        self._status = installed_type('bond.msg', 'Status')
+        self._publisher = self._status and node.create_publisher(self._status, 'bond', 1)
+        self.active = False
+        if self._publisher:
+            # A steady clock: heartbeats go on while simulated time is paused.
+            steady = Clock(clock_type=ClockType.STEADY_TIME)
+            node.create_timer(_PERIOD, self._beat_if_active, clock=steady)
+
+    def set_active(self, active: bool) -> None:
+        """Begin or end; the end is announced."""
+        if self._publisher and self.active != active:
+            self.active = active
+            self._beat()
+
+    def _beat_if_active(self) -> None:
+        if self.active:
+            self._beat()
+
+    def _beat(self) -> None:
+        status = self._status(id=self._node.get_name(), instance_id=self._instance,
+                              active=self.active, heartbeat_timeout=_TIMEOUT,
+                              heartbeat_period=_PERIOD)
+        status.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(status)

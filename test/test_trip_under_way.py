@@ -1,0 +1,134 @@
+"""Which requests continue the trip of a robot, and what is left of its path; without ROS."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner.planning.trip_under_way import Destination, TripUnderWay
+
+FRAMES = ('map', 'base_link')
+CELL, TOLERANCE, BACK = 0.1, 0.5, 2.0
+
+
+def along(corners, spacing=0.05):
+    """A dense path (L, 3) along straight lines."""
+    pieces = [np.linspace(a, b, math.ceil(math.dist(a, b) / spacing), endpoint=False)
+              for a, b in zip(corners, corners[1:], strict=False)]
+    points = np.vstack((*pieces, corners[-1]))
+    return np.column_stack((points, np.zeros(len(points))))
+
+
+def trip_on(corners, goal=None, stops=(), passes=(), visits=None):
+    """A trip whose route has its nodes at the corners of its path, numbered from 10 on."""
+    corners = [tuple(map(float, each)) for each in corners]
+    visits = range(len(stops)) if visits is None else visits
+    return TripUnderWay(
+        Destination(FRAMES, goal or corners[-1], CELL, tuple(stops)), along(corners),
+        np.arange(10, 10 + len(corners)), np.array(corners), np.array(passes, int),
+        np.array(list(visits), int), TOLERANCE, BACK)
+
+
+def asked(goal=(10.0, 0.0), stops=(), frames=FRAMES):
+    return Destination(frames, goal, CELL, tuple(stops))
+
+
+@pytest.mark.parametrize(('request_', 'place', 'goal_tolerance', 'continues'), [
+    (asked(), (0.0, 0.0), 0.0, True),
+    (asked((10.05, 0.05)), (4.0, 0.3), 0.0, True),  # a goal that drifts
+    (asked((10.3, 0.0)), (4.0, 0.0), 0.0, False),
+    (asked((10.3, 0.0)), (4.0, 0.0), 0.5, True),
+    (asked(), (4.0, 0.6), 0.0, False),  # beside the path
+    (asked(), (-0.6, 0.0), 0.0, False),
+    (asked(stops=[(5.0, 0.0)]), (4.0, 0.0), 0.0, False),
+    (asked(frames=('map', 'other')), (4.0, 0.0), 0.0, False),
+    (asked(frames=('odom', 'base_link')), (4.0, 0.0), 0.0, False),
+])
+def test_a_request_continues_the_trip_to_its_goal_from_its_path(request_, place, goal_tolerance,
+                                                                continues):
+    trip = trip_on([(0, 0), (10, 0)])
+    assert trip.continues(request_, place, goal_tolerance) == continues
+
+
+def test_a_robot_that_went_back_begins_a_new_trip():
+    trip = trip_on([(0, 0), (10, 0)])
+    assert trip.continues(asked(), (6.0, 0.0), 0.0)
+    assert trip.continues(asked(), (6.0 - BACK - 0.4, 0.0), 0.0)
+    assert trip.progress == 6.0
+    assert not trip.continues(asked(), (6.0 - BACK - TOLERANCE - 0.1, 0.0), 0.0)
+    assert trip.continues(asked(), (6.1, 0.0), 0.0)
+
+
+def test_progress_only_grows_on_a_path_that_comes_near_itself():
+    """There and back, 0.4 m apart: within the tolerance of each other."""
+    trip = trip_on([(0, 0), (10, 0), (10, 0.4), (0, 0.4)], goal=(0.0, 0.4))
+    for x in np.arange(0.0, 10.0, 1.5):
+        assert trip.follow((x, 0.2)) == pytest.approx(x)
+    assert trip.follow((10.1, 0.2)) == pytest.approx(10.2)
+    for x in np.arange(9.0, 0.0, -1.5):
+        assert trip.follow((x, 0.2)) == pytest.approx(10.4 + 10.0 - x)
+
+
+STOPS = ((4.0, 0.0), (8.0, 0.0))
+
+
+@pytest.mark.parametrize(('x', 'stops', 'continues'), [
+    (2.0, STOPS, True),
+    (2.0, STOPS[1:], False),  # the first one lies ahead
+    (5.0, STOPS[1:], True),
+    (5.0, STOPS, True),  # the client has not removed it
+    (5.0, (), False),
+    (5.0, STOPS[:1], False),
+    (9.0, (), True),
+    (9.0, STOPS[::-1], False),
+])
+def test_the_stops_that_remain_are_asked_for(x, stops, continues):
+    corners = [(0, 0), *STOPS, (10, 0)]
+    trip = trip_on(corners, stops=STOPS, passes=(1, 2))
+    assert trip.continues(asked(stops=stops), (x, 0.0), 0.0) == continues
+
+
+def test_stops_that_are_visited_in_another_order():
+    trip = trip_on([(0, 0), *STOPS, (10, 0)], stops=STOPS[::-1], passes=(1, 2), visits=(1, 0))
+    assert trip.continues(asked(stops=STOPS[::-1]), (2.0, 0.0), 0.0)
+    assert trip.continues(asked(stops=STOPS[1:]), (5.0, 0.0), 0.0)
+    assert not trip.continues(asked(stops=STOPS[:1]), (5.0, 0.0), 0.0)
+
+
+def test_a_round_trip_that_is_asked_for_again_is_a_new_one():
+    """Start and goal are the same place: only progress tells the one from the other."""
+    stops = [(5.0, 0.0), (5.0, 5.0)]
+    trip = trip_on([(0, 0), *stops, (0, 0)], stops=stops, passes=(1, 2))
+    again = asked((0.0, 0.0), stops)
+    assert trip.continues(again, (0.0, 0.0), 0.0)
+    for place in [(2.5, 0.0), (5.0, 0.1), (5.0, 2.5), (5.0, 5.0), (2.5, 2.5), (0.7, 0.7)]:
+        assert trip.continues(again, place, 0.0)
+    assert trip.follow((0.3, 0.2)) > 15.0
+    assert not trip.continues(again, (0.1, 0.1), 0.0)
+    assert trip.continues(asked((0.0, 0.0)), (0.2, 0.2), 0.0), 'the goal remains'
+
+
+@given(x=st.floats(0.0, 9.5), beside=st.floats(-0.45, 0.45))
+def test_the_rest_begins_at_the_robot_and_ends_at_the_goal(x, beside):
+    trip = trip_on([(0, 0), (10, 0)])
+    place = (x, beside)
+    assert trip.continues(asked(), place, 0.0)
+    rest = trip.rest(place, (10.02, 0.01))
+    assert tuple(rest[0, :2]) == place
+    assert tuple(rest[-1, :2]) == (10.02, 0.01)
+    assert (rest[1:-1, 0] > x).all() and (rest[1:-1, 1] == 0.0).all()
+    if len(rest) > 2:
+        assert rest[1, 0] - x <= abs(beside) + 0.05 + 1e-9, 'it meets the path at 45 degrees'
+
+
+@pytest.mark.parametrize(('place', 'nodes'), [
+    ((0.5, 0.0), [11]), ((3.0, 0.2), [12, 11]), ((4.0, 1.0), [13, 12]), ((9.9, 2.0), [14, 13]),
+])
+def test_a_route_changes_at_the_next_node_or_at_the_last_one(place, nodes):
+    trip = trip_on([(0, 0), (2, 0), (4, 0), (4, 2), (10, 2)])
+    for each in [(1.0, 0.0), (3.0, 0.0), (4.0, 1.0)]:
+        if each[0] + each[1] < place[0] + place[1]:
+            trip.follow(each)
+    assert trip.nodes_ahead(place).tolist() == nodes
