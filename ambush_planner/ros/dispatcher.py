@@ -300,8 +300,9 @@ class Dispatcher:
             raise GroundChanges(f'the robot drove {driven:.3g} m while its plan was solved, and is '
                                 'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
-            raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the map '
-                                'changes too fast; increase network.spacing or strategy.max_gap')
+            raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the '
+                                'map changes too fast; increase network.spacing or '
+                                'strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)
 
