@@ -84,7 +84,9 @@ class GameOptions:
     @property
     def held_radius(self) -> float:
         """Radius of the held ground [m]."""
-        return self.reach if self.secured_radius == -1.0 else self.secured_radius
+        if self.secured_radius == -1.0:
+            return self.ambush_radius + self.tube
+        return self.secured_radius
 
 
 @dataclass(frozen=True, eq=False)

@@ -92,7 +92,7 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
         side = risk_map.resolution / parts_of_cells(risk_map.resolution, game)
         game = replace(game, widened=side / math.sqrt(2.0))
     if game.secured_radius == -1.0:
-        return replace(game, secured_radius=game.reach)
+        return replace(game, secured_radius=game.held_radius)
     held = game.secured_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))
 
