@@ -244,8 +244,9 @@ class _Search:
         law.add_sites(self.entering, self.loss)
         law.step = step
         if self.problem.warm:
-            law.start_from(self.problem.warm.sites[self.game.sites], self.problem.warm.budgets,
-                           self._level())
+            warm = self.problem.warm
+            prices = [v for b, v in zip(self.budgets, warm.budgets, strict=True) if b.binds]
+            law.start_from(warm.sites[self.game.sites], prices, self._level())
         return law
 
     def _whole(self, law: Law) -> FloatArray:
