@@ -17,6 +17,7 @@ from games import (
     least_weight,
     networks,
     paper_example,
+    program_value,
     quiet_network,
     terrain_network,
     terrain_networks,
@@ -136,6 +137,39 @@ def test_all_solvers_find_one_value_on_terrain(network, max_detour):
         strategy = solve(network, options=StrategyOptions(solver, max_detour))
         check_laws(strategy, max_detour, solver)
         check_value(strategy, max_detour, SLACK if solver == 'max_entropy' else 0.0)
+
+
+@examples(28)
+@given(networks(), st.sampled_from((1.0, *DETOURS)), st.integers(1, 3),
+       st.sampled_from((0.0, 0.01, 0.3)))
+def test_several_ambushers_are_within_the_slack_of_the_linear_program(
+    network, detour, count, slack
+):
+    shortest, count = least_weight(network, network.lengths), min(count, len(network.points))
+    strategy = solve(network, GameOptions(ambushers=count), StrategyOptions(
+        max_detour=detour, risk_slack=slack))
+    # Where a budget is as good as none for detours, the value is steep in it.
+    loose = program_value(network, None, detour * shortest * (1 + 2e-6), count)
+    tight = program_value(network, None, detour * shortest * (1 + 1e-12), count)
+    assert strategy.value >= loose * (1 - 1e-6) - 1e-9
+    assert strategy.value <= tight * (1 + slack + 2e-5) + 1e-9
+
+
+@pytest.mark.parametrize('reach', [0.0, 2.1])
+@examples(2)
+@given(st.integers(0, 10**6), st.sampled_from((1.05, 1.1, 1.2)), st.sampled_from((0.0, 0.01)))
+def test_rooms_and_corridors_with_binding_budgets(reach, seed, detour, slack):
+    """As in a depot: narrow places, and a budget that decides which of them can be reached."""
+    network = ground_network(seed, 'depot')
+    reach *= float(np.median(network.lengths))
+    strategy = solve(network, GameOptions(ambush_radius=reach), StrategyOptions(
+        max_detour=detour, risk_slack=slack))
+    least = program_value(network, geometric_hits(network, reach) if reach else None,
+                          strategy.length_budget)
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+    assert strategy.lower_bound <= least * (1 + 1e-5)
+    assert strategy.value <= least * (1 + slack + 2e-5)
+    assert reach or strategy.value >= least * (1 - 2e-5)
 
 
 @examples(25)
@@ -329,3 +363,35 @@ def test_budgets_of_zero_are_feasible():
     edges = [(0, 3), (0, 1), (1, 2), (1, 3), (2, 3)]
     network = Network(points, np.array([0.0, 0.0, 2.0, 0.0]), np.array(edges), 0, 3)
     assert solve(network).expected_length == 0.0
+
+
+@examples(60)
+@given(networks(alphas=(0.0, 0.0, 0.5, 1.0, 3.0)), st.sampled_from((0.0, 1.0, 2.0)),
+       st.sampled_from((1.0, 1.05, 1.5, 3.0, np.inf)), st.sampled_from((1.0, 1.05, 1.5, np.inf)))
+def test_any_budgets_are_kept_or_infeasible(network, radius, detour, exposure):
+    options = StrategyOptions(max_detour=detour, max_exposure=exposure)
+    try:
+        strategy = solve(network, GameOptions(ambush_radius=radius), options)
+    except (BudgetInfeasible, NoRoute):
+        return
+    check_flow(network, strategy.edge_probability, 'max_entropy')
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
+    assert strategy.expected_exposure <= strategy.exposure_budget * (1 + 1e-6)
+
+
+def test_budgets_that_contradict_each_other_are_named():
+    network = quiet_network([[0, 0], [1, 0], [1, 3], [2, 0]], [0, 9, 0.1, 0],
+                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    with pytest.raises(BudgetInfeasible, match='max_detour and max_exposure'):
+        solve(network, options=StrategyOptions(max_detour=1.01, max_exposure=1.01))
+
+
+def test_an_exposure_budget_by_hand():
+    # Straight past loss 4, 2 m; or a detour past loss 1, 4 m. Least risk: 1/5 straight, 4/5 round,
+    # 0.8; exposure 8/5 + 16/5 = 4.8, allowed 4.4: 1/10.
+    network = quiet_network([[0, 0], [1, 0], [1, np.sqrt(3)], [2, 0]], [0, 4, 1, 0],
+                            [(0, 1), (0, 2), (1, 3), (2, 3)], 0, 3)
+    free, tight = (solve(network, options=StrategyOptions(
+        max_detour=np.inf, max_exposure=e, risk_slack=0.0)) for e in (np.inf, 1.1))
+    assert (free.value, tight.value) == pytest.approx((0.8, 0.9), rel=1e-4)
+    assert tight.exposure_price > 0.0 and free.exposure_price == 0.0
