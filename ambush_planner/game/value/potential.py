@@ -53,6 +53,7 @@ class Potential:
         self._kept: FloatArray | None = None  # the latest potential within the budget
         self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
+        self._limit = budget.limit or budget.margin
         self._start_with_links()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
@@ -125,7 +126,7 @@ class Potential:
         both = np.concatenate((ends, ends[::-1]), axis=1)
         graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
         before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
-        most /= self.budget.limit
+        most /= self._limit
         self._real = real = np.flatnonzero(faces.left != faces.right)
         # The others are bridges, each between a face and itself.
         self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
@@ -182,7 +183,7 @@ class Potential:
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
-            self.price = 1.0 / (total * self.budget.limit)
+            self.price = 1.0 / (total * self._limit)
             through = self._bridges.copy()
             through[self._real] = found.x[:links]
             self.circulation = self._circulation(through / total, turned * -flow / total)
