@@ -25,10 +25,9 @@ from ambush_planner.maps.occupancy import (
     OccupancyOptions,
     risk_map_from_occupancy,
 )
-from ambush_planner.planning.cell_losses import CellLosses, LatestLosses
+from ambush_planner.planning.cell_losses import CellLosses, CellSearch, LatestLosses
 from ambush_planner.planning.changed_ground import ChangedGround
 from ambush_planner.planning.options import DriveOptions
-from ambush_planner.planning.solving import _proved_by
 from ambush_planner.planning.trip import plan_trip
 
 SPACING = 1.3
@@ -89,7 +88,8 @@ def test_the_search_finds_the_worst_cell(in_obstacles):
     open_ground = RiskMap(rough.nearest_free_alpha(), np.zeros_like(rough.obstacles), 1.0)
     losses = losses_at_cells(open_ground if in_obstacles else rough, strategy, 3.0)
     p = strategy.edge_probability
-    found = CellLosses(rough, in_obstacles).worst(strategy.game, p, 0.0, 2.0)
+    search = CellSearch(CellLosses(rough, in_obstacles), strategy.game)
+    found = search.worst(p, 0.0)
     assert found.mean_loss[0] == pytest.approx(losses.max(), rel=1e-9)
     assert (np.diff(found.mean_loss) <= 0.0).all()
 
@@ -155,7 +155,7 @@ def test_losses_follow_the_changes_of_a_map(changes):
         losses = latest.on(grid, options, False)
         fresh = CellLosses(risk_map_from_occupancy(values, 0.5, options=options), False)
         for side in (1, 4, 16):
-            np.testing.assert_array_equal(losses._loss_of_blocks(side), fresh._loss_of_blocks(side))
+            np.testing.assert_array_equal(losses.of_blocks(side), fresh.of_blocks(side))
     places = rng.uniform(-1.0, 30.0, (500, 2))
     np.testing.assert_array_equal(losses.at(places), fresh.at(places))
     for other, read in ((replace(grid, resolution=1.0), options),
@@ -166,8 +166,8 @@ def test_losses_follow_the_changes_of_a_map(changes):
 
 
 @pytest.mark.parametrize('door', [8, 10, 12, 14])
-def test_value_and_bound_of_different_rounds_make_one_certificate(door):
-    """A door that one cell covers, but no node: only the second round's ambusher proves the value.
+def test_a_door_between_nodes_is_held_by_a_cell(door):
+    """A door that one cell covers, but no node: only an ambusher who joins proves the value.
     """
     obstacles = np.zeros((60, 80), bool)
     obstacles[:, 38:42] = True
@@ -176,25 +176,8 @@ def test_value_and_bound_of_different_rounds_make_one_certificate(door):
     options = replace(OPTIONS, game=GameOptions(ambush_radius=1.1, secured_radius=3.0),
                       strategy=StrategyOptions(max_detour=1.5))
     strategy = plan_trip(risk_map, (2.0, 7.5), (18.0, 7.5), options).strategy
-    certified = certify(strategy.game, strategy.edge_probability, strategy.ambush_probability,
-                        make_budgets(strategy.game, options.strategy),
-                        (strategy.length_price, strategy.exposure_price))
+    certified = certify(strategy.game, strategy.edge_probability, strategy.ambusher,
+                        make_budgets(strategy.game, options.strategy))
     assert strategy.value == certified.value == pytest.approx(1.0)
     assert strategy.lower_bound == certified.bound == pytest.approx(1.0)
     assert strategy.gap == strategy.value - strategy.lower_bound
-
-
-def test_a_bound_from_another_round_allows_for_how_far_rounding_puts_the_strategy_over_its_budget():
-    network, game = terrain_network(3, cells=14), GameOptions(2.0)
-    short, long = (solve(network, game, StrategyOptions(max_detour=detour))
-                   for detour in (1.05, np.inf))
-    budget, p = short.length_budget, short.edge_probability
-    over = budget * (1.0 + 4e-7) - short.expected_length
-    p = p + over / (long.expected_length - short.expected_length) * (long.edge_probability - p)
-    options = replace(OPTIONS, game=game, strategy=StrategyOptions(max_detour=1.05))
-    proved = _proved_by(replace(short, edge_probability=p), short, options)
-    certified = certify(proved.game, p, proved.ambush_probability,
-                        make_budgets(proved.game, options.strategy),
-                        (proved.length_price, proved.exposure_price))
-    assert (proved.value, proved.lower_bound) == (certified.value, certified.bound)
-    assert 0.0 < proved.lower_bound < short.lower_bound
