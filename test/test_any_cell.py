@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from games import ground, hit_once, may_wait, meets, terrain_network
+from games import ground, hit_once, may_wait, meets
 from scipy.optimize import linprog
 
 from ambush_planner import (
@@ -15,7 +15,6 @@ from ambush_planner import (
     PlanningOptions,
     RiskMap,
     StrategyOptions,
-    solve,
 )
 from ambush_planner.game.certificate.certificate import certify
 from ambush_planner.game.route_sampler import route_edges

@@ -117,7 +117,7 @@ def test_other_games_than_the_plain_one_are_refused():
 
 
 def shared(network, ambushers) -> Cut:
-    """The solved game of several ambushers; value, levels and flow agree, and q proves the value."""
+    """The solved game of several ambushers: levels and flow keep to the value, and q proves it."""
     game = make_game(network, GameOptions(ambushers=ambushers))
     cut = Cut(game, ())
     cut.solve()

@@ -16,9 +16,9 @@ from route_entropy import most_route_entropy, route_entropy
 from scipy.sparse import csr_matrix, vstack
 
 from ambush_planner import GameOptions, Network
+from ambush_planner.game.game import make_game
 from ambush_planner.game.law.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.game.law.entropy_search import maximize_entropy
-from ambush_planner.game.game import make_game
 from ambush_planner.game.law.gibbs import acyclic_network
 from ambush_planner.game.law.node_limits import NodeLimits
 
