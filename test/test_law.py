@@ -70,8 +70,12 @@ def check_entropy(strategy, missing: float) -> None:
        slack=st.sampled_from((0.01, 0.1)))
 def test_without_a_reach_it_is_the_greatest_within_a_thousandth(method, seed, cells, detour, slack):
     network = terrain_network(seed, method, cells)
-    check_entropy(solve(network, options=StrategyOptions('max_entropy', detour, risk_slack=slack)),
-                  1e-3)
+    strategy = solve(network, options=StrategyOptions(max_detour=detour, risk_slack=slack))
+    check_entropy(strategy, 1e-3)
+    most = greatest_entropy(strategy, strategy.lower_bound * (1.0 + slack), 1.0)
+    if strategy.lower_bound > 0.0 and not math.isnan(most):
+        assert most <= (strategy.route_entropy + strategy.entropy_gap) * (1.0 + 1e-6) + 1e-6
+        assert strategy.entropy_gap <= 0.05 * strategy.route_entropy + 0.05
 
 
 @examples(20)
