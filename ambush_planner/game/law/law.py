@@ -69,7 +69,8 @@ class Law:
         self._entering = csr_matrix(vstack((self._entering, self.network.columns(entering))))
         more = np.zeros(len(loss))
         self._loss = np.append(self._loss, loss)
-        self._claimed, self._reserve = np.append(self._claimed, more), np.append(self._reserve, more)
+        self._claimed = np.append(self._claimed, more)
+        self._reserve = np.append(self._reserve, more)
         self.multipliers = np.append(self.multipliers, more)
 
     def start_from(self, sites: FloatArray, budgets: Sequence[float], level: FloatArray) -> None:
@@ -86,7 +87,7 @@ class Law:
                 self.prices / self._margin)
 
     def measure(self, level: FloatArray) -> None:
-        """Find the value of p, and rows that are exact at p, for the ``level`` (S,) of the bound."""
+        """Find the value of p, and rows that are exact at p, for the ``level`` (S,)."""
         self.level, limit = level, level / self._loss
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))

@@ -143,7 +143,7 @@ class Potential:
         return lift if self._potential is None else self._potential[self._face] + lift
 
     def _exceeding(self, z: float, height: FloatArray) -> IndexArray:
-        """Sites on whose rims the potential varies by more than their share, if routes avoid them."""
+        """Avoidable sites on whose rims the potential varies by more than their share."""
         rows = np.flatnonzero(np.diff(self._first))
         first = self._first[rows]
         spread = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
@@ -151,7 +151,7 @@ class Potential:
         return rows[over & ~self._around[rows]]
 
     def _join(self, z: float, height: FloatArray) -> None:
-        """Add the highest and lowest faces of the discs that exceed, and those just too far apart."""
+        """Add the extreme faces of the discs that exceed, and those just too far apart."""
         pairs: list[int] = []
         for j in self._exceeding(z, height):
             order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
