@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions
+from ambush_planner.game.game import make_game
 from ambush_planner.game.law import acyclic
 from ambush_planner.game.law.acyclic import (
     conserved_strategy,
@@ -21,7 +22,6 @@ from ambush_planner.game.law.acyclic import (
     rank_by,
     without_cycles,
 )
-from ambush_planner.game.game import make_game
 
 
 def mixed_walks(network, seed: int, walks: int = 20) -> np.ndarray:

@@ -19,8 +19,9 @@ from ambush_planner import (
     StrategyOptions,
     solve,
 )
+from ambush_planner.game.ambusher import Ambusher, capped_at_one
 from ambush_planner.game.budget import Budget
-from ambush_planner.game.certificate.certificate import certify, hit_bound
+from ambush_planner.game.certificate.certificate import certify, lower_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import CERTIFICATE_TOLERANCE, make_budgets
@@ -29,13 +30,11 @@ SLACK = StrategyOptions().risk_slack
 
 
 def case(detour=1.2, network=None, **game):
-    """The arguments of ``certify`` for a solved game: game, p, q, budgets, prices."""
+    """The arguments of ``certify`` for a solved game: game, p, ambusher, budgets."""
     network = network or terrain_network(4, cells=10)
     options = StrategyOptions(max_detour=detour)
     found = solve(network, GameOptions(**game), options)
-    budgets = make_budgets(found.game, options)
-    p, q = found.edge_probability.copy(), found.ambush_probability.copy()
-    return found.game, p, q, budgets, (found.length_price, found.exposure_price)
+    return found.game, found.edge_probability.copy(), found.ambusher, found.budgets
 
 
 def test_solved_strategies_are_certified():
@@ -54,47 +53,45 @@ def wrong_ambushers(q):
 
 
 def test_a_wrong_q_is_refused():
-    game, p, q, budgets, prices = case()
-    for wrong, words in wrong_ambushers(q):
+    game, p, ambusher, budgets = case()
+    for wrong, words in wrong_ambushers(ambusher.q):
         with pytest.raises(SolverFailed, match=words):
-            certify(game, p, wrong, budgets, prices)
+            certify(game, p, replace(ambusher, q=wrong), budgets)
 
 
 def test_a_wrong_p_is_refused():
-    game, p, q, budgets, prices = case()
+    game, p, ambusher, budgets = case()
     used = int(np.argmax(p))
     for change, words in ((-2.0, '>= 0'), (np.nan, '>= 0'), (0.01, 'not a flow')):
         wrong = p.copy()
         wrong[used] += change
         with pytest.raises(SolverFailed, match=words):
-            certify(game, wrong, q, budgets, prices)
+            certify(game, wrong, ambusher, budgets)
     for wrong in (0.999 * p, np.zeros_like(p)):
         with pytest.raises(SolverFailed, match='not a flow'):
-            certify(game, wrong, q, budgets, prices)
+            certify(game, wrong, ambusher, budgets)
     closed = game.playable.copy()
     closed[used] = False
     with pytest.raises(SolverFailed, match='not playable'):
-        certify(replace(game, playable=closed), p, q, budgets, prices)
-    game, p, q, _, prices = case(2.0)
+        certify(replace(game, playable=closed), p, ambusher, budgets)
+    game, p, ambusher, _ = case(2.0)
     tight = make_budgets(game, StrategyOptions(max_detour=1.1))
     with pytest.raises(SolverFailed, match=r'length is .* over the budget'):
-        certify(game, p, q, tight, prices)
+        certify(game, p, ambusher, tight)
 
 
 @pytest.mark.parametrize('price', [-1e-9, -1.0, np.nan])
 def test_a_wrong_price_is_refused(price):
-    game, p, q, budgets, _ = case()
+    game, p, ambusher, budgets = case()
     for prices in ((price, 0.0), (0.0, price)):
         with pytest.raises(SolverFailed, match='price'):
-            certify(game, p, q, budgets, prices)
+            certify(game, p, replace(ambusher, prices=prices), budgets)
 
 
-def test_a_bound_above_the_value_is_refused(monkeypatch):
-    arguments = case()
-    wrong = 1.0001 * worst_loss(*arguments[:2])
-    monkeypatch.setattr('ambush_planner.game.certificate.hit_bound', lambda *_: wrong)
+def test_a_bound_above_the_value_is_refused():
+    game, p, ambusher, budgets = case()
     with pytest.raises(SolverFailed, match='above the value'):
-        certify(*arguments)
+        certify(game, p, ambusher, budgets, 1.0001 * worst_loss(game, p))
 
 
 @examples(50)
@@ -106,7 +103,7 @@ def test_weak_duality_holds_for_any_q_and_price(
     game = make_game(network, GameOptions())
     budgets = make_budgets(game, StrategyOptions(max_detour=detour))
     q = np.random.default_rng(seed).dirichlet(np.ones(game.node_count))
-    bound = hit_bound(game, q, budgets, (price, 0.0))
+    bound = lower_bound(game, Ambusher(q, (price, 0.0)), budgets)
     weights = (q * network.alpha)[network.heads] + price * network.lengths
     expected = least_weight(network, weights) - price * budgets[0].limit
     assert bound == pytest.approx(max(expected, 0.0), rel=1e-9, abs=1e-6)
@@ -116,14 +113,22 @@ def test_weak_duality_holds_for_any_q_and_price(
 
 def test_several_ambushers_hold_different_sites():
     network = paper_example()
-    game, p, q, budgets, prices = case(np.inf, network, ambushers=2)
+    game, p, ambusher, budgets = case(np.inf, network, ambushers=2)
+    q = ambusher.q
     assert q.sum() == pytest.approx(2.0) and q.max() <= 1.0
-    both = certify(game, p, q, budgets, prices)
+    both = certify(game, p, ambusher, budgets)
     assert both.value == pytest.approx(2 / 3, rel=2e-2)
     one_site = np.zeros_like(q)
     one_site[1] = 2.0
     with pytest.raises(SolverFailed, match='must be in'):
-        certify(game, p, one_site, budgets, prices)
+        certify(game, p, replace(ambusher, q=one_site), budgets)
+
+
+@examples(90)
+@given(st.lists(st.floats(0.0, 5.0), min_size=3, max_size=8), st.integers(1, 3))
+def test_capped_probabilities_keep_their_sum(masses, count):
+    q = capped_at_one(np.array(masses), count)
+    assert q.sum() == pytest.approx(count) and q.max() <= 1.0 + 1e-9 and q.min() >= 0.0
 
 
 # Budgets.
@@ -134,7 +139,8 @@ def test_a_budget_below_the_best_route_is_infeasible():
     lengths = game.network.lengths
     with pytest.raises(BudgetInfeasible, match=r'length 3 .*raise max_detour'):
         Budget(game, lengths, 2.9, 3.0, 'length', 'm')
-    assert Budget(game, lengths, 3.0, 3.0, 'length', 'm').margin > 0.0
+    assert Budget.length(game, 1.0).margin > 0.0
+    assert not Budget.none(game).binds and Budget.none(game).least == pytest.approx(3.0)
 
 
 @examples(50)

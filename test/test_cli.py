@@ -72,6 +72,27 @@ def test_broken_pipe_is_silent(tmp_path):
     assert process.wait(60) == 141
 
 
+WORKER = """
+from test_solve_queue import request, submit
+from ambush_planner.worker.solve_queue import SolveQueue
+queue = SolveQueue()
+print(submit(queue, 'key', request(max_detour=1.05)).result(60).strategy.value > 0.0)
+queue.close()
+"""
+
+
+def test_solvers_print_nothing_between_our_lines(tmp_path):
+    """HiGHS 1.16 greets a process that uses it for the first time."""
+    write_map(tmp_path / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
+    line = 'plan map.yaml --start 15 15 --goal 285 185 --set game.ambush_radius=15 -o r.csv --json'
+    environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
+    plan, worker = (subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=120,
+                                   env=environment, text=True)
+                    for command in ([*ENTRY, *line.split()], [sys.executable, '-c', WORKER]))
+    assert json.loads(plan.stdout)['verdict'] == 'holds', plan.stderr
+    assert worker.stdout == 'True\n', worker.stderr
+
+
 def test_paths_are_relative_below_the_current_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert cli.place(tmp_path / 'a' / 'b.mcap') == os.path.join('a', 'b.mcap')

@@ -1,4 +1,7 @@
-"""The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games."""
+"""The exact value by minimum cut: laws, exact rational arithmetic, a linear program, tiny games.
+
+Several ambushers share the sites of cuts.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +9,14 @@ import numpy as np
 import pytest
 from games import (
     NASTY,
+    PLAIN,
     connected_flow,
     exact_value,
     examples,
     is_acyclic,
     least_weight,
     networks,
+    program_value,
     quiet_network,
     terrain_networks,
     unbalanced,
@@ -19,9 +24,12 @@ from games import (
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ambush_planner import GameOptions, SolverFailed
-from ambush_planner.game.value.cut import CutSolution, solve_by_min_cut
+from ambush_planner import GameOptions, Network, SolverFailed
+from ambush_planner.game.ambusher import Ambusher, at_nodes
+from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.value.cut import Cut, CutSolution, solve_by_min_cut
 
 
 def solved(network) -> CutSolution:
@@ -106,3 +114,47 @@ def test_other_games_than_the_plain_one_are_refused():
     for options in (GameOptions(ambush_radius=1.0), GameOptions(ambushers=2)):
         with pytest.raises(SolverFailed, match='one ambusher without a reach'):
             solve_by_min_cut(make_game(network, options))
+
+
+def shared(network, ambushers) -> Cut:
+    """The solved game of several ambushers: levels and flow keep to the value, and q proves it."""
+    game = make_game(network, GameOptions(ambushers=ambushers))
+    cut = Cut(game, ())
+    cut.solve()
+    ambusher = Ambusher(at_nodes(game, cut.q), ())
+    assert lower_bound(game, ambusher, ()) == pytest.approx(cut.bound, rel=1e-6, abs=1e-9)
+    assert worst_loss(game, cut.flow) == pytest.approx(cut.bound, rel=1e-6, abs=1e-9)
+    assert np.sort(cut.level)[-ambushers:].sum() >= cut.bound * (1 - 1e-9)
+    assert (game.site_losses(cut.flow) <= cut.level * (1 + 1e-6)).all()
+    return cut
+
+
+@examples(35)
+@given(networks(alphas=PLAIN), st.integers(1, 3))
+def test_several_ambushers_on_any_network(network, count):
+    count = min(count, len(network.points))
+    assert shared(network, count).bound == pytest.approx(
+        program_value(network, ambushers=count), rel=2e-5, abs=1e-9)
+
+
+def parallel(alphas) -> Network:
+    """Parallel ways of one node each."""
+    n = len(alphas)
+    edges = [(0, k + 1) for k in range(n)] + [(k + 1, n + 1) for k in range(n)]
+    return line([0, *alphas, 0], edges)
+
+
+@pytest.mark.parametrize(('network', 'ambushers', 'value'), [
+    # Three equal parallel nodes, two ambushers: each way has 1/3, and two of them are held.
+    (parallel([3, 3, 3]), 2, 2.0),
+    # As many ambushers as ways.
+    (parallel([3, 3]), 2, 3.0),
+    # k q_j <= 1 fails for the cheap one. All routes through it cost 1 in total; any share x
+    # elsewhere costs more: 1 - x + 10 x / 2.
+    (parallel([1, 10, 10]), 2, 1.0),
+    # A corridor is held once by each ambusher.
+    (line([0, 2, 7, 3, 0]), 1, 7.0), (line([0, 2, 7, 3, 0]), 2, 10.0),
+    (line([0, 2, 7, 3, 0]), 3, 12.0),
+])
+def test_several_ambushers_by_hand(network, ambushers, value):
+    assert shared(network, ambushers).bound == pytest.approx(value)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ambush_planner import GameOptions, InvalidOption, Network, NoRoute, StrategyOptions, solve
-from ambush_planner.game.value.cut import solve_by_min_cut
 from ambush_planner.game.game import make_game
+from ambush_planner.game.value.cut import solve_by_min_cut
 
 
 def value(network, **options) -> float:

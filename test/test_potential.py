@@ -29,24 +29,21 @@ from ambush_planner.game.budget import Budget
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.game import make_game
 from ambush_planner.game.value import potential
-from ambush_planner.game.value.face_flows import KeptFlows, RepeatedFlows
+from ambush_planner.game.value.face_flows import HAS_HIGHSPY, KeptFlows, RepeatedFlows
 from ambush_planner.game.value.faces import make_faces
 from ambush_planner.game.value.potential import PRECISION, Potential
 
-FLOWS = [pytest.param(KeptFlows, marks=pytest.mark.skipif(
-    not potential.new_flows.__globals__['HAS_HIGHSPY'], reason='highspy is not installed')),
-    RepeatedFlows]
+WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key')
+FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
 
 
-def program_of(game, detour=np.inf, parts=1, solve=True) -> Potential:
+def program_of(game, detour=np.inf, parts=1) -> Potential:
     """The program of a game; its sites join in ``parts``, each of which is solved."""
-    faces = make_faces(game)
-    program = Potential(faces, Budget.length(game, detour), math.inf)
+    program = Potential(make_faces(game), Budget.length(game, detour), math.inf)
     loss = game.loss[game.sites]
     for some in np.array_split(np.arange(len(loss)), parts):
         program.add_sites(game.hits[some], loss[some])
-        if solve:
-            program.solve()
+        program.solve()
     return program
 
 
@@ -100,6 +97,7 @@ def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     assert len(later.q) == len(later.level) == len(game.sites)
 
 
+@WITH_HIGHSPY
 @examples(12)
 @given(st.integers(0, 10**6), st.sampled_from((0.0, 2.0)), st.sampled_from((1.05, np.inf)))
 def test_highspy_and_linprog_find_the_same_value(seed, reach, detour):

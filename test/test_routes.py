@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ambush_planner.game.acyclic import is_acyclic
+from ambush_planner.game.best_response import best_response
 from games import examples
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
@@ -13,8 +15,6 @@ from scipy.sparse import csr_matrix
 from test_trip import roads_of
 
 from ambush_planner import BudgetInfeasible, GameOptions, Network, NoRoute, StrategyOptions
-from ambush_planner.game.acyclic import is_acyclic
-from ambush_planner.game.best_response import best_response
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.strategy import make_budgets

@@ -14,6 +14,7 @@ from ros_harness import header, pose, risk_grid, stage
 from waiting import TIMEOUT
 
 from ambush_planner.commands import verify as tool
+from ambush_planner.game.certificate.certificate import Certificate
 from ambush_planner.recordings import read_departure, read_recording, recordings_in
 from ambush_planner.recordings.map_changes import changed_map, map_changes_file
 from ambush_planner.recordings.verify import replan_problems
@@ -161,7 +162,8 @@ def test_another_value_is_found_by_solving_again(files):
     departure = read_departure(files[NEW_ROUTE])
     strategy, planning = departure.strategy, departure.parameters.planning
     assert replan_problems(strategy, planning) == []
-    (problem,) = replan_problems(replace(strategy, value=0.95 * strategy.value), planning)
+    lower = Certificate(0.95 * strategy.value, 0.95 * strategy.lower_bound)
+    (problem,) = replan_problems(replace(strategy, certificate=lower), planning)
     assert 'solved again' in problem
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, frozen_array
 from ..errors import SolverFailed
 from .budget import ROUNDING, Budget
 from .certificate.curves import Circulation
@@ -33,6 +33,9 @@ class Ambusher:
     prices: tuple[float, ...]
     by_leg: FloatArray | None = None
     circulation: Circulation | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, 'q', frozen_array(self.q, np.float64))
 
     def check(self, game: Game, budgets: tuple[Budget, ...]) -> None:
         """Raise SolverFailed if q is no strategy of the ambusher, or a price is negative."""

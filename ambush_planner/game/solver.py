@@ -48,8 +48,9 @@ SWEEPS, MOST_SWEEPS = 2, 20
 UNPROVED = 0.02
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
 JOINING = 0.5
-# Rounds of a law, and its steps if the usual ones do not reach the slack.
-ROUNDS, CAREFUL_STEP = 12, 0.3
+# Rounds of a law, its steps if the usual ones do not reach the slack, and the least growth of the
+# entropy for another round.
+ROUNDS, CAREFUL_STEP, GROWTH = 12, 0.3, 1e-3
 
 
 class Places(Protocol):
@@ -212,6 +213,7 @@ class _Search:
         law = self.law = self._new_law(step)
         law.measure(self._level())
         self._keep(law)
+        before = 0.0
         while law.rounds < ROUNDS and time.monotonic() < self.problem.deadline:
             q, prices = self.program.q, self.program.prices
             if not law.round(q, prices, self.program.bound):
@@ -220,7 +222,8 @@ class _Search:
             self._add_worst(self._whole(law), self.program.bound * (1.0 + JOINING * self.slack))
             law.measure(self._level())
             self._keep(law)
-            if law.value <= law.limit and (law.exact or law.rounds > 1):
+            grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
+            if law.value <= law.limit and (law.exact or not grew):
                 return
             law.step = 1.0 if law.worst >= known else step
 

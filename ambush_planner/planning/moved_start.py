@@ -21,8 +21,10 @@ import numpy as np
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
 from ..game.ambusher import Ambusher
+from ..game.certificate.certificate import Certificate, lower_bound
 from ..game.game import make_game
-from ..game.strategy import Strategy, make_budgets, strategy_of
+from ..game.hits import worst_loss
+from ..game.strategy import Strategy, make_budgets
 from ..maps.occupancy import OccupancyMap
 from ..network.network import Network
 from ..routes.driven_path import Ends
@@ -132,7 +134,8 @@ def _valued(ground: ChangedGround, newest: OccupancyMap, network: Network,
             p: FloatArray) -> Strategy:
     """Return the strategy p (M,) on another network, with its value and a lower bound there.
 
-    Raises NoRoute or BudgetInfeasible if the best route exceeds a budget.
+    It may exceed the budgets, whose best routes begin elsewhere. Raises NoRoute or BudgetInfeasible
+    if the best route exceeds a budget.
     """
     before = ground.plan.strategy
     game = make_game(network, before.game.options)
@@ -140,6 +143,7 @@ def _valued(ground: ChangedGround, newest: OccupancyMap, network: Network,
     prices = tuple(price if budget.binds else 0.0 for price, budget in zip(
         before.ambusher.prices, budgets, strict=True))
     ambusher = Ambusher(before.ambusher.q, prices)
-    strategy = strategy_of(game, p, ambusher, budgets)
-    value = ground.at_any_cell(strategy.certificate, newest, game, p).value
-    return replace(strategy, certificate=replace(strategy.certificate, value=value))
+    value = worst_loss(game, p)
+    at_nodes = Certificate(value, min(lower_bound(game, ambusher, budgets), value))
+    anywhere = replace(at_nodes, value=ground.at_any_cell(at_nodes, newest, game, p).value)
+    return Strategy(game, frozen_array(p, np.float64), ambusher, budgets, anywhere)

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix, diags
+from scipy.sparse import csr_matrix
 
 from ..arrays import FloatArray, IndexArray, frozen_array
 from ..errors import AmbushPlannerError
@@ -156,9 +156,7 @@ class _Group:
         self.game, self.network, self.p = strategy.game, strategy.network, strategy.edge_probability
         self.sampler = RouteSampler(self.network, self.p)
         self.used = np.flatnonzero(self.p > 0.0)
-        # (M, S): what waiting at each site costs a route along each edge.
-        losses = diags(self.game.loss[self.game.sites]) @ self.game.hits
-        self.edge_losses = losses.T.tocsr()
+        self.loss, self.hits = self.game.loss[self.game.sites], self.game.hits.T.tocsr()
         self.members: list[int] = []
         self.routes: list[IndexArray] = []
 
@@ -193,10 +191,11 @@ class _Group:
         first = int(route.min(initial=0))
         shape = int(route.max(initial=0)) - first + 1, len(self.p)
         driven = csr_matrix((np.ones(len(edge)), (route - first, edge)), shape)
-        losses = (driven @ self.edge_losses).tocoo()
-        drawn, member = np.divmod(losses.row + first, len(self.members))
+        met = (driven @ self.hits).tocoo()  # each route counts once, however often it comes back
+        drawn, member = np.divmod(met.row + first, len(self.members))
         site_number = self.node_number[self.game.sites]
-        return losses.data, drawn * n + np.array(self.members)[member], site_number[losses.col]
+        return (self.loss[met.col], drawn * n + np.array(self.members)[member],
+                site_number[met.col])
 
 
 def _grouped(departures: Sequence[Any]) -> tuple[list[_Group], list[Any]]:

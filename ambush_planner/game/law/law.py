@@ -43,6 +43,8 @@ class Law:
     """Rounds on one acyclic network, from a first strategy p (m,); ``value`` is that of ``p``.
 
     ``level`` (S,) is what each site may cause; the k largest add up to the limit of the value.
+    ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
+    and budgets.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
@@ -145,6 +147,9 @@ class Law:
         self._reserve *= kept
         self.multipliers[:], self.prices = 0.0, found.multipliers[len(sites) :]
         self.multipliers[sites] = found.multipliers[: len(sites)]
+        whole = np.append(self.level[sites] * (1.0 + self.slack) / self._loss[sites] / most,
+                          np.full(len(self.prices), 1.0 / (1.0 - self._tolerance)))
+        self.entropy_bound = found.log_partition + float(whole @ found.multipliers)
         self._go_towards(found.p)
         self._claimed[:] = 0.0
         self._claimed[sites] = rows @ self.p

@@ -53,6 +53,7 @@ class Potential:
         self._kept: FloatArray | None = None  # the latest potential within the budget
         self.circulation: Circulation | None = None
         self.q, self.price = np.zeros(0), 0.0
+        self._limit = budget.limit or budget.margin
         self._start_with_links()
         self.add_sites(self.game.hits, self.game.loss[self.game.sites])
 
@@ -126,7 +127,7 @@ class Potential:
         both = np.concatenate((ends, ends[::-1]), axis=1)
         graph = csr_matrix((np.tile(most, 2), both), (game.node_count,) * 2)
         before = dijkstra(graph, indices=game.network.source, return_predecessors=True)[1]
-        most /= self.budget.limit
+        most /= self._limit
         self._real = real = np.flatnonzero(faces.left != faces.right)
         # The others are bridges, each between a face and itself.
         self._bridges = np.where(faces.left == faces.right, most * faces.crossed, 0.0)
@@ -151,7 +152,7 @@ class Potential:
         return rows[over & ~self._around[rows]]
 
     def _join(self, z: float, height: FloatArray) -> None:
-        """Add the highest and lowest faces of the discs that exceed, and those just too far."""
+        """Add the extreme faces of the discs that exceed, and those just too far apart."""
         pairs: list[int] = []
         for j in self._exceeding(z, height):
             order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
@@ -183,7 +184,7 @@ class Potential:
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
         if proved > self.bound:
             self.bound, self.q = proved, ambush / total
-            self.price = 1.0 / (total * self.budget.limit)
+            self.price = 1.0 / (total * self._limit)
             through = self._bridges.copy()
             through[self._real] = found.x[:links]
             self.circulation = self._circulation(through / total, turned * -flow / total)
