@@ -8,7 +8,7 @@ its cost, and through disc j with at most q_j alpha_j in all. Then for every rou
     price * cost(route) + sum of q_j alpha_j over the sites that hit it  >=  sum of all w_c,
 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
-over a strategy within the budget is a bound on its value (docs/theory.md, Theorem 7.3). A
+over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is taken apart into simple cycles, and those that separate
 the ends count.
 """
