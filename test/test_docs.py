@@ -37,7 +37,7 @@ def test_the_modules_of_the_contributors_tables_exist():
     assert sorted({room for room, _ in found}) == sorted(
         path.parent.name for path in package.glob('*/__init__.py'))
     for room, names in found:
-        for name in re.findall(r'`(\w+)`', names):
+        for name in re.findall(r'`([\w/]+)`', names):
             assert (package / room / f'{name}.py').is_file(), name
 
 

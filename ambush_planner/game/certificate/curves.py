@@ -8,7 +8,7 @@ its cost, and through disc j with at most q_j alpha_j in all. Then for every rou
     price * cost(route) + sum of q_j alpha_j over the sites that hit it  >=  sum of all w_c,
 
 since what the curves through one disc add up to is paid once if the route is hit there. The mean
-over a strategy within the budget is a bound on its value (docs/theory.md, Theorem 7.3). A
+over a strategy within the budget is a bound on its value (docs/theory.md, Proposition 7.3). A
 circulation is such curves, added up: it is taken apart into simple cycles, and those that separate
 the ends count.
 """
@@ -66,9 +66,9 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
     arcs = np.flatnonzero(through), np.flatnonzero(inside)
     site, row = np.unique(given.site, return_inverse=True)
     entering = game.hits[np.searchsorted(game.sites, site)]
-    pair, lift = _lifts(faces, csr_matrix(entering), row.ravel(), given.face)
+    pair, lift, part = _lifts(faces, csr_matrix(entering), row.ravel(), given.face)
     tail = np.concatenate((faces.left[arcs[0]], given.face[arcs[1]]))
-    head = np.concatenate((faces.right[arcs[0]], faces.count + row.ravel()[arcs[1]]))
+    head = np.concatenate((faces.right[arcs[0]], faces.count + part[arcs[1]]))
     gain = np.concatenate((faces.crossed[arcs[0]], lift[arcs[1]]))
     flow = np.concatenate((through[arcs[0]], (inside * pair)[arcs[1]]))
     tail, head = np.where(flow > 0.0, tail, head), np.where(flow > 0.0, head, tail)
@@ -79,16 +79,20 @@ def curve_bound(faces: Faces, cost: FloatArray, limit: float, charge: FloatArray
 
 
 def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
-           face: IndexArray) -> tuple[FloatArray, IndexArray]:
-    """Whether each pair (T,) of a disc and a face exists, as 0 or 1, and its lift.
+           face: IndexArray) -> tuple[FloatArray, IndexArray, IndexArray]:
+    """Whether each pair (T,) of a disc and a face exists, as 0 or 1, its lift, and its part.
 
-    Pairs of a disc around an end count as missing: its lifts depend on the way.
+    A curve passes a disc only within one part of its rim: it does not cross held ground. Pairs of a
+    disc around an end count as missing: its lifts depend on the way.
     """
     discs = faces.discs(entering)
+    if not len(discs.face):
+        return np.zeros(len(row)), row * 0, row * 0
     key, wanted = discs.disc * faces.count + discs.face, row * faces.count + face
-    at = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
-    found = (key[at] == wanted) & ~discs.around[row] if len(key) else np.zeros(len(row), bool)
-    return found.astype(np.float64), np.where(found, discs.lift[at], 0) if len(key) else row * 0
+    at = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+    found = (key[at] == wanted) & ~discs.around[row]
+    lift = np.where(found, discs.lift[at], 0)
+    return found.astype(np.float64), lift, faces.parts(entering, discs)[at]
 
 
 def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: IndexArray,

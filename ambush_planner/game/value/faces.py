@@ -71,6 +71,16 @@ class Faces:
         return Discs(touched.indices.astype(np.int64), disc, lift, touched.indptr.astype(np.int64),
                      around)
 
+    def parts(self, entering: csr_matrix, discs: Discs) -> IndexArray:
+        """The part (T,) of the rim to which each pair of ``discs(entering)`` belongs.
+
+        The links that enter the disc connect a part. Held ground can cut a rim into several.
+        """
+        rims, size = self._rims(entering), len(discs.face)
+        _, left, right = self._sides(rims, np.arange(rims.shape[0]), discs.disc, discs.face)
+        joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
+        return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+
     def flow(self, potential: FloatArray) -> FloatArray:
         """The flow (M,) of size 1 that a potential (count,) of the faces stands for."""
         flow = self.crossed + potential[self.left] - potential[self.right]
@@ -85,6 +95,15 @@ class Faces:
         links = csr_matrix((np.ones(len(edge), bool), places), (len(self.link), len(self.left)))
         return csr_matrix(entering.astype(bool) @ links)
 
+    def _sides(self, rims: csr_matrix, some: IndexArray, disc: IndexArray,
+               face: IndexArray) -> tuple[IndexArray, IndexArray, IndexArray]:
+        """The links (K,) of the rims ``some``, and the pairs (K,) on their left and right."""
+        met = rims[some].tocoo()
+        key, first = disc * self.count + face, some[met.row] * self.count
+        left = np.searchsorted(key, first + self.left[met.col])
+        right = np.searchsorted(key, first + self.right[met.col])
+        return met.col, left, right
+
     def _lifts(self, rims: csr_matrix, disc: IndexArray,
                face: IndexArray) -> tuple[IndexArray, BoolArray]:
         """For each pair (T,) of a disc and a face, the crossings of the route on the way there.
@@ -93,13 +112,9 @@ class Faces:
         """
         size = len(disc)
         reached = np.flatnonzero((rims @ np.abs(self.crossed)) > 0)
-        met = rims[reached].tocoo()
-        first = reached[met.row] * self.count
-        key = disc * self.count + face
-        left = np.searchsorted(key, first + self.left[met.col])
-        right = np.searchsorted(key, first + self.right[met.col])
+        link, left, right = self._sides(rims, reached, disc, face)
         tail, head = np.concatenate((left, right)), np.concatenate((right, left))
-        gain = np.concatenate((-self.crossed[met.col], self.crossed[met.col]))
+        gain = np.concatenate((-self.crossed[link], self.crossed[link]))
         joined = csr_matrix((np.ones(len(tail)), (tail, head)), (size, size))
         _, part = connected_components(joined, directed=False)
         roots = np.unique(part, return_index=True)[1]

@@ -1,10 +1,10 @@
 """Several ambushers: how they share the sites if no budget binds.
 
-With one ambusher, q is spread over the cheapest set of sites that every route meets, a cut or a
-chain of discs, in proportion to 1 / alpha. Several ambushers hold some sites of the set for
-certain, and the others move on to further sets. A linear program over sets finds the best shares.
-Its duals are the loss that each site may cause, and these price the next set, until no set is cheap
-enough to join (docs/theory.md, Proposition 7.4).
+With one ambusher, q is spread over the cheapest set of sites that every route meets, a cut, in
+proportion to 1 / alpha. Several ambushers hold some sites of the set for certain, and the others
+move on to further sets. A linear program over sets finds the best shares. Its duals are the loss
+that each site may cause, and these price the next set, until no set is cheap enough to join
+(docs/theory.md, Proposition 2.4).
 """
 
 from __future__ import annotations
