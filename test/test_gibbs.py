@@ -19,7 +19,7 @@ from ambush_planner import GameOptions, Network
 from ambush_planner.game.acyclic import forward_part, order_potential, rank_by
 from ambush_planner.game.entropy_search import maximize_entropy
 from ambush_planner.game.game import make_game
-from ambush_planner.game.gibbs import AcyclicNetwork
+from ambush_planner.game.gibbs import acyclic_network
 from ambush_planner.game.node_limits import NodeLimits
 
 NEVER = math.inf
@@ -30,7 +30,7 @@ def forward(network):
     game = make_game(network, GameOptions())
     rank = rank_by(order_potential(game))
     part = forward_part(game, rank)
-    return None if part is None else (part, AcyclicNetwork(part, rank))
+    return None if part is None else (part, acyclic_network(part, rank))
 
 
 def on_all(network, acyclic, values) -> np.ndarray:

@@ -25,7 +25,7 @@ from .entropy_search import GibbsStrategy, maximize_entropy
 from .faces import Faces, make_faces
 from .flow_program import capped_at_places
 from .game import Game
-from .gibbs import AcyclicNetwork
+from .gibbs import AcyclicNetwork, acyclic_network
 from .hits import worst_loss
 from .least_risk import LeastRisk, without_excessive_sites
 from .limit_rows import KEPT_MARGIN, LimitRows, Multipliers
@@ -195,7 +195,7 @@ class EntropyStage:
         rank = rank_around(game, p, self.potential)
         part = forward_part(game, rank)
         assert part is not None  # it contains p
-        return AcyclicNetwork(part, rank)
+        return acyclic_network(part, rank)
 
     def gibbs_strategy(self, network: AcyclicNetwork, limits: LimitRows, start: FloatArray,
                        softness: float = 0.0) -> tuple[FloatArray, GibbsStrategy]:

@@ -26,28 +26,20 @@ CHUNK = 32
 
 
 class AcyclicNetwork:
-    """The edges of an acyclic game in topological order.
+    """Edges of an acyclic network in topological order, sorted by (tail, head).
 
-    ``edge`` (m,) are the network's edge indices, ``tail`` and ``head`` (m,) the positions of their
-    nodes in the order; the source is 0 and the target n - 1.
+    ``tail`` and ``head`` (m,) are positions of nodes in the order; the source is 0 and the target
+    is the last one. ``edge`` (m,) are the indices of the edges in the whole network.
     """
 
-    def __init__(self, game: Game, rank: IndexArray) -> None:
-        network = game.network
-        edge = np.flatnonzero(game.playable)
-        used = np.unique(network.edges[edge])
-        nodes = used[np.argsort(rank[used], kind='stable')]
-        place = np.full(game.node_count, -1)
-        place[nodes] = np.arange(len(nodes))
-        tail, head = place[network.edges[edge]].T
-        order = np.lexsort((head, tail))
-        self.edge, self.tail, self.head = edge[order], tail[order], head[order]
-        self.count = len(nodes)
-        self._first = np.searchsorted(self.tail, np.arange(self.count + 1))
+    def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
+        self.tail, self.head, self.edge = tail, head, edge
+        self.count = int(head.max()) + 1
+        self._first = np.searchsorted(tail, np.arange(self.count + 1))
         self._level = np.zeros(self.count)
         last = self.count - 1
-        self._onwards = Recursion(self.head, self.tail, self.count)
-        self._backwards = Recursion(last - self.tail, last - self.head, self.count)
+        self._onwards = Recursion(head, tail, self.count)
+        self._backwards = Recursion(last - tail, last - head, self.count)
 
     def law(self, weights: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Return log Z, p (m,) and the probability (m,) of each edge at its tail.
@@ -155,6 +147,18 @@ class AcyclicNetwork:
             if not len(nodes):
                 return layers
             layers.append((nodes, *_ranges(self._first[nodes], self._first[nodes + 1])))
+
+
+def acyclic_network(game: Game, rank: IndexArray) -> AcyclicNetwork:
+    """The playable edges of a game, along which ``rank`` (N,) rises."""
+    network, edge = game.network, np.flatnonzero(game.playable)
+    used = np.unique(network.edges[edge])
+    nodes = used[np.argsort(rank[used], kind='stable')]
+    place = np.full(game.node_count, -1)
+    place[nodes] = np.arange(len(nodes))
+    tail, head = place[network.edges[edge]].T
+    order = np.lexsort((head, tail))
+    return AcyclicNetwork(tail[order], head[order], edge[order])
 
 
 def _ranges(begin: IndexArray, end: IndexArray) -> tuple[IndexArray, IndexArray]:

@@ -14,7 +14,7 @@ from .budget import Budget
 from .entries import entry_bound
 from .entropy_stage import EntropyStage, Solution, mixture
 from .face_program import FaceProgram, LevelLines
-from .gibbs import AcyclicNetwork
+from .gibbs import acyclic_network
 from .hits import worst_loss
 from .least_risk import NEGLIGIBLE, without_excessive_sites
 from .route_sampler import shortest_route_strategy
@@ -40,7 +40,7 @@ def along_chain(stage: EntropyStage) -> Solution | None:
     if part is None:
         return None
     kept = (stage.kept_margins(bound, prices),)
-    found = stage.law(AcyclicNetwork(part, rank), level, kept, q, prices)
+    found = stage.law(acyclic_network(part, rank), level, kept, q, prices)
     value = worst_loss(stage.game, found.p)
     fits = value <= bound * (1.0 + stage.slack) and stage.within_budgets(found.p)
     return found if fits else None

@@ -1,0 +1,1 @@
+"""The most unpredictable strategies at the value of a game."""
