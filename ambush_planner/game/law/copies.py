@@ -34,6 +34,9 @@ FEWEST, WIDTH = 16, 128
 LAWS = 2
 # Of the slack: what few routes may cost more than all; what the law aims at; its tolerance.
 FEW_LOSE, AIM, TOLERANCE = 1.0 / 3.0, 0.95, 0.04
+# Share of the value, per slack, that all sites may cause alike: with several ambushers the mixture
+# may miss a site altogether.
+EVEN = 0.1
 # Share of a budget's margin that the law keeps below it.
 KEPT_MARGIN = 1e-3
 # Entries over the weight of a copy that count as more than one.
@@ -74,11 +77,12 @@ def law_on_copies(routes: Routes, slack: float, deadline: float) -> Copied | Non
 
     Its value is at most (1 + slack) times the bound if possible, or (1 + slack / 2) times that of
     the mixture. The last copies have all routes. Returns the law of least value if none is within
-    the slack; None if there is none at all, or at ``deadline`` (``time.monotonic``).
+    the slack; None if there is none at all, or at ``deadline`` (``time.monotonic``), or if the
+    bound is 0: one chain on the edges that no site hits needs no labels.
     """
     order, count = np.argsort(-routes.shares, kind='stable'), FEWEST
     best: Copied | None = None
-    while time.monotonic() < deadline:
+    while routes.bound > 0.0 and time.monotonic() < deadline:
         few, every = routes.mixtures.among(order[:count]), count >= len(order)
         count *= 2
         try:
@@ -104,8 +108,9 @@ class _Laws:
         self.game, self.limit, self.slack = routes.game, limit, slack
         self._loss, self._entering = routes.loss, routes.entering
         self._ambushers = few.ambushers
-        aim = limit * (1.0 - (1.0 - AIM) * slack) / few.value(shares)
-        self._most = few.level(shares) * aim / self._loss
+        value, even = few.value(shares), EVEN * slack
+        level = (1.0 - even) * few.level(shares) + even * value / self._ambushers
+        self._most = level * limit * (1.0 - (1.0 - AIM) * slack) / value / self._loss
         edges = len(self.game.playable)
         ground = conserved_strategy(self.game, few.flow(shares, edges), LEAST_FLOW)
         assert ground is not None
