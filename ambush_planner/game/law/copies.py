@@ -114,20 +114,19 @@ class _Laws:
         edges = len(self.game.playable)
         ground = conserved_strategy(self.game, few.flow(shares, edges), LEAST_FLOW)
         assert ground is not None
-        flows = [ground, *(few.flow(one, edges) for one in np.identity(len(shares)))]
-        self._copies(flows, max(WIDTH // count, 1))
+        self._copies([np.flatnonzero(ground), *few.routes], max(WIDTH // count, 1))
         # By site and label: whether the label concedes the site.
-        self._conceded = routes.entering @ np.array(flows).T > ONCE
-        self._conceded[:, 0] = False
+        entries = [np.zeros(len(self._loss)), *(self._entering[:, route].sum(axis=1)
+                                                for route in few.routes)]
+        self._conceded = np.column_stack([np.ravel(each) > ONCE for each in entries])
         self._excess = csr_matrix(routes.excess[:, self.network.edge] / (1.0 - KEPT_MARGIN))
 
-    def _copies(self, flows: list[FloatArray], width: int) -> None:
-        """Join a copy around each flow (M,) to the others at source and target."""
-        network, order, count = self.game.network, order_potential(self.game), 1
+    def _copies(self, around: list[IndexArray], width: int) -> None:
+        """Join copies around acyclic sets of edges at source and target; the first has no width."""
+        network, potential, count = self.game.network, order_potential(self.game), 1
         parts, nodes = [], []
-        for label, flow in enumerate(flows):
-            rank = rank_around(self.game, flow, order)
-            edge = _part(self.game, flow, rank, width if label else None)
+        for label, used in enumerate(around):
+            edge, rank = _part(self.game, used, potential, width if label else None)
             ends = network.edges[edge]
             own = np.unique(ends)
             own = own[np.argsort(rank[own])][1:-1]  # all but source and target
@@ -142,7 +141,7 @@ class _Laws:
         self.node, self.label = np.concatenate(nodes), label[order]
         self.network = AcyclicNetwork(tail[order], head[order], edge[order])
         self._begin = [np.flatnonzero((self.network.tail == 0) & (self.label == k))
-                       for k in range(len(flows))]
+                       for k in range(len(around))]
 
     def best(self, deadline: float) -> Copied | None:
         """The last law within the limit, else the one of least value; None if there is none."""
@@ -204,11 +203,13 @@ class _Laws:
         return max(-float(p @ np.log(p / leaving)) - min(of_label), 0.0)
 
 
-def _part(game: Game, flow: FloatArray, rank: IndexArray, width: int | None) -> IndexArray:
-    """The edges that go forward within ``width`` edges of a flow (M,), or anywhere if None."""
+def _part(game: Game, used: IndexArray, potential: FloatArray,
+          width: int | None) -> tuple[IndexArray, IndexArray]:
+    """Edges that go forward within ``width`` edges of those used, or anywhere if None; the order."""
     tails, heads = game.network.edges.T
-    inside = np.full(game.node_count, width is None)
-    inside[game.network.edges[flow > 0.0]] = True
+    flow, inside = np.zeros(len(tails)), np.full(game.node_count, width is None)
+    flow[used], inside[game.network.edges[used]] = 1.0, True
+    rank = rank_around(game, flow, potential)
     for _ in range(width or 0):
         grown = inside.copy()
         grown[heads[game.playable & inside[tails]]] = True
@@ -216,7 +217,7 @@ def _part(game: Game, flow: FloatArray, rank: IndexArray, width: int | None) -> 
         inside = grown
     part = game.restricted_to(inside[tails] & inside[heads] & (rank[tails] < rank[heads]))
     assert part is not None  # it contains the flow
-    return np.flatnonzero(part.playable)
+    return np.flatnonzero(part.playable), rank
 
 
 def _on_copies(game: Game, copies: AcyclicNetwork, node: IndexArray) -> Game:

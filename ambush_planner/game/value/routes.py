@@ -30,8 +30,9 @@ from .mixtures import Mixture, Mixtures
 LOOSE, TIGHT = 5e-2, 1e-4
 # Share of the gap by which a route must cost less than the value to join.
 GAIN = 0.25
-# Routes of the mixture from which trips are improved leg by leg.
-RESTARTS = 8
+# Legs with which the search for a trip begins in each round, and the routes of the mixture that are
+# improved leg by leg once none is found.
+STARTS, RESTARTS = 4, 8
 # Label searches: labels kept at a node, comparisons, and the share of the largest charge below
 # which sites are left out. Few sites make a search fast, but each that is left out weakens it.
 SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
@@ -40,8 +41,6 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000),), 1e-3
 # Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
 FIRST_TURN, LEG_ROUNDS = 16, 60
-# Rounds of the search for routes within two budgets.
-FEASIBLE_ROUNDS = 60
 # Flow on an edge below which a mixture does not use it.
 LEAST_FLOW = 1e-9
 
@@ -84,8 +83,8 @@ class Routes:
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         self.entering = csr_matrix(vstack((self.entering, entering)))
-        self._grounds = Grounds(self.game, self.entering)
-        self._whole, self._legs = self._grounds.whole, self._grounds.legs
+        grounds = Grounds(self.game, self.entering)
+        self._whole, self._legs = grounds.whole, grounds.legs
         for mixtures in (self.mixtures, self._of_legs):
             mixtures.add_sites(entering, loss)
         self.loss = self.mixtures.loss
@@ -151,23 +150,19 @@ class Routes:
         return proved or time.monotonic() > self.deadline
 
     def _begin(self) -> None:
-        """Add routes of which a mixture is within all budgets."""
+        """Add the best route for each budget, and others until a mixture is within all budgets."""
         free = np.zeros(len(self.loss))
-        costs = self.excess if len(self.excess) else self.game.network.lengths[None]
-        for cost in costs:
+        for cost in self.excess if len(self.excess) else self.game.network.lengths[None]:
             self._add(self._descend(cost, free, 0))
-        for _ in range(FEASIBLE_ROUNDS * (len(costs) > 1)):
+        if len(self.excess) < 2:
+            return
+        least, weights = self.mixtures.least_excess()
+        while least > 1.0 and self._add(self._descend(weights @ self.excess, free, 0)):
             least, weights = self.mixtures.least_excess()
-            if least <= 1.0:
-                return
-            route = self._descend(weights @ self.excess, free, 0)
-            if not self._add(route):
-                break
-        if len(costs) > 1:
-            if least > 1.0 + ROUNDING:
-                names = ' and '.join(b.option for b in self._budgets if b.binds)
-                raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
-            self.mixtures.limit = least
+        if least > 1.0 + ROUNDING:
+            names = ' and '.join(b.option for b in self._budgets if b.binds)
+            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+        self.mixtures.limit = max(least, 1.0)
 
     def _add(self, route: IndexArray) -> bool:
         return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
@@ -191,7 +186,8 @@ class Routes:
         legs = len(self._legs)
         if self._whole.exact:
             self._search(mixture, (1, 0, 0.0))
-        yield [self._descend(base, charge, start) for start in range(legs)]
+        starts = self._rng.permutation(legs)[:STARTS].tolist()
+        yield [self._descend(base, charge, start) for start in starts]
         if precision == LOOSE or self._whole.exact:
             return
         if legs > 1:
