@@ -205,7 +205,10 @@ class _Laws:
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,
           width: int | None) -> tuple[IndexArray, IndexArray]:
-    """Edges that go forward within ``width`` edges of those used, or anywhere if None; the order."""
+    """The edges that go forward at most ``width`` edges from those used, and the order of nodes.
+
+    ``width`` None: anywhere.
+    """
     tails, heads = game.network.edges.T
     flow, inside = np.zeros(len(tails)), np.full(game.node_count, width is None)
     flow[used], inside[game.network.edges[used]] = 1.0, True

@@ -169,10 +169,9 @@ class Routes:
 
     def _add_responses(self, mixture: Mixture, precision: float) -> int:
         """Add routes that cost less than the value, by the fastest way that finds any."""
-        scale = self._ambushers / mixture.q.sum()
-        base = scale * mixture.prices @ self.excess
-        charge = capped_at_one(scale * mixture.q[0], self._ambushers) * self.loss
-        most = self.value * (1.0 - GAIN * self.gap) + scale * float(mixture.prices.sum())
+        q, prices = self._ambusher(mixture, 0.0)
+        base, charge = prices @ self.excess, q[0] * self.loss
+        most = self.value * (1.0 - GAIN * self.gap) + float(prices.sum())
         for routes in self._responses(mixture, base, charge, precision):
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, charge) < most)
@@ -212,7 +211,8 @@ class Routes:
         """q (groups, S) without small charges, at most 1 at each site, and the prices (B,)."""
         q = mixture.q
         q = np.where(q * self.loss > negligible * (q * self.loss).max(), q, 0.0)
-        scale = self._ambushers / q.sum()
+        # Where the mixture meets fewer sites than there are ambushers, each q is at most 1.
+        scale = min(self._ambushers / q.sum(), 1.0 / q.sum(axis=0).max())
         total = scale * q.sum(axis=0)
         capped = capped_at_one(total, self._ambushers)
         q = scale * q * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
