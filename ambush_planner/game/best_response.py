@@ -55,7 +55,7 @@ class BestResponse:
 
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
-                  prices: tuple[float, ...]) -> BestResponse:
+                  prices: Sequence[float] | FloatArray) -> BestResponse:
     """Find the route that costs least against q with each site counted once.
 
     q is (N,) by node; or (legs, S) by the leg for which the ambusher waits, and the site.

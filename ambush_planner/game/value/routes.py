@@ -22,7 +22,7 @@ from ...errors import BudgetInfeasible
 from ..acyclic import conserved_strategy
 from ..best_response import Grounds
 from ..budget import ROUNDING, Budget
-from ..flow_program import MOST_EXCESS, capped_at_one
+from ..flow_program import capped_at_one
 from ..game import Game
 from .mixtures import Mixture, Mixtures
 
@@ -41,8 +41,9 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000),), 1e-3
 # Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
 FIRST_TURN, LEG_ROUNDS = 16, 60
-# Flow on an edge below which a mixture does not use it.
-LEAST_FLOW = 1e-9
+# Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
+# edge that it does not.
+MOST_EXCESS, LEAST_FLOW = 1e7, 1e-7
 
 
 class Routes:
@@ -57,7 +58,7 @@ class Routes:
     by_leg : (legs, S)
         The ambusher who proves the bound: how likely he waits at each site for each leg. What he
         proves is ``best_response(game, by_leg, budgets, prices).bound``.
-    prices : tuple of float
+    prices : (budgets,)
         His prices of the budgets [loss per unit of cost].
     routes, shares
         The routes, as edges, and their probabilities (C,).
@@ -102,10 +103,10 @@ class Routes:
         return np.asarray(self.by_leg.sum(axis=0))
 
     @property
-    def prices(self) -> tuple[float, ...]:
-        """His prices of the budgets [loss per unit of cost]."""
+    def prices(self) -> FloatArray:
+        """His prices of the budgets (budgets,) [loss per unit of cost]."""
         found = iter(self._prices)
-        return tuple(float(next(found)) / b.margin if b.binds else 0.0 for b in self._budgets)
+        return np.array([next(found) / b.margin if b.binds else 0.0 for b in self._budgets])
 
     @property
     def routes(self) -> list[IndexArray]:
@@ -131,13 +132,18 @@ class Routes:
         It also ends when no method finds a route that costs less.
         """
         precision, rounds, turn = LOOSE, 0, FIRST_TURN
+        centre: Mixture | None = None
         while True:
             mixture = self.mixtures.solve(precision)
             self.shares = mixture.shares
             self.value = self.mixtures.value(self.shares)
             if self._ended():
                 return
-            added, rounds = self._add_responses(mixture, precision), rounds + 1
+            added, rounds = 0, rounds + 1
+            if precision == LOOSE:
+                centre = mixture if centre is None else _between(centre, mixture)
+                added = self._add_responses(centre, precision)
+            added = added or self._add_responses(mixture, precision)
             if len(self._legs) > 1 and (not added or rounds == turn):
                 self._separate_legs()
                 turn *= 2
@@ -291,3 +297,13 @@ class Routes:
     def _add_way(self, leg: int, way: IndexArray) -> bool:
         excess = self.excess[:, way].sum(axis=1)
         return self._of_legs.add(way, self._whole.met(way), excess, leg)
+
+
+def _between(centre: Mixture, newest: Mixture) -> Mixture:
+    """The newest mixture, with duals halfway from the centre: they vary less from round to round.
+
+    P. Wentges, Weighted Dantzig-Wolfe decomposition for linear mixed-integer programming,
+    International Transactions in Operational Research 4, 1997.
+    """
+    return newest._replace(q=(centre.q + newest.q) / 2.0,
+                           prices=(centre.prices + newest.prices) / 2.0)
