@@ -152,7 +152,8 @@ class Routes:
             precision = precision if added else TIGHT
 
     def _ended(self) -> bool:
-        proved = self.value <= self.bound * (1.0 + self.gap)
+        rounding = ROUNDING * float(self.loss.max(initial=0.0))
+        proved = self.value <= max(self.bound * (1.0 + self.gap), rounding)
         return proved or time.monotonic() > self.deadline
 
     def _begin(self) -> None:
