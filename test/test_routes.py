@@ -101,7 +101,7 @@ def test_the_bound_is_below_every_mixture_and_the_value_is_one(seed, stops, reac
 def check(found, budgets, least):
     """Laws of a solved program, whose least value is known."""
     game, k = found.game, min(found.game.ambushers, len(found.q))
-    assert found.bound <= least * (1.0 + 1e-7) + 1e-9
+    assert found.bound <= least * (1.0 + 1e-6) + 1e-9
     assert found.value >= least * (1.0 - 1e-6) - 1e-9
     assert found.q.min(initial=0.0) >= 0.0 and found.q.max(initial=0.0) <= 1.0 + 1e-9
     assert found.q.sum() == pytest.approx(k)
@@ -133,7 +133,7 @@ def test_the_judge_reproduces_the_bound(seed, stops, reach, detour, exposure, am
 
 @examples(25)
 @given(seed=st.integers(0, 10**6), stops=st.integers(0, 1), ambushers=st.integers(1, 2),
-       reach=st.sampled_from([0.0, 1.5]))
+       reach=st.sampled_from([1.0, 2.0]))
 def test_sites_that_join_count_like_those_from_the_beginning(seed, stops, ambushers, reach):
     game, budgets = games(seed, stops, reach, 1.2, math.inf, ambushers)
     rng = np.random.default_rng(seed)

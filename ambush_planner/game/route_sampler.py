@@ -131,9 +131,28 @@ def shortest_route_strategy(game: Game) -> FloatArray:
 
 
 def route_entropy(network: Network, p: FloatArray) -> float:
-    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats]."""
+    """Entropy -sum p ln(p / x_tail) of a route drawn from p (M,) [nats].
+
+    If several copies of a trip's ground can draw the same route of places, a lower bound: the
+    entropy of copy and route exceeds that of the route by the entropy of the copy given the route,
+    which is at most that given the edge by which the route begins or ends a leg.
+    """
     leaving = sums(network.tails, p, len(network.points))
-    return entropy(p, leaving[network.tails])
+    with_copy = entropy(p, leaving[network.tails])
+    used = np.flatnonzero(p > 0.0)
+    # The trip's node that each node stands for.
+    _, node = np.unique(network.places * network.legs + network.leg, return_inverse=True)
+    tails, heads = node[network.tails[used]], node[network.heads[used]]
+    _, edge = np.unique(tails * (int(node.max()) + 1) + heads, return_inverse=True)
+    if edge.max(initial=-1) + 1 == len(used):
+        return with_copy
+    copy = []
+    for end in node[[network.source, *network.stops, network.target]]:
+        for at in np.flatnonzero(tails == end), np.flatnonzero(heads == end):
+            if len(at):
+                shared = sums(edge[at], p[used[at]], len(used))[edge[at]]
+                copy.append(entropy(p[used[at]], shared))
+    return max(with_copy - min(copy), 0.0)
 
 
 def entropy(p: FloatArray, whole: FloatArray) -> float:

@@ -29,6 +29,8 @@ from .certificate.curves import Circulation
 from .game import Game
 from .hits import hits_can_differ, worst_loss
 from .law.acyclic import forward_part, order_potential, rank_around
+from .law.chain import MarkovChain, chain_of
+from .law.copies import Copied, law_on_copies
 from .law.gibbs import acyclic_network
 from .law.law import STEP, Law
 from .route_sampler import shortest_route_strategy
@@ -46,6 +48,8 @@ PROGRAM_GAP = 0.1
 SWEEPS, MOST_SWEEPS = 2, 20
 # Share of the slack by which a circulation may prove less than the program says.
 UNPROVED = 0.02
+# Charges below this share of the largest are left out of a first search over labels.
+SMALL_CHARGE = 1e-3
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
 JOINING = 0.5
 # Rounds of a law, its steps if the usual ones do not reach the slack, and the least growth of the
@@ -65,8 +69,8 @@ class Places(Protocol):
 class Ground(Protocol):
     """A map on which an ambusher may wait at other places than the network's nodes."""
 
-    def worst(self, p: FloatArray, above: float) -> Any:
-        """The ``Places`` that cost an acyclic strategy p (M,) more than ``above``."""
+    def worst(self, chain: MarkovChain, above: float) -> Any:
+        """The ``Places`` that cost an acyclic strategy more than ``above``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class Problem:
     """A game, its budgets, and how far and how long to search."""
 
     game: Game
-    budgets: tuple[Budget, ...]
+    budgets: tuple[Budget, Budget]
     slack: float
     deadline: float
     ground: Ground | None = None
@@ -90,18 +94,20 @@ class Problem:
 
 
 class Solution(NamedTuple):
-    """A strategy p (M,) and an ambusher in a game with more sites.
+    """A strategy p (M,) and an ambusher in a game with more sites, and its budgets.
 
+    On a trip the game's network can have copies of the trip's nodes and edges, after these.
     ``value`` is the strategy's, ``bound`` what the ambusher proves. ``entropy_bound`` is the most
     entropy [nats] that a strategy on the same acyclic network can have within the same limits.
     """
 
     game: Game
+    budgets: tuple[Budget, Budget]
     p: FloatArray
     value: float
     bound: float
     ambusher: Ambusher
-    multipliers: Multipliers
+    multipliers: Multipliers | None
     evaluations: int
     entropy_bound: float
     within_slack: bool
@@ -121,7 +127,7 @@ def most_unpredictable(problem: Problem) -> Solution:
     return max(found, key=lambda each: (each.within_slack, -each.value))
 
 
-def least_value(game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float) -> float:
+def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline: float) -> float:
     """A lower bound of the least value within the budgets, too low by at most the share ``gap``.
 
     At the deadline it may be lower.
@@ -159,9 +165,10 @@ class _Search:
         self.game, self.budgets = problem.game, problem.budgets
         self.points = self.game.network.points[self.game.sites]
         self.entering, self.loss = self.game.hits, self.game.loss[self.game.sites]
-        # Rating, p (M,), value and the row of its worst site.
-        self.best: tuple[tuple[bool, float], FloatArray, float, int] | None = None
+        # Rating, strategy, its value and the row of its worst site.
+        self.best: tuple[tuple[bool, float], MarkovChain, float, int] | None = None
         self.law: Law | None = None
+        self.copied: Copied | None = None
 
     def run(self) -> Solution:
         """Find the value, then the law."""
@@ -169,8 +176,13 @@ class _Search:
         for sweep in range(MOST_SWEEPS):
             if sweep >= SWEEPS and self.program.bound > 0.0:
                 break
-            if not self._add_worst(self.program.flow, self.program.bound * (1.0 + self.slack)):
+            chain = chain_of(self.game.network, self.program.flow)
+            if not self._add_worst(chain, self.program.bound * (1.0 + self.slack)):
                 break
+        if isinstance(self.program, Routes) and self.game.network.legs > 1:
+            self._find_labels(self.program)
+            if self.copied:
+                return self._solution()
         for step in (STEP, CAREFUL_STEP):
             self._find_law(step)
             if self._done():
@@ -181,11 +193,11 @@ class _Search:
         with contextlib.suppress(TimeLimit, SolverFailed):
             self.program.solve()
 
-    def _add_worst(self, p: FloatArray, above: float) -> int:
-        """Let the places that cost p (M,) more than ``above`` join; return their number."""
+    def _add_worst(self, chain: MarkovChain, above: float) -> int:
+        """Let the places that cost a strategy more than ``above`` join; return their number."""
         if self.problem.ground is None:
             return 0
-        found = self.problem.ground.worst(p, above)
+        found = self.problem.ground.worst(chain, above)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
@@ -208,6 +220,17 @@ class _Search:
         most = max(self.program.bound, value * (1.0 + self.slack / 2.0) / (1.0 + self.slack))
         return level * (most / value)
 
+    def _find_labels(self, program: Routes) -> None:
+        """On a trip, a law on labelled copies of the ground."""
+        for _ in range(ROUNDS):
+            copied = law_on_copies(program, self.slack, self.problem.deadline)
+            if copied is None:
+                return
+            self.copied = copied
+            self.best = (True, 0.0), copied.chain, copied.value, -1
+            if not self._add_worst(copied.chain, program.bound * (1.0 + self.slack)):
+                return
+
     def _find_law(self, step: float) -> None:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
         law = self.law = self._new_law(step)
@@ -219,7 +242,7 @@ class _Search:
             if not law.round(q, prices, self.program.bound):
                 return
             known = len(self.loss)
-            self._add_worst(self._whole(law), self.program.bound * (1.0 + JOINING * self.slack))
+            self._add_worst(law.chain, self.program.bound * (1.0 + JOINING * self.slack))
             law.measure(self._level())
             self._keep(law)
             grew, before = law.entropy > before * (1.0 + GROWTH), law.entropy
@@ -245,22 +268,18 @@ class _Search:
                            np.array([price for price, b in prices if b.binds]), self._level())
         return law
 
-    def _whole(self, law: Law) -> FloatArray:
-        p = np.zeros(len(self.game.network.edges))
-        p[law.network.edge] = law.p
-        return p
-
     def _keep(self, law: Law) -> None:
         """Keep the strategy of most entropy within the slack, else the one of least value.
 
         A strategy over a budget counts for nothing.
         """
-        if not all(b.keeps(self._whole(law)) for b in self.budgets):
+        p = law.chain.uses(len(self.game.playable))
+        if not all(b.keeps(p) for b in self.budgets):
             return
         good = law.value <= law.limit * (1.0 + ROUNDING)
         rating = good, law.entropy if good else -law.value
         if self.best is None or rating > self.best[0]:
-            self.best = rating, self._whole(law), law.value, law.worst
+            self.best = rating, law.chain, law.value, law.worst
 
     def _done(self) -> bool:
         good = self.best is not None and self.best[0][0]
@@ -268,32 +287,54 @@ class _Search:
 
     def _solution(self) -> Solution:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
-        assert self.law is not None
-        if self.best is None:
-            p = strategy_within_budgets(self.game, self.budgets)
-            p = shortest_route_strategy(self.game) if p is None else p
-            value, worst = worst_loss(self.game, p), -1
-        else:
-            _, p, value, worst = self.best
+        chain, value, worst = self._best_strategy()
         if self.problem.ground:
-            found = self.problem.ground.worst(p, value * (1.0 + ROUNDING))
+            found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING))
             if len(found.points):
                 value, worst = float(found.mean_loss[0]), len(self.loss)
                 self._add_sites(found)
         own = np.arange(len(self.loss)) < len(self.game.sites)
-        q, (weight, prices) = np.zeros(len(self.loss)), self.law.unscaled_multipliers()
+        q, weight, prices = np.zeros(len(self.loss)), np.zeros(len(self.loss)), np.zeros(0)
         q[: len(self.program.q)] = self.program.q
+        if self.law:
+            weight, prices = self.law.unscaled_multipliers()
         kept = own | (q > 0.0) | (weight > 0.0)
         if worst >= 0:
             kept[worst] = True
         added = np.flatnonzero(kept & ~own)
-        game = self.game.with_sites(self.points[added], self.loss[added], self.entering[added])
-        sites = np.zeros(game.node_count)
-        sites[game.sites] = weight[kept]
+        sites = self.points[added], self.loss[added], csr_matrix(self.entering[added])
+        game = self.game.with_sites(*sites)
         ambusher, bound = self._judged(game, q, kept)
-        multipliers = Multipliers(frozen_array(sites, np.float64), self._of_all_budgets(prices))
-        return Solution(game, p, value, bound, ambusher, multipliers, self.law.evaluations,
-                        self.law.entropy_bound, value <= bound * (1.0 + self.slack + ROUNDING))
+        within = value <= bound * (1.0 + self.slack + ROUNDING)
+        if self.copied:
+            return self._unrolled(self.copied, sites, ambusher, q[kept], value, bound, within)
+        assert self.law is not None
+        per_hit = np.zeros(game.node_count)
+        per_hit[game.sites] = weight[kept]
+        multipliers = Multipliers(frozen_array(per_hit, np.float64), self._of_all_budgets(prices))
+        return Solution(game, self.budgets, chain.uses(len(game.playable)), value, bound, ambusher,
+                        multipliers, self.law.evaluations, self.law.entropy_bound, within)
+
+    def _best_strategy(self) -> tuple[MarkovChain, float, int]:
+        """The best strategy, its value and the row of its worst site."""
+        if self.best:
+            return self.best[1:]
+        p = strategy_within_budgets(self.game, self.budgets)
+        p = shortest_route_strategy(self.game) if p is None else p
+        return chain_of(self.game.network, p), worst_loss(self.game, p), -1
+
+    def _unrolled(self, copied: Copied, sites: tuple[FloatArray, FloatArray, csr_matrix],
+                  ambusher: Ambusher, q: FloatArray, value: float, bound: float,
+                  within: bool) -> Solution:
+        """The solution on the copies' network, with the sites added there as well."""
+        edge = np.append(np.arange(len(self.game.playable)), copied.chain.network.edge)
+        game, p = copied.unrolled(self.game)
+        points, loss, entering = sites
+        game = game.with_sites(points, loss, csr_matrix(entering[:, edge]))
+        length, exposure = (replace(b, game=game, cost=b.cost[edge]) for b in self.budgets)
+        ambusher = replace(ambusher, q=at_nodes(game, q))
+        return Solution(game, (length, exposure), p, value, bound, ambusher, None,
+                        copied.evaluations, np.nan, within)
 
     def _judged(self, game: Game, q: FloatArray, kept: BoolArray) -> tuple[Ambusher, float]:
         """The ambusher q (S,) in the game with the ``kept`` sites, and his bound.
@@ -313,13 +354,22 @@ class _Search:
         node[kept] = game.sites
         around = replace(alone, circulation=Circulation(found.through, node[found.site],
                                                         found.face, found.flow))
-        bound = lower_bound(game, around, self.budgets)
-        if bound >= self.program.bound * (1.0 - UNPROVED * self.slack):
-            return around, bound
-        other = lower_bound(game, alone, self.budgets)
-        return (alone, other) if other > bound else (around, bound)
+        enough, proofs = self.program.bound * (1.0 - UNPROVED * self.slack), []
+        for each in (around, _without_small_charges(game, alone), alone):
+            proofs.append((each, lower_bound(game, each, self.budgets)))
+            if proofs[-1][1] >= enough:
+                break
+        return max(proofs, key=lambda proof: proof[1])
 
     def _of_all_budgets(self, binding: FloatArray) -> tuple[float, ...]:
         """Numbers of the budgets that bind, with 0 for the others."""
         number = iter(binding.tolist())
         return tuple(next(number, 0.0) if b.binds else 0.0 for b in self.budgets)
+
+
+def _without_small_charges(game: Game, ambusher: Ambusher) -> Ambusher:
+    """The ambusher at his costliest sites only: labels then have few sites to tell apart."""
+    charge = game.loss * ambusher.q
+    q = np.where(charge > SMALL_CHARGE * charge.max(), ambusher.q, 0.0)
+    return replace(ambusher, q=q / q.sum(),
+                   prices=tuple(price / q.sum() for price in ambusher.prices))

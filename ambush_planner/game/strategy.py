@@ -317,7 +317,7 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
     if options.solver != 'max_entropy':
         return _by_linear_program(game, budgets, options, deadline)
     found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm))
-    strategy = strategy_of(found.game, found.p, found.ambusher, budgets, found.bound)
+    strategy = strategy_of(found.game, found.p, found.ambusher, found.budgets, found.bound)
     strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
                        entropy_bound=found.entropy_bound)
     if within_slack(strategy, options):

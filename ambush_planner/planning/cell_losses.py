@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix, vstack
 from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges, near_ends
 from ..game.game import Game
-from ..game.law.chain import MarkovChain, chain_of
+from ..game.law.chain import MarkovChain
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap, to_map_axes, to_world
 from .options import parts_of_cells
@@ -114,13 +114,13 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
-    def worst(self, p: FloatArray, above: float, among: IndexArray | None = None) -> Places:
-        """Places that cost an acyclic strategy p (M,) more than ``above``, the worst first.
+    def worst(self, chain: MarkovChain, above: float, among: IndexArray | None = None) -> Places:
+        """Places that cost an acyclic strategy more than ``above``, the worst first.
 
         Of each cell only the worst part is returned that was not returned before. Without
         ``among`` (K, 2) all cells count.
         """
-        chain, side = chain_of(self._game.network, p), self._first if among is None else 1
+        side, p = self._first if among is None else 1, chain.uses(len(self._game.playable))
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
         while True:
             blocks = self._above(blocks, side, p, chain, above)

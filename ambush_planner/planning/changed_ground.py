@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from ..arrays import FloatArray, IndexArray
 from ..game.certificate.certificate import Certificate
 from ..game.game import Game
+from ..game.law.chain import chain_of
 from ..game.revaluation import revalue
 from ..maps.obstacles import ObstacleField, nearest_free_cell
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
@@ -285,7 +286,7 @@ class ChangedGround:
         if on_others and not self._hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
         search = CellSearch(cells, game, np.flatnonzero(p > 0.0))
-        worst = search.worst(p, at_sites.value, among)
+        worst = search.worst(chain_of(game.network, p), at_sites.value, among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import AmbushPlannerError, TimeLimit
 from ..game.law.acyclic import is_acyclic
+from ..game.law.chain import chain_of
 from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
@@ -167,7 +168,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     problems = []
     search = CellSearch(cells, strategy.game, np.flatnonzero(strategy.edge_probability > 0.0))
     if holds_anywhere(planning) and len(worst := search.worst(
-        strategy.edge_probability, strategy.value * (1.0 + _TOLERANCE)
+        chain_of(strategy.network, strategy.edge_probability), strategy.value * (1.0 + _TOLERANCE)
     ).mean_loss):
         problems.append(f'strategy: an ambush between its sites costs {worst[0]:.9g}, more than '
                         f'its value {strategy.value:.9g}')

@@ -55,7 +55,7 @@ class BestResponse:
 
 
 def best_response(game: Game, q: FloatArray, budgets: tuple[Budget, ...],
-                  prices: tuple[float, ...]) -> BestResponse:
+                  prices: Sequence[float] | FloatArray) -> BestResponse:
     """Find the route that costs least against q with each site counted once.
 
     q is (N,) by node; or (legs, S) by the leg for which the ambusher waits, and the site.
@@ -93,12 +93,15 @@ class Grounds:
 
     def least_cost(self, base: FloatArray, charge: FloatArray,
                    searches: Searches) -> tuple[float, IndexArray | None]:
-        """A lower bound of the least base cost (M,) plus charges (legs, S), and a route near it."""
-        least, route = self.whole.least_cost(base, charge.sum(axis=0), searches)
-        if len(self.legs) > 1:
-            least = max(least, sum(ground.least_cost(base, own, searches)[0]
-                                   for ground, own in zip(self.legs, charge, strict=True)))
-        return least, route
+        """A lower bound of the least base cost (M,) plus charges (legs, S), and a route near it.
+
+        If the ambusher waits for several legs, the bound and the route are those of the legs.
+        """
+        if np.count_nonzero(charge.any(axis=1)) < 2:
+            return self.whole.least_cost(base, charge.sum(axis=0), searches)
+        least, ways = zip(*(ground.least_cost(base, own, searches)
+                            for ground, own in zip(self.legs, charge, strict=True)), strict=True)
+        return sum(least), None if any(w is None for w in ways) else np.concatenate(ways)
 
 
 class Ground:

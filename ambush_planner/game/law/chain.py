@@ -47,6 +47,10 @@ class MarkovChain:
         self._enters = np.zeros(len(p), dtype=bool)
         self._into = np.searchsorted(network.head[onwards.order], np.arange(network.count + 1))
 
+    def uses(self, edges: int) -> FloatArray:
+        """Expected uses of each of the whole network's ``edges``."""
+        return sums(self.network.edge, self.p, edges)
+
     @property
     def entropy(self) -> float:
         """Entropy of a drawn route [nats]."""

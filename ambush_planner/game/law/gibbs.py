@@ -35,6 +35,7 @@ class AcyclicNetwork:
     def __init__(self, tail: IndexArray, head: IndexArray, edge: IndexArray) -> None:
         self.tail, self.head, self.edge = tail, head, edge
         self.count = int(head.max()) + 1
+        self._copied = len(np.unique(edge)) < len(edge)
         self._first = np.searchsorted(tail, np.arange(self.count + 1))
         self._level = np.zeros(self.count)
         last = self.count - 1
@@ -43,6 +44,8 @@ class AcyclicNetwork:
 
     def columns(self, rows: csr_matrix) -> csr_matrix:
         """The columns (K, m) of these edges, of rows (K, M) over the whole network's edges."""
+        if self._copied:
+            return csr_matrix(rows[:, self.edge])
         place = np.full(rows.shape[1], -1)
         place[self.edge] = np.arange(len(self.edge))
         column = place[rows.indices]

@@ -116,6 +116,11 @@ class Law:
         return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())
 
     @property
+    def chain(self) -> MarkovChain:
+        """The strategy p as a chain."""
+        return MarkovChain(self.network, self.p)
+
+    @property
     def limit(self) -> float:
         """Value at which the law is within the slack."""
         return self._sum_of_largest(self.level) * (1.0 + self.slack)

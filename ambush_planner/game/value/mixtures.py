@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from ...arrays import BoolArray, FloatArray, IndexArray
+from ...arrays import BoolArray, FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from . import highs
 
@@ -70,11 +70,37 @@ class Mixtures:
         self._met = [np.append(known, count + np.unique(met_by[route].indices))
                      for known, route in zip(self._met, self.routes, strict=True)]
 
+    def among(self, columns: IndexArray) -> Mixtures:
+        """The program over some of the routes, by their numbers."""
+        some = Mixtures(self._groups)
+        some.loss, some.ambushers, some.limit = self.loss, self.ambushers, self.limit
+        for k in columns.tolist():
+            some.routes.append(self.routes[k])
+            some._met.append(self._met[k])
+            some._excess.append(self._excess[k])
+            some._group.append(self._group[k])
+        return some
+
     def losses(self, shares: FloatArray) -> FloatArray:
         """Mean loss (S,) that each site causes a mixture."""
         weight = np.repeat(shares, list(map(len, self._met)))
         sites = np.concatenate(self._met)
         return self.loss * np.bincount(sites, weight, len(self.loss))
+
+    def level(self, shares: FloatArray) -> FloatArray:
+        """Loss (S,) that each site may cause; the k largest add up to the mixture's value."""
+        losses = self.losses(shares)
+        least = float(np.sort(losses)[-self.ambushers :].min(initial=math.inf))
+        return np.maximum(losses, least)
+
+    def value(self, shares: FloatArray) -> float:
+        """The sum of the k largest losses."""
+        return float(np.sort(self.losses(shares))[len(self.loss) - self.ambushers :].sum())
+
+    def flow(self, shares: FloatArray, edges: int) -> FloatArray:
+        """Expected uses (M,) of the edges."""
+        weight = np.repeat(shares, list(map(len, self.routes)))
+        return sums(np.concatenate(self.routes), weight, edges)
 
     def least_excess(self) -> tuple[float, FloatArray]:
         """The least greatest excess of a mixture, and how much each budget (B,) counts in it."""
@@ -118,6 +144,9 @@ class Mixtures:
 
 def _solved(program: highs.Program, precision: float) -> OptimizeResult:
     try:
-        return highs.run(program, 'interior_point', math.inf, False, precision)
+        result = highs.run(program, 'interior_point', math.inf, False, precision)
     except SolverFailed:
-        return highs.run(program, 'simplex', math.inf)
+        result = highs.run(program, 'simplex', math.inf)
+    if result.x is None:
+        raise SolverFailed('no mixture of the known routes is within the budgets')
+    return result

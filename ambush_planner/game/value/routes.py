@@ -32,8 +32,9 @@ MOST_EXCESS = 1e7
 LOOSE, TIGHT = 5e-2, 1e-4
 # Share of the gap by which a route must cost less than the value to join.
 GAIN = 0.25
-# Routes of the mixture from which trips are improved leg by leg.
-RESTARTS = 8
+# Legs with which the search for a trip begins in each round, and the routes of the mixture that are
+# improved leg by leg once none is found.
+STARTS, RESTARTS = 4, 8
 # Label searches: labels kept at a node, comparisons, and the share of the largest charge below
 # which sites are left out. Few sites make a search fast, but each that is left out weakens it.
 SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_000_000, 1e-2),
@@ -42,10 +43,9 @@ SEARCHES = ((1, 300_000, 3e-3), (3, 300_000, 3e-3), (9, 300_000, 3e-3), (81, 1_0
 LEG_SEARCH, LEG_NEGLIGIBLE = ((1, 300_000),), 1e-3
 # Rounds before the legs' program runs for the first time, then twice as many and so on; its rounds.
 FIRST_TURN, LEG_ROUNDS = 16, 60
-# Rounds of the search for routes within two budgets.
-FEASIBLE_ROUNDS = 60
-# Flow on an edge below which a mixture does not use it.
-LEAST_FLOW = 1e-9
+# Largest excess of an edge, in margins of its budget, that a mixture can notice; and the flow on an
+# edge that it does not.
+MOST_EXCESS, LEAST_FLOW = 1e7, 1e-7
 
 
 class Routes:
@@ -74,30 +74,30 @@ class Routes:
         binding = [b for b in budgets if b.binds]
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MOST_EXCESS), 0.0)
                   for b in binding]
-        self._excess = np.reshape(excess, (len(binding), len(game.playable)))
+        self.excess = np.reshape(excess, (len(binding), len(game.playable)))
         legs = game.network.legs
-        self._mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
+        self.mixtures, self._of_legs = Mixtures(1), Mixtures(legs)
         self.bound, self.value, self.shares = 0.0, math.inf, np.zeros(0)
         self.by_leg, self._prices = np.zeros((legs, 0)), np.zeros(len(binding))
-        self._hits, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
+        self.entering, self._rng = csr_matrix((0, len(game.playable))), np.random.default_rng(0)
         self.add_sites(game.hits, game.loss[game.sites])
         self._begin()
 
     def add_sites(self, entering: csr_matrix, loss: FloatArray) -> None:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
-        self._hits = csr_matrix(vstack((self._hits, entering)))
-        self._grounds = Grounds(self.game, self._hits)
-        self._whole, self._legs = self._grounds.whole, self._grounds.legs
-        for mixtures in (self._mixtures, self._of_legs):
+        self.entering = csr_matrix(vstack((self.entering, entering)))
+        grounds = Grounds(self.game, self.entering)
+        self._whole, self._legs = grounds.whole, grounds.legs
+        for mixtures in (self.mixtures, self._of_legs):
             mixtures.add_sites(entering, loss)
-        self._loss = self._mixtures.loss
-        self._ambushers = self._mixtures.ambushers = min(self.game.ambushers, len(self._loss))
+        self.loss = self.mixtures.loss
+        self._ambushers = self.mixtures.ambushers = min(self.game.ambushers, len(self.loss))
         self._of_legs.ambushers = self._ambushers
         self.by_leg = np.pad(self.by_leg, ((0, 0), (0, len(loss))))
         if self.bound == 0.0:  # any ambusher proves that
-            self.by_leg[0] = self._ambushers / max(len(self._loss), 1)
+            self.by_leg[0] = self._ambushers / max(len(self.loss), 1)
         if len(self.shares):
-            self.value = self._value()
+            self.value = self.mixtures.value(self.shares)
 
     @property
     def q(self) -> FloatArray:
@@ -113,18 +113,18 @@ class Routes:
     @property
     def routes(self) -> list[IndexArray]:
         """The routes of the mixture, as edges."""
-        return self._mixtures.routes
+        return self.mixtures.routes
 
     @property
     def level(self) -> FloatArray:
         """Loss (S,) that each site may cause; the k largest add up to the value."""
-        losses = self._mixtures.losses(self.shares)
-        return np.maximum(losses, float(np.sort(losses)[-self._ambushers :].min(initial=math.inf)))
+        return self.mixtures.level(self.shares)
 
     @property
     def flow(self) -> FloatArray:
         """The mixture as an acyclic strategy (M,)."""
-        found = conserved_strategy(self.game, self._flow(), LEAST_FLOW)
+        used = self.mixtures.flow(self.shares, len(self.game.playable))
+        found = conserved_strategy(self.game, used, LEAST_FLOW)
         assert found is not None  # a route has a share of at least one in their number
         return found
 
@@ -134,13 +134,18 @@ class Routes:
         It also ends when no method finds a route that costs less.
         """
         precision, rounds, turn = LOOSE, 0, FIRST_TURN
+        centre: Mixture | None = None
         while True:
-            mixture = self._mixtures.solve(precision)
+            mixture = self.mixtures.solve(precision)
             self.shares = mixture.shares
-            self.value = self._value()
+            self.value = self.mixtures.value(self.shares)
             if self._ended():
                 return
-            added, rounds = self._add_responses(mixture, precision), rounds + 1
+            added, rounds = 0, rounds + 1
+            if precision == LOOSE:
+                centre = mixture if centre is None else _between(centre, mixture)
+                added = self._add_responses(centre, precision)
+            added = added or self._add_responses(mixture, precision)
             if len(self._legs) > 1 and (not added or rounds == turn):
                 self._separate_legs()
                 turn *= 2
@@ -149,47 +154,33 @@ class Routes:
             precision = precision if added else TIGHT
 
     def _ended(self) -> bool:
-        proved = self.value <= self.bound * (1.0 + self.gap)
+        rounding = ROUNDING * float(self.loss.max(initial=0.0))
+        proved = self.value <= max(self.bound * (1.0 + self.gap), rounding)
         return proved or time.monotonic() > self.deadline
 
-    def _value(self) -> float:
-        losses = self._mixtures.losses(self.shares)
-        return float(np.sort(losses)[len(losses) - self._ambushers :].sum())
-
-    def _flow(self) -> FloatArray:
-        flow = np.zeros(len(self.game.playable))
-        for route, share in zip(self.routes, self.shares, strict=True):
-            flow[route] += share
-        return flow
-
     def _begin(self) -> None:
-        """Add routes of which a mixture is within all budgets."""
-        free = np.zeros(len(self._loss))
-        costs = self._excess if len(self._excess) else self.game.network.lengths[None]
-        for cost in costs:
+        """Add the best route for each budget, and others until a mixture is within all budgets."""
+        free = np.zeros(len(self.loss))
+        for cost in self.excess if len(self.excess) else self.game.network.lengths[None]:
             self._add(self._descend(cost, free, 0))
-        for _ in range(FEASIBLE_ROUNDS * (len(costs) > 1)):
-            least, weights = self._mixtures.least_excess()
-            if least <= 1.0:
-                return
-            route = self._descend(weights @ self._excess, free, 0)
-            if not self._add(route):
-                break
-        if len(costs) > 1:
-            if least > 1.0 + ROUNDING:
-                names = ' and '.join(b.option for b in self._budgets if b.binds)
-                raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
-            self._mixtures.limit = least
+        if len(self.excess) < 2:
+            return
+        least, weights = self.mixtures.least_excess()
+        while least > 1.0 and self._add(self._descend(weights @ self.excess, free, 0)):
+            least, weights = self.mixtures.least_excess()
+        if least > 1.0 + ROUNDING:
+            names = ' and '.join(b.option for b in self._budgets if b.binds)
+            raise BudgetInfeasible(f'no strategy fits all budgets at once; raise {names}')
+        self.mixtures.limit = max(least, 1.0)
 
     def _add(self, route: IndexArray) -> bool:
-        return self._mixtures.add(route, self._whole.met(route), self._excess[:, route].sum(axis=1))
+        return self.mixtures.add(route, self._whole.met(route), self.excess[:, route].sum(axis=1))
 
     def _add_responses(self, mixture: Mixture, precision: float) -> int:
         """Add routes that cost less than the value, by the fastest way that finds any."""
-        scale = self._ambushers / mixture.q.sum()
-        base = scale * mixture.prices @ self._excess
-        charge = capped_at_one(scale * mixture.q[0], self._ambushers) * self._loss
-        most = self.value * (1.0 - GAIN * self.gap) + scale * float(mixture.prices.sum())
+        q, prices = self._ambusher(mixture, 0.0)
+        base, charge = prices @ self.excess, q[0] * self.loss
+        most = self.value * (1.0 - GAIN * self.gap) + float(prices.sum())
         for routes in self._responses(mixture, base, charge, precision):
             added = sum(self._add(route) for route in routes
                         if self._whole.cost(route, base, charge) < most)
@@ -203,7 +194,8 @@ class Routes:
         legs = len(self._legs)
         if self._whole.exact:
             self._search(mixture, (1, 0, 0.0))
-        yield [self._descend(base, charge, start) for start in range(legs)]
+        starts = self._rng.permutation(legs)[:STARTS].tolist()
+        yield [self._descend(base, charge, start) for start in starts]
         if precision == LOOSE or self._whole.exact:
             return
         if legs > 1:
@@ -217,7 +209,7 @@ class Routes:
         """Search the whole ground for the route of least cost, and note the bound."""
         kept, comparisons, negligible = search
         q, prices = self._ambusher(mixture, negligible)
-        least, route = self._whole.least_cost(prices @ self._excess, q[0] * self._loss,
+        least, route = self._whole.least_cost(prices @ self.excess, q[0] * self.loss,
                                               ((kept, comparisons),))
         by_leg = np.zeros_like(self.by_leg)
         by_leg[0] = q[0]
@@ -227,8 +219,9 @@ class Routes:
     def _ambusher(self, mixture: Mixture, negligible: float) -> tuple[FloatArray, FloatArray]:
         """q (groups, S) without small charges, at most 1 at each site, and the prices (B,)."""
         q = mixture.q
-        q = np.where(q * self._loss > negligible * (q * self._loss).max(), q, 0.0)
-        scale = self._ambushers / q.sum()
+        q = np.where(q * self.loss > negligible * (q * self.loss).max(), q, 0.0)
+        # Where the mixture meets fewer sites than there are ambushers, each q is at most 1.
+        scale = min(self._ambushers / q.sum(), 1.0 / q.sum(axis=0).max())
         total = scale * q.sum(axis=0)
         capped = capped_at_one(total, self._ambushers)
         q = scale * q * np.divide(capped, total, out=np.zeros_like(total), where=total > 0.0)
@@ -289,15 +282,15 @@ class Routes:
     def _add_entering_ways(self, mixture: Mixture) -> int:
         """Add each leg's way of least cost if every entry is charged."""
         q, prices = self._ambusher(mixture, 0.0)
-        base, charge = prices @ self._excess, q * self._loss
+        base, charge = prices @ self.excess, q * self.loss
         return sum(self._add_way(leg, self._legs[leg].shortest(base, charge[leg]))
                    for leg in range(len(charge)))
 
     def _prove_by_legs(self, mixture: Mixture) -> int:
         """Note the bound of a mixture's ambusher; return the number of new ways."""
         q, prices = self._ambusher(mixture, LEG_NEGLIGIBLE * (self.game.reach > 0.0))
-        base, least, added = prices @ self._excess, 0.0, 0
-        for leg, (ground, own) in enumerate(zip(self._legs, q * self._loss, strict=True)):
+        base, least, added = prices @ self.excess, 0.0, 0
+        for leg, (ground, own) in enumerate(zip(self._legs, q * self.loss, strict=True)):
             low, way = ground.least_cost(base, own, LEG_SEARCH)
             added += self._add_way(leg, ground.shortest(base, own) if way is None else way)
             least += low
@@ -305,5 +298,15 @@ class Routes:
         return added
 
     def _add_way(self, leg: int, way: IndexArray) -> bool:
-        excess = self._excess[:, way].sum(axis=1)
+        excess = self.excess[:, way].sum(axis=1)
         return self._of_legs.add(way, self._whole.met(way), excess, leg)
+
+
+def _between(centre: Mixture, newest: Mixture) -> Mixture:
+    """The newest mixture, with duals halfway from the centre: they vary less from round to round.
+
+    P. Wentges, Weighted Dantzig-Wolfe decomposition for linear mixed-integer programming,
+    International Transactions in Operational Research 4, 1997.
+    """
+    return newest._replace(q=(centre.q + newest.q) / 2.0,
+                           prices=(centre.prices + newest.prices) / 2.0)

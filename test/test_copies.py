@@ -1,0 +1,113 @@
+"""The law on labelled copies of a trip's ground."""
+
+import math
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from test_routes import all_routes, games
+
+from ambush_planner import GameOptions, Network, StrategyOptions
+from ambush_planner.game.acyclic import is_acyclic
+from ambush_planner.game.game import make_game
+from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.law.copies import law_on_copies
+from ambush_planner.game.strategy import make_budgets
+from ambush_planner.game.value.routes import Routes
+
+SLACK = 0.02
+
+
+def solved(seed, reach, detour, ambushers=1):
+    game, budgets = games(seed, 1, reach, detour, math.inf, ambushers)
+    routes = Routes(game, budgets, 0.3 * SLACK, math.inf)
+    routes.solve()
+    return game, budgets, routes
+
+
+@examples(25)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
+       detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
+def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reach, detour,
+                                                                      ambushers):
+    game, budgets, routes = solved(seed, reach, detour, ambushers)
+    found = law_on_copies(routes, SLACK, math.inf)
+    if found is None:  # rounding where the budget just fits, or nothing can be lost
+        assert routes.bound == 0.0
+        return
+    network, p, base = found.game.network, found.p, game.network
+    assert (network.place_count, network.legs) == (base.place_count, base.legs)
+    count = len(base.points)
+    assert np.array_equal(network.points[:count], base.points)
+    assert np.array_equal(network.edges[: len(base.edges)], base.edges)
+    # Each edge stands for one of the trip's, between the same places on the same legs.
+    for name in ('places', 'leg'):
+        ends = getattr(network, name)[network.edges]
+        assert np.array_equal(ends, getattr(base, name)[base.edges[found.edge]])
+    assert found.game.playable[p > 0.0].all() and is_acyclic(network, p)
+    balance = np.bincount(network.tails, p, len(network.points))
+    balance -= np.bincount(network.heads, p, len(network.points))
+    balance[[network.source, network.target]] -= (1.0, -1.0)
+    assert np.abs(balance).max() < 1e-8
+    for budget in budgets:
+        assert not budget.binds or p @ budget.cost[found.edge] <= budget.limit * (1.0 + 1e-6)
+    assert np.array_equal(found.game.sites, game.sites)
+    hits = found.game.hits
+    assert np.array_equal(hits.toarray(), game.hits.toarray()[:, found.edge])
+    # The value is an upper bound, exact for the sites that matter.
+    assert found.value == pytest.approx(worst_loss(found.game, p), rel=1e-9, abs=1e-12)
+    assert found.value >= routes.bound * (1.0 - 1e-9)
+    limit = max(routes.bound * (1.0 + SLACK), routes.value * (1.0 + SLACK))
+    assert found.value <= limit * (1.0 + 1e-3) or len(routes.routes) == 1
+
+
+@examples(15)
+@given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0]))
+def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
+    game, _, routes = solved(seed, reach, 1.3)
+    found = law_on_copies(routes, SLACK, math.inf)
+    if found is None:
+        return
+    network, p = found.game.network, found.p
+    share = p / np.maximum(np.bincount(network.tails, p, len(network.points)), 1e-300)[
+        network.tails]
+    chance: dict[bytes, float] = {}
+    labelled = 0.0
+    for route in _used_routes(network, p):
+        one = float(np.prod(share[route]))
+        labelled -= one * math.log(one)
+        key = found.edge[route].tobytes()
+        chance[key] = chance.get(key, 0.0) + one
+    assert sum(chance.values()) == pytest.approx(1.0)
+    of_places = -sum(each * math.log(each) for each in chance.values())
+    assert found.entropy <= of_places + 1e-9
+    assert found.entropy >= of_places - math.log(len(routes.routes) + 1.0) - 1e-9
+
+
+def _used_routes(network, p):
+    kept = np.flatnonzero(p > 0.0)
+    some = Network(network.points, network.alpha, network.edges[kept], network.source,
+                   network.target, network.places, network.leg)
+    return [kept[route] for route in all_routes(some)]
+
+
+def test_legs_that_have_to_agree():
+    """Out and back over one of two equal bridges: drawn independently, 3 / 4 of the trips pass one.
+
+    The trip leads from 0 over 1 or 2 to the stop 3, and back over 1 or 2 to 4. If both legs pass
+    the same bridge, each is met by half of the trips.
+    """
+    at = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (0.0, -0.5)])
+    alpha = np.array([0.0, 1.0, 1.0, 0.0, 0.0])
+    edges = [(0, 1), (0, 2), (1, 8), (2, 8), (8, 6), (8, 7), (6, 9), (7, 9)]
+    network = Network(np.tile(at, (2, 1)), np.tile(alpha, 2), edges, 0, 9,
+                      np.tile(np.arange(5), 2), np.repeat([0, 1], 5))
+    game = make_game(network, GameOptions(secured_radius=0.0))
+    routes = Routes(game, make_budgets(game, StrategyOptions(max_detour=math.inf)), 1e-3, math.inf)
+    routes.solve()
+    assert routes.value == pytest.approx(0.5, rel=1e-2)
+    found = law_on_copies(routes, SLACK, math.inf)
+    assert found.value <= 0.5 * (1.0 + 1.5 * SLACK)
+    assert found.entropy <= math.log(4.0)
