@@ -52,7 +52,7 @@ def find_bottleneck(strategy: Strategy, deadline: float = math.inf) -> Bottlenec
     near = near_ends(network, distance)
     secured = strategy.value
     if near[sites].any():
-        game = game.without_sites(near)
+        game = game.without_copies().without_sites(near)
         budgets = budgets_in_game(game, strategy)
         secured = min(least_value(game, budgets, SECURED_TOLERANCE, deadline), strategy.value)
     count = int(near[sites].sum())

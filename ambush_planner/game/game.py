@@ -209,6 +209,16 @@ class Game:
         """The game on the edges that enter none of some discs, as rows (K, M); None if no route."""
         return self.restricted_to(np.asarray(entering.getnnz(axis=0) == 0))
 
+    def without_copies(self) -> Game:
+        """The game on one node for each place and leg: no edges between a trip's copies."""
+        network = self.network
+        node = network.places * network.legs + network.leg
+        first = np.zeros(self.node_count, dtype=bool)
+        first[np.unique(node, return_index=True)[1]] = True
+        if first.all():
+            return self
+        return self.restricted_to(first[network.tails] & first[network.heads]) or self
+
     def with_one_ambusher(self) -> Game:
         """The game against an ambusher who holds one site."""
         return replace(self, options=replace(self.options, ambushers=1))

@@ -137,7 +137,7 @@ def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline
         with contextlib.suppress(TimeLimit, SolverFailed):
             program.solve()
         bound = max(bound, program.bound)
-        if all(b.keeps(program.flow) for b in budgets):
+        if not isinstance(program, Cut) or all(b.keeps(program.flow) for b in budgets):
             break
     return bound
 
@@ -227,7 +227,7 @@ class _Search:
             if copied is None:
                 return
             self.copied = copied
-            self.best = (True, 0.0), copied.chain, copied.value, -1
+            self.best = (True, 0.0), copied.chain, copied.value, copied.worst
             if not self._add_worst(copied.chain, program.bound * (1.0 + self.slack)):
                 return
 

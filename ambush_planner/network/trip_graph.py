@@ -67,3 +67,36 @@ def position_errors(name: str) -> tuple[type[AmbushPlannerError], type[AmbushPla
     """The errors for a start, stop or goal off the map, and for a blocked one."""
     return {'start': (StartOutsideMap, StartBlocked), 'goal': (GoalOutsideMap, GoalBlocked)}.get(
         name, (StopOutsideMap, StopBlocked))
+
+
+def with_copies(network: Network, node: IndexArray, edges: IndexArray) -> Network:
+    """A trip's network with copies of its nodes ``node`` (K,) and edges (L, 2) between them.
+
+    The copies come after the network's own nodes and edges; the edges have the new numbers.
+    """
+    of = np.append(np.arange(len(network.points)), node)
+    every, seconds = np.concatenate((network.edges, edges)), network.seconds
+    if seconds is not None:
+        seconds = np.append(seconds, seconds[copied_edges(network, of, edges)])
+    return Network(network.points[of], network.alpha[of], every, network.source, network.target,
+                   network.places[of], network.leg[of], seconds)
+
+
+def copied_edges(network: Network, of: IndexArray, edges: IndexArray) -> IndexArray:
+    """The network's edges that copies (L, 2) stand for, from the node (N',) that each one copies.
+
+    -1 for an edge that copies none.
+    """
+    count = len(network.points)
+    own, wanted = (network.edges @ (count, 1), of[edges] @ (count, 1))
+    order = np.argsort(own)
+    at = order[np.minimum(np.searchsorted(own, wanted, sorter=order), len(own) - 1)]
+    return np.where(own[at] == wanted, at, -1)
+
+
+def copied_nodes(network: Network, places: IndexArray, leg: IndexArray) -> IndexArray:
+    """The network's nodes that stand for the same places (K,) on the same legs (K,); -1: none."""
+    own, wanted = network.places * network.legs + network.leg, places * network.legs + leg
+    order = np.argsort(own)
+    at = order[np.minimum(np.searchsorted(own, wanted, sorter=order), len(own) - 1)]
+    return np.where(own[at] == wanted, at, -1)

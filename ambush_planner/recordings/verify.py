@@ -23,6 +23,8 @@ from ..game.revaluation import open_gap
 from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
+from ..network.network import Network
+from ..network.trip_graph import copied_edges, copied_nodes, with_copies
 from ..planning.cell_losses import CellLosses, CellSearch
 from ..planning.options import PlanningOptions, holds_anywhere, solved_game
 from ..planning.plan import Route, depart, departure_path
@@ -153,6 +155,7 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
     laid = trip_network(risk_map, trip.start_xy, trip.goal_xy, planning.network, trip.stops, order)
     network = add_hiding_places(laid, risk_map, planning)
     cells = CellLosses(risk_map, planning.game.ambush_in_obstacles)
+    network = _with_recorded_copies(network, recorded)
     if holds_anywhere(planning):
         added = slice(len(network.points), None)
         points = recorded.points[added]
@@ -181,6 +184,21 @@ def network_problems(strategy: Strategy, risk_map: RiskMap, planning: PlanningOp
                 problems.append(f'strategy: its {what} budget is {stated:.9g}, the parameters '
                                 f'give {budget.limit:.9g}')
     return problems
+
+
+def _with_recorded_copies(network: Network, recorded: Network) -> Network:
+    """A trip's network with copies of its nodes and edges as in a recorded one."""
+    new = slice(len(network.edges), len(recorded.edges))
+    nodes = slice(len(network.points), None)
+    copies = copied_nodes(network, recorded.places[nodes], recorded.leg[nodes])
+    if new.start >= new.stop or not (copies >= 0).any():
+        return network
+    count = int((copies >= 0).sum())
+    of, edges = np.append(np.arange(len(network.points)), copies[:count]), recorded.edges[new]
+    if (copies[:count] < 0).any() or edges.max() >= len(of) or (
+            copied_edges(network, of, edges) < 0).any():
+        return network  # which differs from the recorded one
+    return with_copies(network, copies[:count], edges)
 
 
 def certificate_problems(strategy: Strategy, stated: Mapping[str, float],

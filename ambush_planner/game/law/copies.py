@@ -19,7 +19,7 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 
 from ...arrays import FloatArray, IndexArray, frozen_array, sums
 from ...errors import SolverFailed
-from ...network.network import Network
+from ...network.trip_graph import with_copies
 from ..game import Game
 from ..value.mixtures import Mixtures
 from ..value.routes import LEAST_FLOW, TIGHT, Routes
@@ -57,6 +57,8 @@ class Copied:
         The trip's node that each copied node stands for, without source and target.
     value : float
         What the best ambush costs on average, each route counted once.
+    worst : int
+        The row of the site that costs most.
     evaluations : int
         Of the Gibbs law.
     """
@@ -64,6 +66,7 @@ class Copied:
     chain: MarkovChain
     node: IndexArray
     value: float
+    worst: int
     evaluations: int
 
     def unrolled(self, game: Game) -> tuple[Game, FloatArray]:
@@ -159,9 +162,10 @@ class _Laws:
             start[:] = 0.0
             start[moved] = found.multipliers
             chain = MarkovChain(self.network, found.p)
-            value = self._value(hits, chain)
+            losses = self._losses(hits, chain)
+            value = float(np.sort(losses)[len(losses) - self._ambushers :].sum())
             if best is None or value <= max(self.limit, best.value):
-                best = Copied(chain, self.node, value, evaluations)
+                best = Copied(chain, self.node, value, int(losses.argmax()), evaluations)
         return best
 
     def _counted(self, hits: csr_matrix) -> csr_matrix:
@@ -173,8 +177,11 @@ class _Laws:
         column = np.concatenate((entry.col[kept], *begin))
         return csr_matrix((np.ones(len(row)), (row, column)), hits.shape)
 
-    def _value(self, hits: csr_matrix, chain: MarkovChain) -> float:
-        """The value of a law; in the next one, labels concede what they enter twice in it."""
+    def _losses(self, hits: csr_matrix, chain: MarkovChain) -> FloatArray:
+        """Mean losses (S,) of a law; in the next one, labels concede what they enter twice in it.
+
+        Those that are not among the largest are upper bounds.
+        """
         entry, labels, law = hits.tocoo(), len(self._begin), chain.p
         entries = sums(entry.row * labels + self.label[entry.col], law[entry.col],
                        len(self._loss) * labels).reshape(-1, labels)
@@ -183,7 +190,7 @@ class _Laws:
         losses = self._loss * np.minimum(entries, weight).sum(axis=1)
         worst = np.argsort(-losses)[:EXACT]
         losses[worst] = self._loss[worst] * chain.hits(hits[worst])
-        return float(np.sort(losses)[len(losses) - self._ambushers :].sum())
+        return np.asarray(losses)
 
 
 def _part(game: Game, used: IndexArray, potential: FloatArray,
@@ -212,13 +219,8 @@ def _on_copies(game: Game, copies: AcyclicNetwork, node: IndexArray) -> Game:
     of = np.append(np.arange(count), node)
     at = np.concatenate(([network.source], count + np.arange(len(node)), [network.target]))
     edges = np.column_stack((at[copies.tail], at[copies.head]))
-    seconds = network.seconds
-    if seconds is not None:
-        seconds = np.append(seconds, seconds[copies.edge])
-    unrolled = Network(network.points[of], network.alpha[of],
-                       np.concatenate((network.edges, edges)), network.source, network.target,
-                       network.places[of], network.leg[of], seconds)
     playable = np.append(game.playable, np.ones(len(edges), dtype=bool))
-    return replace(game, network=unrolled, playable=frozen_array(playable, np.bool_),
+    return replace(game, network=with_copies(network, node, edges),
+                   playable=frozen_array(playable, np.bool_),
                    loss=frozen_array(game.loss[of], np.float64),
                    known_hits=csr_matrix(hstack((game.hits, game.hits[:, copies.edge]))))
