@@ -20,7 +20,7 @@ from .maps.risk_map import RiskMap
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate
-from .planning.frontier import FrontierRow, frontier
+from .planning.frontier import FrontierRow, frontier, trip_frontier
 from .planning.many import Problem, Solved, solve_many
 from .planning.options import PlanningOptions
 from .planning.trip import plan_trip
@@ -58,4 +58,5 @@ __all__ = [
     'plan_trip',
     'solve',
     'solve_many',
+    'trip_frontier',
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
+from ..planning.concerns import concerns
 from ..planning.evaluation import evaluate
 from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
@@ -108,6 +110,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     drawn = draw(plan, arguments.departures, np.random.default_rng(arguments.seed))
     write_outputs(arguments.output, drawn)
     _tell(plan, console)
+    for text in concerns(plan):
+        console.say(f'Warning: {text}.')
     tell_outputs(arguments.output, drawn, console)
     return cli.Exit.HOLDS
 
@@ -125,7 +129,9 @@ def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOpt
                          for end in ('start', 'goal'))
     stops = [place.xy(risk_map) for place in arguments.via or ()]
     try:
-        return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # the concerns tell more
+            return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order)
     except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
         if not risk_map.crs:
             raise

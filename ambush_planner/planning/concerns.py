@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..game.game import Game
-from ..game.revaluation import open_gap
+from ..game.strategy import within_slack
 from .options import holds_anywhere, start_tolerance
 from .plan import DRAWN, Plan
 
@@ -20,31 +22,22 @@ ALL_ROUTES = 0.99
 
 def concerns(plan: Plan) -> list[str]:
     """Return what should be known about the value of a plan, one sentence each."""
-    found = _gap(plan), _counting_gap(plan), _held_ground(plan)
+    found = wide_gap(plan), _held_ground(plan)
     return [text for text in found if text]
 
 
-def _gap(plan: Plan) -> str:
-    """Whether the time limit ended the search for the best strategy."""
-    gap = open_gap(plan.strategy, plan.options.strategy)
-    if gap == 0.0:
+def wide_gap(plan: Plan) -> str:
+    """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
+    strategy, options = plan.strategy, plan.options.strategy
+    if within_slack(strategy, options):
         return ''
-    return (
-        f'max_planning_time ended the search for the best strategy: the value '
-        f'{plan.strategy.value:.4g} may be up to {gap:.3g} above the minimum, besides '
-        'strategy.risk_slack; increase max_planning_time or network.spacing'
-    )
-
-
-def _counting_gap(plan: Plan) -> str:
-    """Whether counting each route once left the value over its slack."""
-    if not plan.strategy.counting_gap:
-        return ''
-    return (
-        f'no strategy closer to the bound was found, because some routes enter the reach of an '
-        f'ambush more than once or cells between the nodes cost more: the value is '
-        f'{plan.strategy.value:.4g}, the bound {plan.strategy.lower_bound:.4g}'
-    )
+    share = strategy.gap / strategy.lower_bound if strategy.lower_bound > 0.0 else math.inf
+    wide = (f'the gap is {share:.1%}: the value is {strategy.value:.4g}, the lower bound '
+            f'{strategy.lower_bound:.4g}')
+    if strategy.counting_gap:
+        return (f'{wide}; no closer strategy or bound was found, and more time would not help; a '
+                'larger network.spacing or fewer stops may')
+    return f'{wide}; the time limit ended the search: allow more time or a larger network.spacing'
 
 
 def _held_ground(plan: Plan) -> str:

@@ -9,6 +9,7 @@ for valuable delivery*, Journal of Transport Literature 4, 2010.
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise, permutations
@@ -27,6 +28,7 @@ from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
 from ..network.shortest_paths import distances_from
 from ..network.trip_graph import TripGraph
+from .concerns import wide_gap
 from .options import PlanningOptions, solved_game
 from .plan import Plan, PlanRequest, make_plan, risk_map_and_goal
 from .solving import WarmStart, add_hiding_places, solve_on_network
@@ -56,13 +58,24 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
     ``Plan.order`` has the indices of the stops as they are visited. A ``warm`` start is used for
     the given order only.
 
+    A gap of value and lower bound beyond the risk slack is warned of, with its reason.
+
     Raises InvalidOption for any other order, StopBlocked for a stop off the map or within the
     clearance of an obstacle, and the errors of ``build_network`` and ``solve``.
     """
+    made = _plan_trip(risk_map, start_xy, goal_xy, options or PlanningOptions(), list(stops), order,
+                      warm)
+    if text := wide_gap(made):
+        warnings.warn(text, stacklevel=2)
+    return made
+
+
+def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
+               options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
+               warm: WarmStart | None) -> Plan:
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
-    options, begin = options or PlanningOptions(), time.monotonic()
-    asked = list(stops)
+    begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
                              [asked[k] for k in place])
@@ -82,8 +95,8 @@ def plan_from_request(request: PlanRequest) -> Plan:
     Raises InvalidRiskMap if the map is malformed, and the errors of ``plan_trip``.
     """
     risk_map, goal_xy = risk_map_and_goal(request)
-    made = plan_trip(risk_map, request.start_xy, goal_xy, request.options, stops=request.stops_xy,
-                     order=request.order, warm=request.warm)
+    made = _plan_trip(risk_map, request.start_xy, goal_xy, request.options,
+                      list(request.stops_xy), request.order, request.warm)
     return replace(made, risk_map=None)  # too large to send to another process
 
 

@@ -1,0 +1,80 @@
+"""The same question gives the same number at every door."""
+
+import csv
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from commands import run_here
+
+from ambush_planner import (
+    GameOptions,
+    NetworkOptions,
+    PlanningOptions,
+    Problem,
+    plan_trip,
+    solve_many,
+    trip_frontier,
+)
+from ambush_planner.commands import frontier as frontier_command
+from ambush_planner.commands import plan as plan_command
+from ambush_planner.commands import table as table_command
+from ambush_planner.maps.map_file import read_map
+from ambush_planner.maps.occupancy import OccupancyOptions
+from ambush_planner.maps.risk_map_file import read_risk_map
+from ambush_planner.planning.plan import PlanRequest
+from ambush_planner.planning.trip import plan_from_request
+from ambush_planner.recordings.strategy_file import strategy_file, strategy_from_file
+
+YARD = Path(__file__).parents[1] / 'docs/yard.yaml'
+START, GOAL = (4.0, 20.0), (56.0, 20.0)
+OPTIONS = PlanningOptions(NetworkOptions(target_nodes=300), GameOptions(ambush_radius=2.0))
+SET = ('--set', 'network.target_nodes=300', 'game.ambush_radius=2')
+
+
+@pytest.fixture(scope='module')
+def numbers():
+    """Value and lower bound of the plan."""
+    strategy = plan_trip(read_risk_map(YARD), START, GOAL, OPTIONS).strategy
+    return strategy.value, strategy.lower_bound
+
+
+def same(number):
+    return pytest.approx(number, rel=1e-9)
+
+
+def test_python(numbers):
+    risk_map = read_risk_map(YARD)
+    (row,) = trip_frontier(risk_map, START, GOAL, OPTIONS, detours=[1.2], slacks=[])
+    with ThreadPoolExecutor(1) as pool:
+        (solved,) = solve_many([Problem(risk_map, START, GOAL, OPTIONS)], pool)
+    read, _ = strategy_from_file(strategy_file(solved.answer), OPTIONS.game)
+    for each in (row, solved.answer, read):
+        assert (each.value, each.lower_bound) == same(numbers)
+
+
+def test_the_request_of_a_node(numbers):
+    grid = read_map(YARD)
+    request = PlanRequest(grid.values, grid.resolution, grid.origin, OccupancyOptions(), START,
+                          GOAL, 0.0, OPTIONS)
+    strategy = plan_from_request(request).strategy
+    assert (strategy.value, strategy.lower_bound) == same(numbers)
+
+
+def test_commands(numbers, tmp_path):
+    ends = ('--start', *START, '--goal', *GOAL)
+    done = run_here(plan_command, YARD, *ends, '-o', tmp_path / 'routes.csv', '--json', *SET)
+    planned = json.loads(done.out)
+    assert (planned['value'], planned['lower_bound']) == same(numbers)
+    done = run_here(frontier_command, YARD, *ends, '-o', tmp_path / 'frontier.csv', '--json',
+                    '--detours', 1.2, '--slacks', 0.01, *SET)
+    for row in json.loads(done.out)['rows']:
+        assert (row['value'], row['lower_bound']) == same(numbers)
+    for name, (x, y) in (('from', START), ('to', GOAL)):
+        (tmp_path / f'{name}.csv').write_text(f'name,x,y\nyard,{x},{y}\n')
+    run_here(table_command, tmp_path / 'from.csv', tmp_path / 'to.csv', '--map', YARD, '-o',
+             tmp_path / 'table.csv', '--jobs', 1, *SET)
+    with (tmp_path / 'table.csv').open(newline='') as file:
+        (row,) = csv.DictReader(file)
+    assert (float(row['value']), float(row['lower_bound'])) == pytest.approx(numbers, rel=1e-8)
