@@ -54,6 +54,7 @@ setup(
     install_requires=[
         'numpy>=1.26.4',
         'scipy>=1.11.4',
+        'highspy>=1.8',
         'PyYAML>=6.0',
         'mcap>=1.2.2',
         'mcap-ros2-support>=0.5.3',
@@ -79,7 +80,6 @@ setup(
             'hypothesis',
             'latex2mathml',  # parses the formulas of the documents
             'networkx',
-            'highspy',
             'clarabel',
             'distributed>=2024.1',  # an executor for solve_many
             'rosbags',

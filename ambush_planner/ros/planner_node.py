@@ -24,6 +24,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from ..errors import InvalidOption
+from ..game.value.face_flows import HAS_HIGHSPY
 from ..recordings.versions import software_versions
 from .bond import Bond
 from .compute_path import ACTIONS, ComputePath
@@ -99,6 +100,9 @@ class PlannerNode(LifecycleNode):
         )
         self._closing.callback(self._error_boundary.log_repeated)
         self._reporter.recording(self._settings.current.recording.enabled)
+        if not HAS_HIGHSPY:
+            self._reporter.warn('solver', 'the Python package highspy is not installed, so plans '
+                                'take longer: pip install highspy')
         requests = Requests(self, self._error_boundary, lambda: _configured(self._dispatcher),
                             lambda: _configured(self._inputs), self._settings)
         for name in ACTIONS:

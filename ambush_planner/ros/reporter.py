@@ -46,9 +46,10 @@ class Reporter:
         self._change(lambda status: replace(status, **fields))
 
     def unconfigured(self) -> None:
-        """Clear everything except warnings about parameters."""
+        """Clear everything except warnings about parameters and the solver."""
         def change(status: Status) -> Status:
-            kept = {key: text for key, text in status.warnings.items() if key == 'parameters'}
+            kept = {key: text for key, text in status.warnings.items()
+                    if key in ('parameters', 'solver')}
             return Status(lifecycle='unconfigured', recording=status.recording, warnings=kept)
 
         self._change(change)
@@ -65,7 +66,7 @@ class Reporter:
         self._change(lambda status: status.without_problem(concern))
 
     def warn(self, concern: str, text: str) -> None:
-        """Set the warning of 'parameters' or 'alpha_map'; '' clears it."""
+        """Set the warning of 'parameters', 'solver' or 'alpha_map'; '' clears it."""
         def change(status: Status) -> Status:
             rest = {key: value for key, value in status.warnings.items() if key != concern}
             return replace(status, warnings=rest | ({concern: text} if text else {}))
