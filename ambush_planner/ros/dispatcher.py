@@ -301,7 +301,7 @@ class Dispatcher:
                                 'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
             raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the '
-                                'map changes too fast; increase network.spacing or strategy.max_gap')
+                                'map changes too fast; raise network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)
 
