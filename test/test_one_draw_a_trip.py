@@ -213,3 +213,21 @@ def test_each_of_two_robots_continues_its_own_trip():
             rest = path_from_ros(client.get_plan(pose(0.0, 0.0, frame=frame), GOAL))
             np.testing.assert_allclose(rest[1:], wholes[frame][4:], atol=1e-12)
         client.diagnostics(departures='2', last_answer='continued')
+
+
+def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once():
+    interfaces.install('nav2_msgs')
+    action = import_module('nav2_msgs.action').ComputePathToPose
+    try:
+        with stage(parameters=ROBOT) as running:
+            client, robot = running.client, Robot(running)
+            goals = Goals(action, running, 'compute_path_to_pose')
+            robot.is_at(1.5, 5.5)
+            client.publish('alpha_map', risk_grid(FLAT))
+            wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+            handles = [goals.send(start=None) for _ in range(3)]
+            said = [goals.result(each)[1].error_msg for each in handles]
+            assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']
+            client.diagnostics(departures='1')
+    finally:
+        interfaces.uninstall('nav2_msgs')
