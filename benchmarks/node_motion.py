@@ -31,6 +31,7 @@ from node_rig import (
     ANSWER_TIMEOUT,
     PLANNER,
     Caller,
+    NodeSilent,
     grid_of,
     percentiles,
     pose,
@@ -343,9 +344,12 @@ def measure_one(ask: str, boxes: bool, speed: float, options: Any) -> tuple[list
         before = resident(rig.process.pid)
         patrol.drive(options.trips)
         grown = resident(rig.process.pid) - before
-    trips = patrol.trips
+    trips = [trip for trip in patrol.trips if trip.drawn]
+    if not trips:
+        raise NodeSilent('no trip got a path')
     ratios = [trip.driven / trip.drawn for trip in trips]
-    met = [worst_met([trip for trip in trips if trip.way == way]) for way in (0, 1)]
+    met = [worst_met([trip for trip in trips if trip.way == way])
+           for way in sorted({trip.way for trip in trips})]
     allowed = [float(binom.ppf(0.999, n, min(value, 1.0))) / n for _, value, n in met]
     late = patrol.under_way or [0.0]
     right = not patrol.wrong and all(
