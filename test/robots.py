@@ -1,11 +1,14 @@
 """A robot that is known by TF."""
 
+import math
+
 import interfaces
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 from ros_harness import header, wait_until
 from scipy.spatial.transform import Rotation
 
+from ambush_planner.planning.node_parameters import RobotOptions
 from ambush_planner.ros.error_codes import FrameMismatch
 from ambush_planner.ros.qos import TF
 
@@ -29,23 +32,23 @@ def quaternion(rotation):
 
 
 class Robot:
-    """Publishes the pose of base_link on the map."""
+    """Publishes the pose of a robot's frame on the map."""
 
-    def __init__(self, running):
-        self._running, self._node = running, running.client.node
+    def __init__(self, running, frame='base_link'):
+        self._running, self._node, self._frame = running, running.client.node, frame
         self._moving = self._node.create_publisher(TFMessage, '/tf', TF)
         wait_until(self._moving.get_subscription_count, 'a listener to /tf')
 
     def is_at(self, x, y):
         """Be somewhere, and wait until the planner knows it."""
-        there = transform('map', 'base_link', float(x), float(y))
+        there = transform('map', self._frame, float(x), float(y))
         there.header.stamp = self._node.get_clock().now().to_msg()
         self._moving.publish(TFMessage(transforms=[there]))
         wait_until(lambda: self._known() == (float(x), float(y)), 'the move')
 
     def _known(self):
         """Where the node believes the robot to be, None if it does not know."""
-        robot = self._running.planner._settings.current.robot
+        robot = RobotOptions(self._frame, math.inf)
         try:
             at = self._running.planner._inputs._located_start(None, robot, 'map')[1].pose.position
         except FrameMismatch:

@@ -195,3 +195,39 @@ def test_a_trip_with_stops_is_continued_through_those_that_remain():
             assert asked(GOAL)[1] == asked(*stops, GOAL)[1] == 'departure 1 continued'
     finally:
         interfaces.uninstall('nav2_msgs')
+
+
+def test_each_of_two_robots_continues_its_own_trip():
+    with stage(parameters=ROBOT) as running:
+        client = running.client
+        robots = {frame: Robot(running, frame) for frame in ('base_link', 'van')}
+        client.publish('alpha_map', risk_grid(FLAT))
+        wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+        wholes = {}
+        for frame, robot in robots.items():
+            robot.is_at(1.5, 5.5)
+            wholes[frame] = path_from_ros(client.get_plan(pose(0.0, 0.0, frame=frame), GOAL))
+        client.diagnostics(departures='2')
+        for frame, robot in robots.items():
+            robot.is_at(*wholes[frame][3, :2])
+            rest = path_from_ros(client.get_plan(pose(0.0, 0.0, frame=frame), GOAL))
+            np.testing.assert_allclose(rest[1:], wholes[frame][4:], atol=1e-12)
+        client.diagnostics(departures='2', last_answer='continued')
+
+
+def test_a_robot_that_asks_again_while_its_plan_is_solved_departs_once():
+    interfaces.install('nav2_msgs')
+    action = import_module('nav2_msgs.action').ComputePathToPose
+    try:
+        with stage(parameters=ROBOT) as running:
+            client, robot = running.client, Robot(running)
+            goals = Goals(action, running, 'compute_path_to_pose')
+            robot.is_at(1.5, 5.5)
+            client.publish('alpha_map', risk_grid(FLAT))
+            wait_until(lambda: running.planner._inputs._map is not None, 'the map')
+            handles = [goals.send(start=None) for _ in range(3)]
+            said = [goals.result(each)[1].error_msg for each in handles]
+            assert sorted(said) == ['', 'departure 1 continued', 'departure 1 continued']
+            client.diagnostics(departures='1')
+    finally:
+        interfaces.uninstall('nav2_msgs')

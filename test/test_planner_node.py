@@ -218,3 +218,12 @@ def test_a_stray_argument_is_an_error(arguments, capsys):
     assert ended.value.code == 2
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == f'ambush_planner: error: unrecognized arguments: {" ".join(arguments)}'
+
+
+def test_a_patrol_of_five_legs_is_solved_once(client, submitted):
+    places = [(1.5, 5.5), (3.0, 8.5), (8.5, 8.5), (8.5, 1.5), (2.5, 1.5)]
+    for _ in range(2):
+        for start, goal in zip(places, places[1:] + places[:1], strict=True):
+            assert client.get_plan(pose(*start), pose(*goal)).poses
+    client.diagnostics(departures='10')
+    assert len(submitted) == 5

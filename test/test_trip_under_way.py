@@ -132,3 +132,26 @@ def test_a_route_changes_at_the_next_node_or_at_the_last_one(place, nodes):
         if each[0] + each[1] < place[0] + place[1]:
             trip.follow(each)
     assert trip.nodes_ahead(place).tolist() == nodes
+
+
+@given(seed=st.integers(0, 10**6))
+def test_a_robot_that_follows_its_path_stays_on_it_to_the_end(seed):
+    """However the path winds and crosses itself; the robot is seen every metre or more often."""
+    rng = np.random.default_rng(seed)
+    headings = np.cumsum(rng.normal(0.0, 0.8, 25))
+    corners = np.cumsum(np.column_stack((np.cos(headings), np.sin(headings))), axis=0)
+    trip = trip_on(corners.tolist())
+    points = trip.path[:, :2]
+    driven = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    at, before = 0.0, 0.0
+    goal = tuple(corners[-1].tolist())
+    while at < driven[-1]:
+        beside = rng.uniform(-0.28, 0.28, 2)
+        place = tuple(float(np.interp(at, driven, axis)) + off
+                      for axis, off in zip(points.T, beside, strict=True))
+        assert trip.continues(asked(goal), place, 0.0)
+        assert trip.progress >= before
+        rest = trip.rest(place, goal)
+        assert tuple(rest[0, :2]) == place and tuple(rest[-1, :2]) == goal
+        before, at = trip.progress, at + rng.uniform(0.0, 1.0)
+    assert trip.progress > driven[-1] - 1.0 - 2.0 * TOLERANCE

@@ -16,7 +16,7 @@ from ..game.certificate.certificate import Certificate
 from ..game.game import Game
 from ..game.law.chain import chain_of
 from ..game.revaluation import revalue
-from ..maps.obstacles import ObstacleField, nearest_free_cell
+from ..maps.obstacles import ObstacleField
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap, to_world
 from ..network.construction import NetworkOptions
@@ -44,8 +44,8 @@ _TOUCH = 1e-6  # distance at which cells count as touched [cells]
 _MARGIN = 2  # width of the border around the part of the map that is tested [cells]
 # Number of steps of a path that are tested together: the map is read around them.
 _PIECE = 50
-# Maximum length of the way out of an obstacle [m], and number of places on it that are looked at.
-WAY_OUT, _SAMPLES = 1.0, 100
+# Maximum length of the way out of an obstacle [m].
+WAY_OUT = 1.0
 
 
 @dataclass(frozen=True)
@@ -395,22 +395,30 @@ def way_out(place: tuple[float, float], newest: OccupancyMap, occupancy: Occupan
             network: NetworkOptions) -> tuple[float, float]:
     """The nearest clear place within ``WAY_OUT`` of a convoy in a costmap's inflation [m].
 
-    Returns ``place`` if it is clear, or if no straight way to such a place avoids the cells of 100,
-    which the convoy cannot drive through.
+    The straight way there meets no cell of 100, which the convoy cannot drive through, other than
+    its own. Returns ``place`` if it is clear, or if there is no such way.
     """
     uv = _map_axes(newest, np.array([place]))
     if not ((uv >= 0.0) & (uv < np.multiply(newest.values.shape[::-1], newest.resolution))).all():
         return place  # off the map
     corner, part = _part(newest, occupancy, uv, WAY_OUT + network.clearance)
-    x, y = (uv[0] - corner).tolist()
-    free = nearest_free_cell(part, (x, y), WAY_OUT, network.clearance, network.clear_of_edge)
-    between = np.linspace((x, y), free, _SAMPLES) + corner
-    columns, rows = np.floor(between / newest.resolution).astype(np.int64).T
-    others = (columns != columns[0]) | (rows != rows[0])
-    if (newest.values[rows, columns][others] == 100).any():
+    at, field = uv - corner, ObstacleField(part, network.clear_of_edge)
+    if field.clear_points(at, network.clearance)[0]:
         return place
-    out_x, out_y = to_world(newest.origin, np.array(free) + corner).tolist()
-    return (out_x, out_y) if free != (x, y) else place
+    _, hard = _part(newest, replace(occupancy, obstacle_threshold=100), uv,
+                    WAY_OUT + network.clearance)
+    lethal = hard.obstacles.copy()
+    lethal[hard.cells(at[0])] = False
+    centres = np.multiply(np.argwhere(~part.obstacles)[:, ::-1] + 0.5, newest.resolution)
+    away = np.hypot(*(centres - at).T)
+    near = centres[np.argsort(away, kind='stable')[:int((away <= WAY_OUT).sum())]]
+    straight = ObstacleField(replace(hard, obstacles=lethal), False).clear_segments(
+        np.repeat(at, len(near), axis=0), near, 0.0)
+    found = near[straight & field.clear_points(near, network.clearance)]
+    if not len(found):
+        return place
+    x, y = to_world(newest.origin, found[0] + corner).tolist()
+    return x, y
 
 
 def _part(grid: OccupancyMap, occupancy: OccupancyOptions, uv: FloatArray,

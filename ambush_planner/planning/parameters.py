@@ -89,7 +89,8 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'game.secured_radius': Declaration(
         _GAME.secured_radius,
         'Radius of the held ground around start, stops and goal [m], where nobody can wait and '
-        'nobody who drives there is hit; -1: as far as the reach.', -1.0),
+        'nobody who drives there is hit; -1: as far as the reach, with tube, tracking error and '
+        'start tolerance.', -1.0),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
     'game.ambushers': Declaration(

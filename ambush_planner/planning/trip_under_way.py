@@ -55,7 +55,7 @@ class TripUnderWay:
     nodes, places : (K,) int, (K, 2) float
         The drawn route, and where its nodes are [m].
     passes, visits : (S,) int
-        Indices of the stops that were ahead at the begin of the path, among ``nodes`` and among the
+        Indices of the stops that lay ahead when the path began, among ``nodes`` and among the
         stops of ``destination``, in the order of the route.
     tolerance, back
         The distance from the path up to which the robot is on it, and how far back along it [m].

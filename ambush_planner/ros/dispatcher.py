@@ -99,7 +99,7 @@ class Dispatcher:
                                         self._departures)
         self._waiting: list[_Pending] = []
         self._count = 0
-        self._under_way: _UnderWay | None = None
+        self._under_way: dict[tuple[str, str], _UnderWay] = {}  # by the frames of map and robot
         self._shutdown_began: float | None = None
         self._paused = True
         self._map_is_new = False
@@ -146,7 +146,7 @@ class Dispatcher:
 
     def follow(self) -> None:
         """Note how far the robot has come on its path; to be called about once a second."""
-        if self._under_way is not None:
+        if self._under_way:
             self._departures.submit(self._follow)
 
     def depart(self, call: ServiceCall, trip_request: TripRequest,
@@ -252,10 +252,9 @@ class Dispatcher:
                                              parameters.occupancy, parameters.planning.network):
             path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
             return self._answer(pending, path, 'arrived')
-        under_way = self._under_way
-        if under_way is None or not trip.moves or not under_way.trip.continues(
-            _destination(trip), trip.start_xy, trip.goal_tolerance
-        ):
+        wanted = _destination(trip)
+        under_way = self._under_way.get(wanted.frames)
+        if not (under_way and under_way.trip.continues(wanted, trip.start_xy, trip.goal_tolerance)):
             return None
         return self._continued(under_way, trip, pending) or self._diverted(under_way, trip, pending)
 
@@ -286,8 +285,8 @@ class Dispatcher:
         path = self._path(drawn[1], trip)
         if departure.parameters.publish_path:
             self._publishers.publish('path', path_bytes(path))
-        self._under_way = replace(under_way, diversions=number,
-                                  trip=trip_on(held.plan, *drawn, before.destination))
+        self._under_way[before.destination.frames] = replace(
+            under_way, diversions=number, trip=trip_on(held.plan, *drawn, before.destination))
         self._reporter.set(last_answer='diverted')
         return self._answer(pending, path, f'departure {departure.number} diverted: its path is no '
                                            'longer clear, and another route of its plan is')
@@ -301,8 +300,7 @@ class Dispatcher:
                                 'too far from it: ask again')
         if pending.solves > _MOST_SOLVES:
             raise GroundChanges(f'{_MOST_SOLVES} plans in a row were out of date when solved: the '
-                                'map changes too fast; increase network.spacing or '
-                                'strategy.max_gap')
+                                'map changes too fast; raise network.spacing or strategy.max_gap')
         self._when_solved(self._plans.share_or_solve(trip, pending.parameters),
                           lambda _: self._try(pending), pending.answer)
 
@@ -365,7 +363,7 @@ class Dispatcher:
         if departure.parameters.publish_path:
             self._publishers.publish('path', departure.published.data)
         if departure.trip.moves:
-            self._under_way = under_way
+            self._under_way[under_way.trip.destination.frames] = under_way
         return _answer_of(departure, *self._reporter.departed(departure))
 
     def _leave_once_recorded(self, under_way: _UnderWay, pending: _Pending) -> None:
@@ -404,10 +402,10 @@ class Dispatcher:
         self._displayed.review(self._settings.current.replan_tolerance, after_resolve)
 
     def _follow(self) -> None:
-        if (under_way := self._under_way) is not None:
-            robot = under_way.departure.parameters.robot
+        for each in self._under_way.values():
             with suppress(AmbushPlannerError):  # TF does not know where the robot is
-                under_way.trip.follow(self._inputs.locate(under_way.request, robot).start_xy)
+                each.trip.follow(self._inputs.locate(
+                    each.request, each.departure.parameters.robot).start_xy)
 
     def _now(self) -> int:
         """Return the time of the node's clock [ns]."""

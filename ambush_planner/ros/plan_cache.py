@@ -25,8 +25,8 @@ from ..worker.solve_queue import SolveQueue
 from .current_map import CurrentMap
 from .inputs import Trip
 
-# Maximum number of plans kept, and of edges of all of them (0.4 kB each).
-_MOST_PLANS, _MOST_EDGES = 32, 1_000_000
+# Maximum number of plans kept, and of edges of all of them (1.1 kB each).
+_MOST_PLANS, _MOST_EDGES = 32, 300_000
 
 
 @dataclass(frozen=True, eq=False)
