@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from ambush_planner.game.acyclic import is_acyclic
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
 from test_routes import all_routes, games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
-from ambush_planner.game.acyclic import is_acyclic
 from ambush_planner.game.game import make_game
 from ambush_planner.game.hits import worst_loss
 from ambush_planner.game.law.copies import law_on_copies

@@ -31,7 +31,6 @@ from ambush_planner import (
     build_network,
     plan_trip,
 )
-from ambush_planner.game.game import make_game
 from ambush_planner.maps.road_file import RoadGraph
 from ambush_planner.planning.options import ROAD_TUBE
 from ambush_planner.planning.plan import depart, departure_paths
@@ -171,9 +170,9 @@ def test_paths_keep_to_the_roads(streets, game, tube):
     assert edges.issuperset(pairwise(route))
 
 
-def best_over_all_routes(network, radius):
+def best_over_all_routes(game):
     """The value by a program over all simple routes, each hit once; by networkx and HiGHS."""
-    game = make_game(network, GameOptions(radius))
+    network = game.network
     graph = networkx.DiGraph(network.edges.tolist())
     number = {tuple(edge): k for k, edge in enumerate(network.edges.tolist())}
     hits = game.hits.toarray() > 0
@@ -208,7 +207,7 @@ def test_small_networks_against_all_routes(seed, radius):
         plan = plan_trip(risk_map, places[0], places[1], options)
     except NoRoute:
         return
-    strategy, best = plan.strategy, best_over_all_routes(plan.network, radius)
+    strategy, best = plan.strategy, best_over_all_routes(plan.strategy.game)
     assert strategy.lower_bound <= best * (1.0 + 1e-6) + 1e-9
     assert strategy.value >= best * (1.0 - 1e-6) - 1e-9
     if radius == 0.0 or not strategy.counting_gap:

@@ -112,7 +112,9 @@ def check_laws(strategy, visits):
     balance -= np.bincount(network.heads, p, len(network.points))
     balance[[network.source, network.target]] -= (1.0, -1.0)
     assert np.abs(balance).max() < 1e-9
-    assert np.allclose(strategy.visit_probability[network.stops], 1.0)
+    node = network.places * network.legs + network.leg  # copies of a stop share its visits
+    visited = np.bincount(node, strategy.visit_probability)
+    assert np.allclose(visited[node[network.stops]], 1.0)
     rng = np.random.default_rng(0)
     for route in strategy.sample_routes(20, rng):
         leg, place = network.leg[route], network.places[route]
@@ -155,10 +157,10 @@ def test_a_site_that_two_legs_pass_counts_once():
     """Each leg passes one of two sites, of losses 1 and 3, the first with probability f."""
     roads = there_and_back(1.0, 3.0)
     strategy = solve(roads.network(roads.visits), options=FREE)
-    # Legs are drawn independently of each other. f = 3/4 for both costs 1 - 1/16 and 3 (7/16).
-    assert 0.75 < strategy.value < 3.0 * 7.0 / 16.0
-    # Legs that agree with each other would reach what one leg alone costs, 1 / (1 + 1/3).
-    assert strategy.lower_bound == pytest.approx(0.75, rel=NEAR) and strategy.counting_gap
+    # Legs drawn independently of each other would cost 1 - 1/16 and 3 (7/16) with f = 3/4. Legs
+    # that agree with each other reach what one leg alone costs, 1 / (1 + 1/3).
+    assert strategy.value == pytest.approx(0.75, rel=0.011)
+    assert strategy.lower_bound == pytest.approx(0.75, rel=NEAR) and not strategy.counting_gap
     assert solve(roads.network((2, 3)), options=FREE).value == pytest.approx(0.75, rel=NEAR)
 
 
@@ -213,8 +215,8 @@ def test_the_best_order_does_not_depend_on_the_given_one(risk_map, in_best_order
 def test_the_network_of_a_trip_is_reproducible(risk_map, in_best_order, as_given):
     for each, order in ((in_best_order, 'best'), (as_given, 'given')):
         again = trip_network(risk_map, START, GOAL, OPTIONS.network, each.stops_xy, order)
-        assert np.array_equal(again.points, each.network.points)
-        assert np.array_equal(again.edges, each.network.edges)
+        assert np.array_equal(again.points, each.network.points[: len(again.points)])
+        assert np.array_equal(again.edges, each.network.edges[: len(again.edges)])
 
 
 def test_many_stops_get_a_short_order(risk_map):
@@ -252,7 +254,8 @@ def test_corridors_are_as_wide_as_those_of_each_leg(risk_map):
     network = trip.network
     place, first = network.places, network.representatives
     leg = Network(network.points[first], network.alpha[first],
-                  place[network.edges[network.leg[network.tails] == 0]], network.source,
+                  np.unique(place[network.edges[network.leg[network.tails] == 0]], axis=0),
+                  network.source,
                   int(place[network.stops[0]]))
     alone = make_corridors(leg, risk_map)
     for name in ('uv', 'links', 'widths', 'beyond'):

@@ -226,14 +226,15 @@ class Game:
     def legs(self) -> list[Game]:
         """The games of the legs of a trip, each on all places, with the sites of the trip."""
         network, place, first = self.network, self.network.places, self.network.representatives
+        playable = self.without_copies().playable
         at = [network.source, *network.stops.tolist(), network.target]
         legs = []
         for leg, (source, target) in enumerate(pairwise(at)):
-            own = network.leg[network.tails] == leg
+            own = playable & (network.leg[network.tails] == leg)
             layer = Network(network.points[first], network.alpha[first],
                             place[network.edges[own]], int(place[source]), int(place[target]))
             legs.append(replace(self, network=layer, loss=self.loss[first],
-                                playable=frozen_array(self.playable[own], np.bool_),
+                                playable=frozen_array(playable[own], np.bool_),
                                 known_hits=self.hits[:, np.flatnonzero(own)]))
         return legs
 

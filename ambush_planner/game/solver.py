@@ -151,7 +151,7 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
     if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
         faces = make_faces(game)
         if faces:
-            yield Potential(faces, binding[0] if binding else Budget.none(game),
+            yield Potential(faces, binding[0] if binding else Budget.none(game), gap,
                             problem.deadline)
             return
     yield Routes(game, binding, gap, problem.deadline)
@@ -235,7 +235,8 @@ class _Search:
         """Rounds of a law around the program's flow; each strategy on the way counts."""
         law = self.law = self._new_law(step)
         law.measure(self._level())
-        self._keep(law)
+        if self.problem.ground is None:  # otherwise other places may cost the flow more
+            self._keep(law)
         before = 0.0
         while law.rounds < ROUNDS and time.monotonic() < self.problem.deadline:
             q, prices = self.program.q, self.program.prices

@@ -37,7 +37,8 @@ def wide_gap(plan: Plan) -> str:
     if strategy.counting_gap:
         return (f'{wide}; no closer strategy or bound was found, and more time would not help; a '
                 'larger network.spacing or fewer stops may')
-    return f'{wide}; the time limit ended the search: allow more time or a larger network.spacing'
+    return (f'{wide}; the time limit (max_planning_time) ended the search: allow more time or a '
+            'larger network.spacing')
 
 
 def _held_ground(plan: Plan) -> str:
@@ -49,7 +50,8 @@ def _held_ground(plan: Plan) -> str:
                 'and no ambush elsewhere causes a loss; check the map and game.secured_radius')
     if not bottleneck.value > 0.0:
         return 'the value is 0: some routes meet no ambush that causes a loss; check the map'
-    enough = game.reach + start_tolerance(plan.options, plan.spacing)
+    enough = game.options.ambush_radius + game.options.tube + start_tolerance(
+        plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
     hold = 0.0 <= asked < enough
     if place := _covers_all(plan):

@@ -218,7 +218,7 @@ class _StopOrderSearch:
     def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
         """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""
         k = game.ambushers
-        options = replace(self._game, ambush_radius=0.0, tube=0.0, ambushers=1)
+        options = replace(self._game, ambush_radius=0.0, tube=0.0, widened=0.0, ambushers=1)
         for pair in combinations(self._ends, 2):
             try:
                 cut = solve_by_min_cut(make_game(self._graph.network(pair), options))

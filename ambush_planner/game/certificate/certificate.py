@@ -74,6 +74,7 @@ def lower_bound(game: Game, ambusher: Ambusher, budgets: tuple[Budget, ...]) -> 
     SolverFailed if he is no ambusher of the game.
     """
     ambusher.check(game, budgets)
+    game = game.without_copies()  # whatever can be driven can be driven on the trip's own nodes
     if not hits_can_differ(game):
         return entry_bound(game, ambusher, budgets)
     if ambusher.circulation is None:

@@ -1,6 +1,7 @@
 """The bound that a circulation between faces proves on a planar two-way network.
 
-A closed curve through faces and discs that crosses one route an odd number of times separates the
+A closed curve through faces and discs whose signed crossings of one route do not add up to 0
+separates the
 source from the target, so every route meets it: the route drives one of the curve's links, or the
 curve's sites hit it. Let curves c of weights w_c go through each link with at most ``price`` times
 its cost, and through disc j with at most q_j alpha_j in all. Then for every route

@@ -31,16 +31,18 @@ LEAST_EXCESS = 1e-9
 class MarkovChain:
     """The chain of a strategy p (m,) on an acyclic network.
 
-    ``share`` (m,) is the probability of each edge at its tail, ``visits`` (n,) that of each node.
+    ``share`` (m,) is the probability of each edge at its tail, ``visits`` (n,) that of each node;
+    ``p`` (m,) follows from them.
     """
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray) -> None:
-        self.network, self.p = network, p
+        self.network = network
         leaving = sums(network.tail, p, network.count)
         self.share = p / np.maximum(leaving, np.finfo(float).tiny)[network.tail]
         self._start = np.zeros(network.count)
         self._start[0] = 1.0
         self.visits = network.onwards.solve(self.share, self._start.copy())
+        self.p = self.visits[network.tail] * self.share  # conserved to the last digit
         onwards, backwards = network.onwards, network.backwards
         self._ahead, self._behind = self.share[onwards.order], self.share[backwards.order]
         self._at_ahead, self._at_behind = np.argsort(onwards.order), np.argsort(backwards.order)

@@ -24,7 +24,7 @@ from ..route_sampler import shortest_route_strategy
 from .face_flows import new_flows
 from .faces import Faces
 
-# Relative precision of z, and of the share at which faces join.
+# Largest relative precision of z, and of the share at which faces join.
 PRECISION = 1e-3
 # Factor by which z falls at most in one step, until a budget is exceeded.
 STEP = 0.85
@@ -41,8 +41,9 @@ class Potential:
     of the budget. ``level`` (S,) is what each site may cause.
     """
 
-    def __init__(self, faces: Faces, budget: Budget, deadline: float) -> None:
+    def __init__(self, faces: Faces, budget: Budget, gap: float, deadline: float) -> None:
         self.game, self.faces, self.budget, self.deadline = faces.game, faces, budget, deadline
+        self._precision = min(gap, PRECISION)
         self._face, self._site, self._lift = (np.zeros(0, dtype=np.int64) for _ in range(3))
         self._first, self._loss = np.zeros(1, dtype=np.int64), np.zeros(0)
         self._around = np.zeros(0, dtype=bool)
@@ -87,8 +88,8 @@ class Potential:
             self._join(z, height)
             endless = self._solve(z)
             height = self._heights()
-            newer = self.bound * (1.0 + PRECISION) if endless else max(self.bound, STEP * z)
-            close = abs(newer - z) <= PRECISION * z
+            newer = self.bound * (1.0 + self._precision) if endless else max(self.bound, STEP * z)
+            close = abs(newer - z) <= self._precision * z
             if close and not endless and not len(self._exceeding(z, height)):
                 self._z = z
                 return
@@ -148,7 +149,7 @@ class Potential:
         rows = np.flatnonzero(np.diff(self._first))
         first = self._first[rows]
         spread = np.maximum.reduceat(height, first) - np.minimum.reduceat(height, first)
-        over = spread > z * (1.0 + PRECISION / 2.0) / self._loss[rows] + ROUNDING
+        over = spread > z * (1.0 + self._precision / 2.0) / self._loss[rows] + ROUNDING
         return rows[over & ~self._around[rows]]
 
     def _join(self, z: float, height: FloatArray) -> None:
@@ -156,7 +157,7 @@ class Potential:
         pairs: list[int] = []
         for j in self._exceeding(z, height):
             order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
-            ordered, most = height[order], z * (1.0 + PRECISION / 2.0) / self._loss[j]
+            ordered, most = height[order], z * (1.0 + self._precision / 2.0) / self._loss[j]
             above = order[ordered.searchsorted(ordered[0] + most, 'right')]
             below = order[ordered.searchsorted(ordered[-1] - most) - 1]
             pairs += [2 * order[-1] + 1, 2 * above + 1, 2 * order[0], 2 * below]
@@ -179,7 +180,7 @@ class Potential:
         total, gain = float(ambush.sum()), float(np.abs(self._bridges).sum()) - found.cost
         self._potential = found.potential[: self.faces.count]
         endless = bool((flow > 0.99 * ENDLESS).any())
-        if gain <= 1.0 + PRECISION and not endless:
+        if gain <= 1.0 + self._precision and not endless:
             self._kept = self._potential
         proved = z + (gain - self.budget.binds) / total if total > 0.0 else 0.0
         if proved > self.bound:

@@ -134,6 +134,7 @@ class Routes:
         It also ends when no method finds a route that costs less.
         """
         precision, rounds, turn = LOOSE, 0, FIRST_TURN
+        tight = min(TIGHT, self.gap / 2.0)
         centre: Mixture | None = None
         while True:
             mixture = self.mixtures.solve(precision)
@@ -149,9 +150,9 @@ class Routes:
             if len(self._legs) > 1 and (not added or rounds == turn):
                 self._separate_legs()
                 turn *= 2
-            if not added and (precision == TIGHT or self._ended()):
+            if not added and (precision == tight or self._ended()):
                 return
-            precision = precision if added else TIGHT
+            precision = precision if added else tight
 
     def _ended(self) -> bool:
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
