@@ -12,8 +12,10 @@ from test_routes import all_routes, games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
 from ambush_planner.game.game import make_game
-from ambush_planner.game.hits import worst_loss
+from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_loss
+from ambush_planner.game.law.acyclic import is_acyclic
 from ambush_planner.game.law.copies import law_on_copies
+from ambush_planner.game.route_sampler import route_entropy
 from ambush_planner.game.strategy import make_budgets
 from ambush_planner.game.value.routes import Routes
 
@@ -27,6 +29,16 @@ def solved(seed, reach, detour, ambushers=1):
     return game, budgets, routes
 
 
+def edges_of(game, found):
+    """The trip's edges that the edges of the unrolled game stand for."""
+    return np.append(np.arange(len(game.playable)), found.chain.network.edge)
+
+
+def hit_loss(game, p, row):
+    """Mean loss by the site in a row."""
+    return game.loss[game.sites[row]] * hit_probabilities(game, p, np.array([row]))[0]
+
+
 @examples(25)
 @given(seed=st.integers(0, 10**6), reach=st.sampled_from([0.0, 1.0, 2.5]),
        detour=st.sampled_from([1.05, 1.3, math.inf]), ambushers=st.integers(1, 2))
@@ -37,7 +49,8 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     if found is None:  # rounding where the budget just fits, or nothing can be lost
         assert routes.bound == 0.0
         return
-    network, p, base = found.game.network, found.p, game.network
+    unrolled, p = found.unrolled(game)
+    network, base, edge = unrolled.network, game.network, edges_of(game, found)
     assert (network.place_count, network.legs) == (base.place_count, base.legs)
     count = len(base.points)
     assert np.array_equal(network.points[:count], base.points)
@@ -45,19 +58,20 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     # Each edge stands for one of the trip's, between the same places on the same legs.
     for name in ('places', 'leg'):
         ends = getattr(network, name)[network.edges]
-        assert np.array_equal(ends, getattr(base, name)[base.edges[found.edge]])
-    assert found.game.playable[p > 0.0].all() and is_acyclic(network, p)
+        assert np.array_equal(ends, getattr(base, name)[base.edges[edge]])
+    assert unrolled.playable[p > 0.0].all() and is_acyclic(network, p)
     balance = np.bincount(network.tails, p, len(network.points))
     balance -= np.bincount(network.heads, p, len(network.points))
     balance[[network.source, network.target]] -= (1.0, -1.0)
     assert np.abs(balance).max() < 1e-8
     for budget in budgets:
-        assert not budget.binds or p @ budget.cost[found.edge] <= budget.limit * (1.0 + 1e-6)
-    assert np.array_equal(found.game.sites, game.sites)
-    hits = found.game.hits
-    assert np.array_equal(hits.toarray(), game.hits.toarray()[:, found.edge])
+        assert not budget.binds or p @ budget.cost[edge] <= budget.limit * (1.0 + 1e-6)
+    assert np.array_equal(unrolled.sites, game.sites)
+    assert np.array_equal(unrolled.hits.toarray(), game.hits.toarray()[:, edge])
     # The value is an upper bound, exact for the sites that matter.
-    assert found.value == pytest.approx(worst_loss(found.game, p), rel=1e-9, abs=1e-12)
+    assert found.value == pytest.approx(worst_loss(unrolled, p), rel=1e-9, abs=1e-12)
+    largest = largest_losses(unrolled, p)[0][0]
+    assert hit_loss(unrolled, p, found.worst) == pytest.approx(largest, rel=1e-9)
     assert found.value >= routes.bound * (1.0 - 1e-9)
     limit = max(routes.bound * (1.0 + SLACK), routes.value * (1.0 + SLACK))
     assert found.value <= limit * (1.0 + 1e-3) or len(routes.routes) == 1
@@ -70,7 +84,8 @@ def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     found = law_on_copies(routes, SLACK, math.inf)
     if found is None:
         return
-    network, p = found.game.network, found.p
+    unrolled, p = found.unrolled(game)
+    network, edge = unrolled.network, edges_of(game, found)
     share = p / np.maximum(np.bincount(network.tails, p, len(network.points)), 1e-300)[
         network.tails]
     chance: dict[bytes, float] = {}
@@ -78,12 +93,14 @@ def test_the_entropy_is_at_most_that_of_the_routes_of_places(seed, reach):
     for route in _used_routes(network, p):
         one = float(np.prod(share[route]))
         labelled -= one * math.log(one)
-        key = found.edge[route].tobytes()
+        key = edge[route].tobytes()
         chance[key] = chance.get(key, 0.0) + one
     assert sum(chance.values()) == pytest.approx(1.0)
     of_places = -sum(each * math.log(each) for each in chance.values())
-    assert found.entropy <= of_places + 1e-9
-    assert found.entropy >= of_places - math.log(len(routes.routes) + 1.0) - 1e-9
+    assert found.chain.entropy == pytest.approx(labelled)
+    entropy = route_entropy(network, p)
+    assert entropy <= of_places + 1e-9
+    assert entropy >= of_places - math.log(len(routes.routes) + 1.0) - 1e-9
 
 
 def _used_routes(network, p):
@@ -110,4 +127,6 @@ def test_legs_that_have_to_agree():
     assert routes.value == pytest.approx(0.5, rel=1e-2)
     found = law_on_copies(routes, SLACK, math.inf)
     assert found.value <= 0.5 * (1.0 + 1.5 * SLACK)
-    assert found.entropy <= math.log(4.0)
+    unrolled, p = found.unrolled(game)
+    assert worst_loss(unrolled, p) == pytest.approx(found.value)
+    assert route_entropy(unrolled.network, p) <= math.log(4.0)

@@ -17,10 +17,12 @@ from games import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay
 
-from ambush_planner import GameOptions, SolverFailed
+from ambush_planner import GameOptions, Network, SolverFailed
 from ambush_planner.game.ambusher import Ambusher, at_nodes
 from ambush_planner.game.budget import Budget
+from ambush_planner.game.certificate.best_response import best_response
 from ambush_planner.game.certificate.certificate import lower_bound
 from ambush_planner.game.certificate.curves import Circulation
 from ambush_planner.game.game import make_game
@@ -32,12 +34,11 @@ def proof(game, detour):
     """The ambusher whom the program in potentials finds, the budgets, and the program's bound."""
     budget = Budget.length(game, detour)
     program = Potential(make_faces(game), budget, math.inf)
-    program.add_sites(game.hits, game.loss[game.sites])
     program.solve()
     curves, prices = program.circulation, tuple(program.prices) or (0.0,)
     if curves is not None:
         curves = replace(curves, site=game.sites[curves.site])
-    ambusher = Ambusher(at_nodes(game, program.q), prices, curves)
+    ambusher = Ambusher(at_nodes(game, program.q), prices, circulation=curves)
     return ambusher, (budget,), program.bound
 
 
@@ -113,7 +114,7 @@ def perturbed(ambusher: Ambusher, game, rng) -> Ambusher:
         count, faces = 60, make_faces(game)
         curves = Circulation(rng.normal(size=len(curves.through)), rng.choice(sites, count),
                              rng.integers(0, faces.count, count), rng.normal(size=count))
-    return Ambusher(q, (price,), curves)
+    return Ambusher(q, (price,), circulation=curves)
 
 
 @examples(40)
@@ -167,4 +168,41 @@ def test_the_circulation_of_another_network_is_refused():
     q = np.zeros(crossing.node_count)
     q[crossing.sites[0]] = 1.0
     with pytest.raises(SolverFailed, match='links cross'):
-        lower_bound(crossing, Ambusher(q, (0.0,), curves), (Budget.length(crossing, 1.2),))
+        lower_bound(crossing, Ambusher(q, (0.0,), circulation=curves),
+                    (Budget.length(crossing, 1.2),))
+
+
+def nearly_two_held_radii_apart(seed):
+    """A game and a detour: the held discs of start and goal overlap in a narrow lens."""
+    rng = np.random.default_rng(seed)
+    n = rng.integers(25, 90)
+    points = rng.uniform(-1.0, 1.0, (n, 2)) * [1.3, 1.0]
+    half = rng.uniform(0.3, 0.6)
+    points[:2] = (-half, 0.0), (half, 0.0)
+    corners = Delaunay(points).simplices
+    links = np.unique(np.sort(np.vstack((corners[:, :2], corners[:, 1:], corners[:, ::2])), axis=1),
+                      axis=0)
+    links = links[links.sum(axis=1) > 1]  # not from start to goal
+    alpha = rng.uniform(1.0, 10.0, n)
+    alpha[:2] = 0.0
+    with pytest.warns(UserWarning, match='dropped'):
+        network = Network(points, alpha, np.vstack((links, links[:, ::-1])), 0, 1)
+    held = half / rng.uniform(0.88, 0.99)
+    game = make_game(network, GameOptions(held * rng.uniform(0.9, 1.2), held))
+    return game, rng.choice([1.05, 1.2, 1.5, 3.0])
+
+
+@pytest.mark.parametrize('seed', [1011, 1029, 1234, 1425])
+def test_a_curve_does_not_lead_through_held_ground_that_cuts_a_disc_in_two(seed):
+    """The curves prove no more than some route costs."""
+    game, detour = nearly_two_held_radii_apart(seed)
+    faces = make_faces(game)
+    discs = faces.discs(game.hits)
+    assert len(np.unique(faces.parts(game.hits, discs))) > len(np.unique(discs.disc))
+    ambusher, (budget,), _ = proof(game, detour)
+    route = best_response(game, ambusher.q, (budget,), ambusher.prices).edges
+    met = game.hits[:, route].getnnz(axis=1) > 0
+    cost = (game.loss[game.sites] * ambusher.q[game.sites])[met].sum()
+    cost += ambusher.prices[0] * (budget.cost[route].sum() - budget.limit)
+    assert ambusher.circulation is not None
+    assert lower_bound(game, ambusher, (budget,)) <= max(cost, 0.0) + 1e-9

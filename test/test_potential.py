@@ -37,14 +37,26 @@ WITH_HIGHSPY = pytest.mark.skipif(not HAS_HIGHSPY, reason='it has no rosdep key'
 FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
 
 
-def program_of(game, detour=np.inf, parts=1) -> Potential:
-    """The program of a game; its sites join in ``parts``, each of which is solved."""
+def program_of(game, detour=np.inf) -> Potential:
+    """The program of a game, solved."""
     program = Potential(make_faces(game), Budget.length(game, detour), math.inf)
-    loss = game.loss[game.sites]
-    for some in np.array_split(np.arange(len(loss)), parts):
-        program.add_sites(game.hits[some], loss[some])
-        program.solve()
+    program.solve()
     return program
+
+
+def program_in_parts(game, detour, parts) -> tuple[Potential, np.ndarray]:
+    """The program, whose sites join from the last part to the first; its q as the game's sites.
+
+    Sites near the source are the first ones, and often set the value.
+    """
+    *others, begun = np.array_split(np.arange(len(game.sites)), parts)
+    later = ~np.isin(np.arange(game.node_count), game.sites[begun])
+    program = program_of(game.without_sites(later), detour)
+    for some in reversed(others):
+        program.add_sites(game.hits[some], game.loss[game.sites[some]])
+        program.solve()
+    order = np.concatenate((begun, *reversed(others)))
+    return program, program.q[np.argsort(order)]
 
 
 def small_game(seed, reach, held=-1.0, inside=True):
@@ -92,9 +104,11 @@ def test_without_a_reach_the_value_is_that_of_the_linear_program(seed, detour, m
        st.integers(2, 4))
 def test_sites_that_join_later_give_the_same_value(seed, reach, detour, parts):
     game = make_game(terrain_network(seed, cells=12), GameOptions(reach))
-    once, later = program_of(game, detour), program_of(game, detour, parts)
+    once, (later, q) = program_of(game, detour), program_in_parts(game, detour, parts)
     assert later.bound == pytest.approx(once.bound, rel=PRECISION)
     assert len(later.q) == len(later.level) == len(game.sites)
+    ambusher = Ambusher(at_nodes(game, q), tuple(later.prices) or (0.0,))
+    assert lower_bound(game, ambusher, (later.budget,)) == pytest.approx(later.bound, rel=1e-6)
 
 
 @WITH_HIGHSPY
@@ -106,9 +120,9 @@ def test_highspy_and_linprog_find_the_same_value(seed, reach, detour):
     for flows in (KeptFlows, RepeatedFlows):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(potential, 'new_flows', flows)
-            program = program_of(game, detour, 2)
+            program, q = program_in_parts(game, detour, 2)
         bounds.append(program.bound)
-        ambusher = Ambusher(at_nodes(game, program.q), tuple(program.prices) or (0.0,))
+        ambusher = Ambusher(at_nodes(game, q), tuple(program.prices) or (0.0,))
         proved = lower_bound(game, ambusher, (program.budget,))
         assert proved == pytest.approx(program.bound, rel=1e-6, abs=1e-9)
     assert bounds[0] == pytest.approx(bounds[1], rel=PRECISION)
@@ -166,7 +180,6 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(2.0))
     program = Potential(make_faces(game), Budget.length(game, 1.2), time.monotonic() - 1.0)
-    program.add_sites(game.hits, game.loss[game.sites])
     with pytest.raises(TimeLimit, match='before the program in potentials'):
         program.solve()
     assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)
