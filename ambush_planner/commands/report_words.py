@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..game.bottleneck import DECISIVE_SHARE
 from ..game.strategy import Strategy
 from ..planning.evaluation import evaluate
 from ..recordings.report_data import Section
@@ -88,7 +89,8 @@ def measures(strategy: Strategy) -> list[tuple[str, ...]]:
 def quantities(strategy: Strategy) -> list[tuple[str, str]]:
     """Further measures of the strategy by name."""
     network, budget = strategy.network, strategy.length_budget
-    sites = int((strategy.ambush_at_places > 1e-6).sum()) if strategy.value > 0.0 else 0
+    waits = strategy.ambush_at_places
+    sites = int((waits > DECISIVE_SHARE * waits.max()).sum()) if strategy.value > 0.0 else 0
     return [
         ('value z', f'{strategy.value:.9g}'),
         ('lower bound', f'{strategy.lower_bound:.9g}'),

@@ -20,7 +20,7 @@ from ..errors import AmbushPlannerError, TimeLimit
 from ..game.law.acyclic import is_acyclic
 from ..game.law.chain import chain_of
 from ..game.revaluation import open_gap
-from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve
+from ..game.strategy import CERTIFICATE_TOLERANCE, Strategy, make_budgets, solve_game
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_places
 from ..network.network import Network
@@ -241,7 +241,7 @@ def replan_problems(strategy: Strategy, planning: PlanningOptions) -> list[str]:
     """Solve the game again, from scratch and without a time limit, and compare the values."""
     options = replace(planning.strategy, time_limit=math.inf)
     try:
-        again = solve(strategy.network, strategy.game.options, options)
+        again = solve_game(strategy.game.without_copies(), options)
     except TimeLimit as late:
         if late.strategy is None:
             raise

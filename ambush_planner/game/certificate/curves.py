@@ -1,9 +1,8 @@
 """The bound that a circulation between faces proves on a planar two-way network.
 
 A closed curve through faces and discs whose signed crossings of one route do not add up to 0
-separates the
-source from the target, so every route meets it: the route drives one of the curve's links, or the
-curve's sites hit it. Let curves c of weights w_c go through each link with at most ``price`` times
+separates the source from the target, so every route meets it: the route drives one of the curve's
+links, or the curve's sites hit it. Let curves c of weights w_c go through each link with at most ``price`` times
 its cost, and through disc j with at most q_j alpha_j in all. Then for every route
 
     price * cost(route) + sum of q_j alpha_j over the sites that hit it  >=  sum of all w_c,
@@ -98,7 +97,7 @@ def _lifts(faces: Faces, entering: csr_matrix, row: IndexArray,
 
 def _weight_of_separating_cycles(tail: IndexArray, head: IndexArray, gain: IndexArray,
                                  size: FloatArray) -> float:
-    """Take a circulation apart into simple cycles; the weight of those with an odd gain.
+    """Take a circulation apart into simple cycles; the weight of those whose gain is not 0.
 
     What rounding leaves unbalanced ends a walk and is lost.
     """
