@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from ambush_planner.game.acyclic import is_acyclic
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st

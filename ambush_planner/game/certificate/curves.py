@@ -2,8 +2,8 @@
 
 A closed curve through faces and discs whose signed crossings of one route do not add up to 0
 separates the source from the target, so every route meets it: the route drives one of the curve's
-links, or the curve's sites hit it. Let curves c of weights w_c go through each link with at most ``price`` times
-its cost, and through disc j with at most q_j alpha_j in all. Then for every route
+links, or the curve's sites hit it. Let curves c of weights w_c go through each link with at most
+``price`` times its cost, and through disc j with at most q_j alpha_j in all. Then for every route
 
     price * cost(route) + sum of q_j alpha_j over the sites that hit it  >=  sum of all w_c,
 
