@@ -1,4 +1,4 @@
-"""Ambushers at any cell of the map: how much more they can cause than those at the nodes.
+"""Ambushers anywhere on the map: how much more they can cause than those at the nodes.
 
 With a reach, an ambush between two nodes hits other routes than one at either of them, and its cell
 may have a larger loss. The search for the worst cells goes from blocks of cells to cells: the disc

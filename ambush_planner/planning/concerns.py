@@ -110,7 +110,7 @@ def plan_numbers(plan: Plan | None) -> dict[str, str]:
         **{name: f'{getattr(plan.strategy, name):.9g}' for name in _STRATEGY_NUMBERS},
         'value_is': 'chance to be met' if _is_chance(plan.strategy.game) else 'mean loss',
         _DIFFERENT: '' if plan.different_paths is None else str(plan.different_paths),
-        'value_holds_at': ('any cell of the map'
+        'value_holds_at': ('anywhere in free ground'
                            if holds_anywhere(plan.options)
                            else "the network's nodes"),
         'held_radius': f'{plan.strategy.game.options.held_radius:.9g}',

@@ -1,4 +1,4 @@
-"""Solve the game of a plan; with a reach, against an ambusher at any cell of the map."""
+"""Solve the game of a plan; with a reach, against an ambusher anywhere in free ground."""
 
 from __future__ import annotations
 
