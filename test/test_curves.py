@@ -33,7 +33,7 @@ from ambush_planner.game.value.potential import Potential
 def proof(game, detour):
     """The ambusher whom the program in potentials finds, the budgets, and the program's bound."""
     budget = Budget.length(game, detour)
-    program = Potential(make_faces(game), budget, math.inf)
+    program = Potential(make_faces(game), budget, 1e-3, math.inf)
     program.solve()
     curves, prices = program.circulation, tuple(program.prices) or (0.0,)
     if curves is not None:

@@ -39,7 +39,7 @@ FLOWS = [pytest.param(KeptFlows, marks=WITH_HIGHSPY), RepeatedFlows]
 
 def program_of(game, detour=np.inf) -> Potential:
     """The program of a game, solved."""
-    program = Potential(make_faces(game), Budget.length(game, detour), math.inf)
+    program = Potential(make_faces(game), Budget.length(game, detour), 1e-3, math.inf)
     program.solve()
     return program
 
@@ -179,7 +179,7 @@ def test_a_ring_of_discs_that_winds_twice_beats_one_that_winds_once():
 
 def test_at_the_deadline_the_flow_is_the_shortest_route():
     game = make_game(terrain_network(3, cells=12), GameOptions(2.0))
-    program = Potential(make_faces(game), Budget.length(game, 1.2), time.monotonic() - 1.0)
+    program = Potential(make_faces(game), Budget.length(game, 1.2), 1e-3, time.monotonic() - 1.0)
     with pytest.raises(TimeLimit, match='before the program in potentials'):
         program.solve()
     assert program.flow @ game.network.lengths == pytest.approx(program.budget.least)

@@ -42,8 +42,10 @@ from .value.routes import Routes
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
-# Relative gap at which a program ends, as a share of the slack.
-PROGRAM_GAP = 0.1
+# Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
+PROGRAM_GAP, ROUTES_GAP = 0.1, 0.3
+# Distance of places that join a program over routes, where each is a row, as a share of the reach.
+APART = 0.25
 # Rounds in which places join before the first law; more while the value is 0.
 SWEEPS, MOST_SWEEPS = 2, 20
 # Share of the slack by which a circulation may prove less than the program says.
@@ -69,8 +71,8 @@ class Places(Protocol):
 class Ground(Protocol):
     """A map on which an ambusher may wait at other places than the network's nodes."""
 
-    def worst(self, chain: MarkovChain, above: float) -> Any:
-        """The ``Places`` that cost an acyclic strategy more than ``above``."""
+    def worst(self, chain: MarkovChain, above: float, apart: float) -> Any:
+        """The ``Places`` that cost an acyclic strategy more than ``above``, so far apart [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +156,7 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
             yield Potential(faces, binding[0] if binding else Budget.none(game), gap,
                             problem.deadline)
             return
-    yield Routes(game, binding, gap, problem.deadline)
+    yield Routes(game, binding, ROUTES_GAP * slack, problem.deadline)
 
 
 class _Search:
@@ -173,16 +175,16 @@ class _Search:
     def run(self) -> Solution:
         """Find the value, then the law."""
         self._solve_program()
+        if isinstance(self.program, Routes) and self.game.network.legs > 1:
+            self._find_labels(self.program)
+            if self.copied:
+                return self._solution()
         for sweep in range(MOST_SWEEPS):
             if sweep >= SWEEPS and self.program.bound > 0.0:
                 break
             chain = chain_of(self.game.network, self.program.flow)
             if not self._add_worst(chain, self.program.bound * (1.0 + self.slack)):
                 break
-        if isinstance(self.program, Routes) and self.game.network.legs > 1:
-            self._find_labels(self.program)
-            if self.copied:
-                return self._solution()
         for step in (STEP, CAREFUL_STEP):
             self._find_law(step)
             if self._done():
@@ -197,7 +199,8 @@ class _Search:
         """Let the places that cost a strategy more than ``above`` join; return their number."""
         if self.problem.ground is None:
             return 0
-        found = self.problem.ground.worst(chain, above)
+        apart = APART * self.game.reach if isinstance(self.program, Routes) else 0.0
+        found = self.problem.ground.worst(chain, above, apart)
         if len(found.points):
             self._add_sites(found)
             self.program.add_sites(found.entering, found.alpha)
@@ -290,7 +293,7 @@ class _Search:
         """The best strategy, in the game with all sites that matter for it or for the bound."""
         chain, value, worst = self._best_strategy()
         if self.problem.ground:
-            found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING))
+            found = self.problem.ground.worst(chain, value * (1.0 + ROUNDING), 0.0)
             if len(found.points):
                 value, worst = float(found.mean_loss[0]), len(self.loss)
                 self._add_sites(found)

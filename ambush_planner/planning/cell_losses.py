@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
+from scipy.spatial import cKDTree
 
 from ..arrays import FloatArray, IndexArray
 from ..game.discs import ExposedEdges, near_ends
@@ -114,11 +115,12 @@ class CellSearch:
         while self._first * _DIVISION * cells.resolution <= game.reach:
             self._first *= _DIVISION
 
-    def worst(self, chain: MarkovChain, above: float, among: IndexArray | None = None) -> Places:
+    def worst(self, chain: MarkovChain, above: float, apart: float = 0.0,
+              among: IndexArray | None = None) -> Places:
         """Places that cost an acyclic strategy more than ``above``, the worst first.
 
-        Of each cell only the worst part is returned that was not returned before. Without
-        ``among`` (K, 2) all cells count.
+        Of each cell only the worst part is returned that was not returned before, and none within
+        ``apart`` [m] of a worse one. Without ``among`` (K, 2) all cells count.
         """
         side, p = self._first if among is None else 1, chain.uses(len(self._game.playable))
         blocks = np.argwhere(self._cells.of_blocks(side) > 0.0) if among is None else among
@@ -128,7 +130,7 @@ class CellSearch:
                 break
             blocks = self._cells.divided(blocks, side)
             side //= _DIVISION
-        return self._of_parts(blocks, p, chain, above)
+        return self._of_parts(blocks, p, chain, above, apart)
 
     def _above(self, blocks: IndexArray, side: int, p: FloatArray, chain: MarkovChain,
                above: float) -> IndexArray:
@@ -143,8 +145,8 @@ class CellSearch:
         hits = chain.hits(chain.network.columns(rows[row]))
         return np.asarray(blocks[loss * hits > above])
 
-    def _of_parts(self, cells: IndexArray, p: FloatArray, chain: MarkovChain,
-                  above: float) -> Places:
+    def _of_parts(self, cells: IndexArray, p: FloatArray, chain: MarkovChain, above: float,
+                  apart: float) -> Places:
         """The worst part of each cell (K, 2) in which one costs more than ``above``."""
         loss, n = self._cells.in_cells(cells), self._parts
         parts, which = cells, np.arange(len(cells))
@@ -163,7 +165,7 @@ class CellSearch:
         order = np.argsort(-losses, kind='stable')
         order = order[losses[order] > above]
         _, first = np.unique(which[order], return_index=True)
-        found = order[np.sort(first)]
+        found = _apart(points, order[np.sort(first)], apart)
         self._returned = np.append(self._returned, row[found])
         return Places(points[found], loss[which[found]], losses[found],
                       csr_matrix(rows[row[found]]))
@@ -176,6 +178,19 @@ class CellSearch:
             self._kept[side] = _KeptRows(self._exposed, reach)
         kept = self._kept[side]
         return kept.find(blocks, lambda some: self._cells.centres(some, side))
+
+
+def _apart(points: FloatArray, order: IndexArray, apart: float) -> IndexArray:
+    """Those of the points ``order`` that are not within ``apart`` [m] of one before."""
+    if apart == 0.0 or not len(order):
+        return order
+    kept, covered = [], np.zeros(len(order), dtype=bool)
+    near = cKDTree(points[order]).query_ball_point(points[order], apart)
+    for k, around in enumerate(near):
+        if not covered[k]:
+            kept.append(order[k])
+            covered[around] = True
+    return np.array(kept)
 
 
 class _KeptRows:

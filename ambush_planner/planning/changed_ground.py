@@ -286,7 +286,7 @@ class ChangedGround:
         if on_others and not self._hiding:
             among = np.stack(np.divmod(changed, newest.values.shape[1]), axis=1)
         search = CellSearch(cells, game, np.flatnonzero(p > 0.0))
-        worst = search.worst(chain_of(game.network, p), at_sites.value, among)
+        worst = search.worst(chain_of(game.network, p), at_sites.value, among=among)
         return replace(at_sites, value=max([at_sites.value, *worst.mean_loss[:1]]))
 
     def _assessment(self, certificate: Certificate, clear_share: float,
