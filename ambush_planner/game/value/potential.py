@@ -84,16 +84,16 @@ class Potential:
         z, height = max(min(self._z, self._loss.max() / 2.0), self.bound), self._heights()
         if self.bound == 0.0 and self.game.avoiding(self._entering):
             z = 0.0  # unless the routes that avoid all sites exceed the budget
+        self._join(z, height)
         while True:
-            self._join(z, height)
             endless = self._solve(z)
             height = self._heights()
             newer = self.bound * (1.0 + self._precision) if endless else max(self.bound, STEP * z)
-            close = abs(newer - z) <= self._precision * z
-            if close and not endless and not len(self._exceeding(z, height)):
+            found = abs(newer - z) <= self._precision * z and not endless
+            z = z if found else newer
+            if not self._join(z, height) and found:
                 self._z = z
                 return
-            z = newer
 
     @property
     def level(self) -> FloatArray:
@@ -152,8 +152,11 @@ class Potential:
         over = spread > z * (1.0 + self._precision / 2.0) / self._loss[rows] + ROUNDING
         return rows[over & ~self._around[rows]]
 
-    def _join(self, z: float, height: FloatArray) -> None:
-        """Add the extreme faces of the discs that exceed, and those just too far apart."""
+    def _join(self, z: float, height: FloatArray) -> int:
+        """Add the extreme faces of the discs that exceed, and those just too far apart.
+
+        Returns the number of pairs that are new.
+        """
         pairs: list[int] = []
         for j in self._exceeding(z, height):
             order = self._first[j] + height[self._first[j] : self._first[j + 1]].argsort()
@@ -167,6 +170,7 @@ class Potential:
         self._flows.add_columns(np.where(up, face, disc), np.where(up, disc, face), none, none,
                                 np.full(len(new), ENDLESS))
         self._joined, self._up = np.append(self._joined, new), np.append(self._up, up == 1)
+        return len(new)
 
     def _solve(self, z: float) -> bool:
         """Solve for a fixed z and keep what it proves; True if a flow is endless."""
