@@ -71,7 +71,9 @@ def at_nodes(game: Game, q: FloatArray) -> FloatArray:
 
 def capped_at_one(q: FloatArray, ambushers: int) -> FloatArray:
     """Cap q (K,) at 1 everywhere and give it the sum ``ambushers``."""
-    q = q * (ambushers / q.sum()) if q.sum() > 0.0 else np.full(len(q), ambushers / len(q))
+    top = q.max(initial=0.0)
+    q = q / top if top > 0.0 else np.ones(len(q))  # the sum may be too small to divide by
+    q = q * (ambushers / q.sum())
     for _ in range(len(q)):
         over = q >= 1.0
         missing, rest = ambushers - float(np.minimum(q, 1.0).sum()), float(q[~over].sum())

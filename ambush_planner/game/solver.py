@@ -40,6 +40,8 @@ from .value.faces import make_faces
 from .value.potential import Potential
 from .value.routes import Routes
 
+# Largest margin, as a share of a budget, at which only the best routes are within it.
+NO_MARGIN = 1e-9
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
 # Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
@@ -120,6 +122,8 @@ def most_unpredictable(problem: Problem) -> Solution:
 
     At the deadline the best strategy so far is returned.
     """
+    if any(b.binds and b.margin <= NO_MARGIN * b.limit for b in problem.budgets):
+        return _on_best_routes(problem)
     slack = max(problem.slack, LEAST_SLACK)
     found: list[Solution] = []
     for program in _programs(problem, slack):
@@ -127,6 +131,33 @@ def most_unpredictable(problem: Problem) -> Solution:
         if found[-1].within_slack or time.monotonic() > problem.deadline:
             break
     return max(found, key=lambda each: (each.within_slack, -each.value))
+
+
+def _on_best_routes(problem: Problem) -> Solution:
+    """Solve where a budget leaves no margin, on the edges of the routes that are best for it.
+
+    There it is no limit. Its price makes every other route cost more than the value.
+    """
+    tight = [b.binds and b.margin <= NO_MARGIN * b.limit for b in problem.budgets]
+    over = [problem.game.through(b.excess) / b.limit if each else np.zeros(1)
+            for b, each in zip(problem.budgets, tight, strict=True)]
+    near = np.all([each <= NO_MARGIN for each in np.broadcast_arrays(
+        *over, problem.game.playable)[:-1]], axis=0)
+    length, exposure = (replace(b, limit=np.inf) if each else b
+                        for b, each in zip(problem.budgets, tight, strict=True))
+    game = problem.game.restricted_to(near) or problem.game
+    found = most_unpredictable(replace(problem, game=game, budgets=(length, exposure)))
+    prices = tuple(
+        found.value / (b.limit * float(o[o > NO_MARGIN].min(initial=np.inf))) if each else price
+        for b, o, each, price in zip(problem.budgets, over, tight, found.ambusher.prices,
+                                     strict=True))
+    ambusher, count = replace(found.ambusher, prices=prices), len(problem.game.playable)
+    playable = np.append(problem.game.playable, found.game.playable[count:])
+    whole = replace(found.game, playable=frozen_array(playable, np.bool_))
+    length, exposure = (replace(b, game=whole, limit=own.limit) for b, own in zip(
+        found.budgets, problem.budgets, strict=True))
+    bound = lower_bound(whole, ambusher, (length, exposure))
+    return found._replace(game=whole, budgets=(length, exposure), ambusher=ambusher, bound=bound)
 
 
 def least_value(game: Game, budgets: tuple[Budget, Budget], gap: float, deadline: float) -> float:
