@@ -52,6 +52,8 @@ APART = 0.25
 SWEEPS, MOST_SWEEPS = 2, 20
 # Share of the slack by which a circulation may prove less than the program says.
 UNPROVED = 0.02
+# Relative difference of bounds that is rounding of the program.
+EXACT = 3e-6
 # Charges below this share of the largest are left out of a first search over labels.
 SMALL_CHARGE = 1e-3
 # Share of the slack over the bound from which on a place joins; a law ends just below it.
@@ -389,7 +391,7 @@ class _Search:
         node[kept] = game.sites
         around = replace(alone, circulation=Circulation(found.through, node[found.site],
                                                         found.face, found.flow))
-        enough, proofs = self.program.bound * (1.0 - UNPROVED * self.slack), []
+        enough, proofs = self.program.bound * (1.0 - max(UNPROVED * self.slack, EXACT)), []
         for each in (around, _without_small_charges(game, alone), alone):
             proofs.append((each, lower_bound(game, each, self.budgets)))
             if proofs[-1][1] >= enough:
