@@ -268,7 +268,7 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
 # Random games of any kind.
 
 
-@examples(10)
+@examples(3)
 @given(st.integers(0, 10**6), st.sampled_from(('terrain', 'city', 'maze', 'depot')), st.data())
 def test_no_valid_game_fails(seed, kind, data):
     """500 to 900 nodes; benchmarks/random_games.py does thousands, and larger ones."""
