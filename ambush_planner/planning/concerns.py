@@ -1,4 +1,4 @@
-"""The numbers of a plan, and what limits them in words: for whoever reads its value."""
+"""The numbers of a plan, and warnings about them in words."""
 
 from __future__ import annotations
 

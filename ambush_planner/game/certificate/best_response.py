@@ -107,7 +107,7 @@ class Grounds:
 class Ground:
     """Some edges of a game between some first and some last nodes, and the sites that they meet.
 
-    ``edge`` (m,) are sorted by tail and head; ``tail`` and ``head`` (m,) number their nodes anew.
+    ``edge`` (m,) are sorted by tail and head; ``tail`` and ``head`` (m,) number these nodes only.
     """
 
     def __init__(self, game: Game, hits: csr_matrix, edges: BoolArray, first: IndexArray,
