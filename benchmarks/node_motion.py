@@ -70,7 +70,7 @@ SIDEWAYS = math.radians(45.0)  # angle from which it turns on the spot
 ARRIVED = 0.25  # m, Nav2's goal checker
 BOX = 0.6  # side of an obstacle that appears [m]
 AHEAD = 3.0  # m on the path from the robot to it
-UNREACHABLE = 10  # each so many requests under way
+UNREACHABLE = 10  # requests under way from one for an unreachable goal to the next
 CODES = {getattr(ComputePathToPose.Result, name): name for name in (
     'UNKNOWN', 'TF_ERROR', 'START_OUTSIDE_MAP', 'GOAL_OUTSIDE_MAP', 'START_OCCUPIED',
     'GOAL_OCCUPIED', 'TIMEOUT', 'NO_VALID_PATH')}

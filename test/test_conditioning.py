@@ -73,7 +73,7 @@ def test_a_strategy_with_circles_has_no_condition():
 
 
 class Choices:
-    """A random generator that chooses as it is told, and multiplies the probabilities."""
+    """A random generator with scripted choices that multiplies their probabilities."""
 
     def __init__(self, heads_of, wanted):
         self.probability, self._heads_of, self._wanted = 1.0, heads_of, wanted

@@ -141,10 +141,9 @@ def _on_best_routes(problem: Problem) -> Solution:
     There it is no limit. Its price makes every other route cost more than the value.
     """
     tight = [b.binds and b.margin <= NO_MARGIN * b.limit for b in problem.budgets]
-    over = [problem.game.through(b.excess) / b.limit if each else np.zeros(1)
+    over = [problem.game.through(b.excess) / b.limit if each else np.zeros(len(b.cost))
             for b, each in zip(problem.budgets, tight, strict=True)]
-    near = np.all([each <= NO_MARGIN for each in np.broadcast_arrays(
-        *over, problem.game.playable)[:-1]], axis=0)
+    near = np.all([each <= NO_MARGIN for each in over], axis=0)
     length, exposure = (replace(b, limit=np.inf) if each else b
                         for b, each in zip(problem.budgets, tight, strict=True))
     game = problem.game.restricted_to(near) or problem.game

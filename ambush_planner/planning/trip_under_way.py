@@ -98,13 +98,13 @@ class TripUnderWay:
     def rest(self, place: Position, goal: Position) -> FloatArray:
         """Return the rest of the path (L, 3) for a robot at ``place`` on it.
 
-        It meets the path as far ahead as the robot is beside it, and ends at ``goal`` if that is
+        It joins the path as far ahead as the robot is off it. It ends at ``goal`` if that is
         within a cell of its end.
         """
         at = self.follow(place) or 0.0
         gaps, along = self._line.projected(place)
-        beside = float(gaps[np.abs(along - at).argmin()])
-        ahead = self.path[self._line.along > at + beside]
+        off = float(gaps[np.abs(along - at).argmin()])
+        ahead = self.path[self._line.along > at + off]
         rest = np.vstack(([(*place, 0.0)], ahead if len(ahead) else self.path[-1:]))
         if math.dist(rest[-1, :2], goal) <= self.destination.cell:
             rest[-1, :2] = goal

@@ -40,8 +40,9 @@ DOUBLINGS = 12
 
 
 class Law:
-    """Rounds on one acyclic network, from a first strategy p (m,); ``value`` is that of ``p``.
+    """Rounds on one acyclic network, from a first strategy p (m,).
 
+    ``chain`` is the strategy that the rounds have reached, ``value`` what it costs when measured.
     ``level`` (S,) is what each site may cause; the k largest add up to the limit of the value.
     ``entropy_bound`` [nats] is the most that the latest round's rows allow within the whole slack
     and budgets.
@@ -49,7 +50,8 @@ class Law:
 
     def __init__(self, network: AcyclicNetwork, p: FloatArray, budgets: Sequence[Budget],
                  ambushers: int, slack: float, exact: bool, deadline: float) -> None:
-        self.network, self.p, self.slack, self.exact = network, p, slack, exact
+        self.network, self.slack, self.exact = network, slack, exact
+        self.chain = MarkovChain(network, p)
         self.deadline, self._k = deadline, ambushers
         self._tolerance = min(TOLERANCE * slack, MOST_TOLERANCE)
         binding = [b for b in budgets if b.binds]
@@ -90,35 +92,30 @@ class Law:
         self.level, limit = level, level / self._loss
         counts = self._entering.getnnz(axis=1)
         self._could = np.flatnonzero((counts > limit) & (limit < 1.0))
-        chain, hits = MarkovChain(self.network, self.p), self._most_hits(self.p)
+        hits = self._most_hits(self.chain)
         self._near = near = self._could[hits[self._could] > NEAR * limit[self._could]]
         self._rows = self._entering[near]
         if not self.exact:
-            hits[near], self._rows = chain.hits_with_derivatives(self._rows)
-        self._hits, self.entropy = hits[near], chain.entropy
+            hits[near], self._rows = self.chain.hits_with_derivatives(self._rows)
+        self._hits, self.entropy = hits[near], self.chain.entropy
         self.value = self._sum_of_largest(self._loss * hits)
         losses = self._loss[near] * self._hits
         self.worst = int(near[np.argmax(losses)]) if len(near) else -1
 
-    def _value_of(self, p: FloatArray) -> float:
-        """The value of a strategy p (m,)."""
-        hits = self._most_hits(p)
+    def _value_of(self, chain: MarkovChain) -> float:
+        """The value of a strategy."""
+        hits = self._most_hits(chain)
         if not self.exact:
             near = self._could[hits[self._could] > NEAR * (self.level / self._loss)[self._could]]
-            hits[near] = MarkovChain(self.network, p).hits(self._entering[near])
+            hits[near] = chain.hits(self._entering[near])
         return self._sum_of_largest(self._loss * hits)
 
-    def _most_hits(self, p: FloatArray) -> FloatArray:
-        """Bounds (S,) of the hits by p (m,), from the entries."""
-        return np.asarray(np.minimum(self._entering @ p, 1.0))
+    def _most_hits(self, chain: MarkovChain) -> FloatArray:
+        """Bounds (S,) of the hits, from the entries."""
+        return np.asarray(np.minimum(self._entering @ chain.p, 1.0))
 
     def _sum_of_largest(self, losses: FloatArray) -> float:
         return float(np.sort(losses)[max(len(losses) - self._k, 0) :].sum())
-
-    @property
-    def chain(self) -> MarkovChain:
-        """The strategy p as a chain."""
-        return MarkovChain(self.network, self.p)
 
     @property
     def limit(self) -> float:
@@ -157,7 +154,7 @@ class Law:
         self.entropy_bound = found.log_partition + float(whole @ found.multipliers)
         self._go_towards(found.p)
         self._claimed[:] = 0.0
-        self._claimed[sites] = rows @ self.p
+        self._claimed[sites] = rows @ self.chain.p
         self.rounds += 1
         return True
 
@@ -173,14 +170,13 @@ class Law:
 
     def _go_towards(self, newest: FloatArray) -> None:
         """Take the whole step if the value keeps to its limit, else a shorter one."""
-        before, old, step = self.value, self.p, 1.0
-        self.p = newest
-        if self.rounds == 0 or self._value_of(newest) <= self.limit:
+        before, old, step = self.value, self.chain.p, self.step
+        self.chain = MarkovChain(self.network, newest)
+        if self.rounds == 0 or self._value_of(self.chain) <= self.limit:
             return
-        step = self.step
         while True:
-            self.p = (1.0 - step) * old + step * newest
-            value = self._value_of(self.p) if step > SHORTEST else 0.0
+            self.chain = MarkovChain(self.network, (1.0 - step) * old + step * newest)
+            value = self._value_of(self.chain) if step > SHORTEST else 0.0
             if value <= max(self.limit * (1.0 + OVERSHOOT * self.slack),
                             before + PROMISE * step * (self.limit - before)):
                 return
