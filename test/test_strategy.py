@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from games import (
@@ -266,6 +268,18 @@ def test_a_warm_start_ends_at_the_same_optimum_sooner(seed):
 
 
 # Random games of any kind.
+
+
+@pytest.mark.parametrize(('seed', 'reach'), [(0, 0.0), (3, 2.0)])
+def test_driving_times_that_differ_by_direction(seed, reach):
+    network = ground_network(seed, 'terrain')
+    pace = np.random.default_rng(seed).uniform(0.5, 2.0, len(network.lengths))
+    spacing = float(np.median(network.lengths))
+    strategy = solve(replace(network, seconds=network.lengths * pace),
+                     GameOptions(ambush_radius=reach * spacing, secured_radius=3.0 * spacing),
+                     StrategyOptions(max_detour=1.1))
+    assert strategy.value <= strategy.lower_bound * 1.01001
+    assert strategy.expected_length <= strategy.length_budget * (1 + 1e-6)
 
 
 @examples(3)

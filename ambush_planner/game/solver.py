@@ -2,7 +2,7 @@
 
 1. *Value.* One of three programs finds the least value, a flow that attains it, and an ambusher
    who proves it (``value``): a cut without a reach while no budget binds, face potentials on a
-   planar two-way network, whole routes otherwise.
+   planar network whose links cost the same both ways, whole routes otherwise.
 2. *Places.* With a reach, the places of the map that cost the flow most join the program, which
    goes on from where it is.
 3. *Law.* On an acyclic network around the flow, the law of greatest entropy within the slack of
@@ -183,10 +183,9 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
     if not hits_can_differ(game):
         yield Cut(game, binding)
     if game.ambushers == 1 and game.network.legs == 1 and len(binding) <= 1:
-        faces = make_faces(game)
-        if faces:
-            yield Potential(faces, binding[0] if binding else Budget.none(game), gap,
-                            problem.deadline)
+        faces, budget = make_faces(game), binding[0] if binding else Budget.none(game)
+        if faces and faces.same_both_ways(budget.cost):
+            yield Potential(faces, budget, gap, problem.deadline)
             return
     yield Routes(game, binding, ROUTES_GAP * slack, problem.deadline)
 

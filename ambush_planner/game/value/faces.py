@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from ...arrays import BoolArray, FloatArray, IndexArray
+from ..budget import ROUNDING
 from ..game import Game
 from ..route_sampler import shortest_route
 
@@ -80,6 +81,13 @@ class Faces:
         _, left, right = self._sides(rims, np.arange(rims.shape[0]), discs.disc, discs.face)
         joined = csr_matrix((np.ones(len(left)), (left, right)), (size, size))
         return np.asarray(connected_components(joined, directed=False)[1], dtype=np.int64)
+
+    def same_both_ways(self, cost: FloatArray) -> bool:
+        """Whether each link costs the same in both directions, from the costs (M,) of edges."""
+        edge = np.flatnonzero(self.link >= 0)
+        of_link = np.zeros(len(self.left))
+        of_link[self.link[edge]] = cost[edge]
+        return bool(np.allclose(of_link[self.link[edge]], cost[edge], rtol=ROUNDING, atol=0.0))
 
     def flow(self, potential: FloatArray) -> FloatArray:
         """The flow (M,) of size 1 that a potential (count,) of the faces stands for."""
