@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import InitVar, dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -222,21 +221,6 @@ class Game:
     def with_one_ambusher(self) -> Game:
         """The game against an ambusher who holds one site."""
         return replace(self, options=replace(self.options, ambushers=1))
-
-    def legs(self) -> list[Game]:
-        """The games of the legs of a trip, each on all places, with the sites of the trip."""
-        network, place, first = self.network, self.network.places, self.network.representatives
-        playable = self.without_copies().playable
-        at = [network.source, *network.stops.tolist(), network.target]
-        legs = []
-        for leg, (source, target) in enumerate(pairwise(at)):
-            own = playable & (network.leg[network.tails] == leg)
-            layer = Network(network.points[first], network.alpha[first],
-                            place[network.edges[own]], int(place[source]), int(place[target]))
-            legs.append(replace(self, network=layer, loss=self.loss[first],
-                                playable=frozen_array(playable[own], np.bool_),
-                                known_hits=self.hits[:, np.flatnonzero(own)]))
-        return legs
 
     def with_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> Game:
         """The game with more sites: nodes (K,) without edges, and the edges that enter their discs.
