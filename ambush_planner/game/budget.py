@@ -16,6 +16,8 @@ from .game import Game
 
 # Least margin of a budget, as a share of the best route's cost: smaller ones are rounding.
 LEAST_MARGIN = 1e-12
+# Largest margin, as a share of the limit, at which only the best routes are within it.
+NO_MARGIN = 1e-9
 # Relative overrun of a budget that a solver's strategy may have.
 BUDGET_TOLERANCE = 5e-7
 # Relative rounding of sums and comparisons.
@@ -92,6 +94,11 @@ class Budget:
     def binds(self) -> bool:
         """Whether there is a limit at all."""
         return bool(np.isfinite(self.limit))
+
+    @property
+    def has_no_margin(self) -> bool:
+        """Whether only the best routes are within the limit."""
+        return self.binds and self.margin <= NO_MARGIN * self.limit
 
     @cached_property
     def margin(self) -> float:

@@ -23,7 +23,7 @@ from scipy.sparse import csr_matrix, vstack
 from ..arrays import BoolArray, FloatArray, frozen_array
 from ..errors import SolverFailed, TimeLimit
 from .ambusher import Ambusher, at_nodes
-from .budget import ROUNDING, Budget
+from .budget import NO_MARGIN, ROUNDING, Budget
 from .certificate.certificate import lower_bound
 from .certificate.curves import Circulation
 from .game import Game
@@ -40,8 +40,6 @@ from .value.faces import make_faces
 from .value.potential import Potential
 from .value.routes import Routes
 
-# Largest margin, as a share of a budget, at which only the best routes are within it.
-NO_MARGIN = 1e-9
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
 # Relative gaps at which a program in potentials, and one over routes, ends, as shares of the slack.
@@ -124,7 +122,7 @@ def most_unpredictable(problem: Problem) -> Solution:
 
     At the deadline the best strategy so far is returned.
     """
-    if any(b.binds and b.margin <= NO_MARGIN * b.limit for b in problem.budgets):
+    if any(b.has_no_margin for b in problem.budgets):
         return _on_best_routes(problem)
     slack = max(problem.slack, LEAST_SLACK)
     found: list[Solution] = []
@@ -140,7 +138,7 @@ def _on_best_routes(problem: Problem) -> Solution:
 
     There it is no limit. Its price makes every other route cost more than the value.
     """
-    tight = [b.binds and b.margin <= NO_MARGIN * b.limit for b in problem.budgets]
+    tight = [b.has_no_margin for b in problem.budgets]
     over = [problem.game.through(b.excess) / b.limit if each else np.zeros(len(b.cost))
             for b, each in zip(problem.budgets, tight, strict=True)]
     near = np.all([each <= NO_MARGIN for each in over], axis=0)

@@ -12,7 +12,7 @@ from scipy.sparse.linalg import spsolve
 from ...arrays import FloatArray, IndexArray
 from ...errors import BudgetInfeasible, InvalidOption
 from ..ambusher import Ambusher, at_nodes
-from ..budget import Budget
+from ..budget import NO_MARGIN, Budget
 from ..certificate.certificate import entry_bound
 from ..game import Game
 from ..hits import entry_value
@@ -29,8 +29,6 @@ MOST_VISITS = 1e6
 NEAR_UNIT, MAX_UNITS = 1e-3, 8
 # Range of values that are solved in the unit 1.
 ORDINARY = (1e-2, 1e2)
-# Largest margin, as a share of a length budget, at which only shortest routes are within it.
-NO_MARGIN = 1e-9
 # Largest residual of A p = b, and the number of corrections to reach it.
 CONSERVED, ATTEMPTS = 1e-13, 10
 
@@ -115,7 +113,7 @@ def linear_program_strategy(game: Game, solver: str, length: Budget, length_weig
     p[program.edge] = _conserved(program, np.maximum(result.x[:-1], 0.0))
     price = length_weight / program.unit - (result.ineqlin.marginals[-1] if row_added else 0.0)
     q, price = _ambusher(game, program, result, price)
-    if row_added and length_weight == 0.0 and _has_no_margin(length):
+    if row_added and length_weight == 0.0 and length.has_no_margin:
         price = _best_price(game, q, length, price)
     own = replace(length, limit=float(p @ lengths))
     limited = length_weight == 0.0 and (price > 0.0 or own.limit <= length.limit)
@@ -149,7 +147,7 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
                    deadline: float) -> tuple[LinearProgram, OptimizeResult]:
     """Solve with the budget's row; lower the unit from the shortest route's loss to the value."""
     unit = entry_value(game, shortest_route_strategy(game)) or 1.0
-    if length_weight == 0.0 and _has_no_margin(length):
+    if length_weight == 0.0 and length.has_no_margin:
         # Only shortest routes fit; with the others, no interior point is feasible.
         near = game.through(length.excess) <= NO_MARGIN * length.limit
         game = game.restricted_to(near) or game
@@ -161,11 +159,6 @@ def _within_budget(game: Game, solver: str, length: Budget, length_weight: float
             break
         unit *= max(value, NEAR_UNIT**2)
     return program, result
-
-
-def _has_no_margin(length: Budget) -> bool:
-    """Whether only shortest routes are within the budget."""
-    return length.margin <= NO_MARGIN * length.limit
 
 
 def _conserved(program: LinearProgram, p: FloatArray) -> FloatArray:
