@@ -178,7 +178,7 @@ def draw_strategy(axes: Axes | None, strategy: Strategy, risk_map: RiskMap | Non
         key = [OBSTACLE] * bool(risk_map.obstacles.any())
     else:
         axes.set(aspect='equal', xlabel='x [m]', ylabel='y [m]', title=title)
-    edges = draw_segments(axes, network.points[network.edges], strategy.edge_probability)
+    edges = draw_segments(axes, network.points[network.edges], strategy.shown_probability)
     probability_bar(figure, edges, axes, **bars)
     if strategy.value > 0.0:
         draw_sites(axes, strategy)

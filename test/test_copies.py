@@ -7,6 +7,7 @@ import pytest
 from games import examples
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.collections import LineCollection
 from test_routes import all_routes, games
 
 from ambush_planner import GameOptions, Network, StrategyOptions
@@ -15,7 +16,7 @@ from ambush_planner.game.hits import hit_probabilities, largest_losses, worst_lo
 from ambush_planner.game.law.acyclic import is_acyclic
 from ambush_planner.game.law.copies import law_on_copies
 from ambush_planner.game.route_sampler import route_entropy
-from ambush_planner.game.strategy import make_budgets
+from ambush_planner.game.strategy import make_budgets, solve
 from ambush_planner.game.value.routes import Routes
 
 SLACK = 0.02
@@ -58,6 +59,7 @@ def test_a_strategy_within_the_budgets_on_nodes_that_stand_for_places(seed, reac
     for name in ('places', 'leg'):
         ends = getattr(network, name)[network.edges]
         assert np.array_equal(ends, getattr(base, name)[base.edges[edge]])
+    assert np.array_equal(network.first_edge, edge)
     assert unrolled.playable[p > 0.0].all() and is_acyclic(network, p)
     balance = np.bincount(network.tails, p, len(network.points))
     balance -= np.bincount(network.heads, p, len(network.points))
@@ -109,18 +111,18 @@ def _used_routes(network, p):
     return [kept[route] for route in all_routes(some)]
 
 
-def test_legs_that_have_to_agree():
-    """Out and back over one of two equal bridges: drawn independently, 3 / 4 of the trips pass one.
-
-    The trip leads from 0 over 1 or 2 to the stop 3, and back over 1 or 2 to 4. If both legs pass
-    the same bridge, each is met by half of the trips.
-    """
+def _bridges():
+    """From 0 over 1 or 2, two equal bridges, to the stop 3, and back over 1 or 2 to 4."""
     at = np.array([(0.0, 0.0), (1.0, 1.0), (1.0, -1.0), (2.0, 0.0), (0.0, -0.5)])
     alpha = np.array([0.0, 1.0, 1.0, 0.0, 0.0])
     edges = [(0, 1), (0, 2), (1, 8), (2, 8), (8, 6), (8, 7), (6, 9), (7, 9)]
-    network = Network(np.tile(at, (2, 1)), np.tile(alpha, 2), edges, 0, 9,
-                      np.tile(np.arange(5), 2), np.repeat([0, 1], 5))
-    game = make_game(network, GameOptions(secured_radius=0.0))
+    return Network(np.tile(at, (2, 1)), np.tile(alpha, 2), edges, 0, 9,
+                   np.tile(np.arange(5), 2), np.repeat([0, 1], 5))
+
+
+def test_legs_that_have_to_agree():
+    """Drawn independently, 3 / 4 of the trips pass a bridge; half, if both legs take the same."""
+    game = make_game(_bridges(), GameOptions(secured_radius=0.0))
     routes = Routes(game, make_budgets(game, StrategyOptions(max_detour=math.inf)), 1e-3, math.inf)
     routes.solve()
     assert routes.value == pytest.approx(0.5, rel=1e-2)
@@ -129,3 +131,16 @@ def test_legs_that_have_to_agree():
     unrolled, p = found.unrolled(game)
     assert worst_loss(unrolled, p) == pytest.approx(found.value)
     assert route_entropy(unrolled.network, p) <= math.log(4.0)
+
+
+def test_pictures_show_a_stretch_once_with_the_probability_of_all_its_copies():
+    strategy = solve(_bridges(), GameOptions(secured_radius=0.0))
+    assert len(strategy.edge_probability) > 8, 'it lives on copies'
+    shown = strategy.shown_probability
+    np.testing.assert_allclose(shown[:8], 0.5, atol=0.02)
+    assert not shown[8:].any()
+    leaving = strategy.network.points[[1, 2]] / math.sqrt(2.0)
+    np.testing.assert_allclose(strategy.mean_direction()[0], leaving.mean(axis=0), atol=0.02)
+    axes = strategy.plot()
+    (lines,) = [each for each in axes.collections if isinstance(each, LineCollection)]
+    assert len(lines.get_segments()) == 8

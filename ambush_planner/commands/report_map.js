@@ -9,7 +9,7 @@ const BLACK = '#1c1714', ORANGE = '#e66100', YELLOW = '#ffd92f', THIN = '#33557f
 const OBSTACLE = 255;
 const TYPES = {
   cells: Uint8Array, points: Float32Array, edges: Uint32Array, chances: Float32Array,
-  sites: Float32Array, routes: Float32Array,
+  shown: Float32Array, sites: Float32Array, routes: Float32Array,
 };
 
 async function unpack(text, Type) {
@@ -39,8 +39,7 @@ class View {
     this.ground = this.#paint(true);
     this.bare = this.#paint(false);
     this.stretches = this.#stretches();
-    this.visits = this.#passing(1);
-    this.leaving = this.#passing(0);
+    this.leaving = this.#leaving();
     this.lines = this.#lines();
     this.#listen();
     this.showAll();
@@ -65,15 +64,15 @@ class View {
     return picture;
   }
 
-  // Stretches in use by how likely they are: one path, colour and width for each class.
+  // Stretches in use by how likely they are, copies as one: a path, colour and width for each class.
   #stretches() {
-    const { points, edges, chances } = this.data;
-    const most = chances.reduce((a, b) => Math.max(a, b), 2 * LEAST);
+    const { points, edges, shown } = this.data;
+    const most = shown.reduce((a, b) => Math.max(a, b), 2 * LEAST);
     const classes = Array.from({ length: CLASSES }, (_, k) => {
       const share = k / (CLASSES - 1);
       return { path: new Path2D(), colour: blue(share), width: 0.5 + 2.5 * share ** 2 };
     });
-    chances.forEach((p, k) => {
+    shown.forEach((p, k) => {
       if (p < LEAST) return;
       const share = Math.log(p / LEAST) / Math.log(most / LEAST);
       const { path } = classes[Math.min(Math.floor(share * CLASSES), CLASSES - 1)];
@@ -84,10 +83,10 @@ class View {
     return classes;
   }
 
-  // Sum of the chances of the stretches that begin (0) or end (1) at each node.
-  #passing(side) {
+  // Sum of the chances of the stretches that begin at each node.
+  #leaving() {
     const { points, edges, chances } = this.data, sums = new Float64Array(points.length / 2);
-    chances.forEach((p, k) => { sums[edges[2 * k + side]] += p; });
+    chances.forEach((p, k) => { sums[edges[2 * k]] += p; });
     return sums;
   }
 
@@ -105,9 +104,8 @@ class View {
   // What an ambush at a place costs: the loss there times the share of departures that it hits.
   measure(x, y) {
     const { reach, held, ends } = this.data;
-    let [u, v, hit] = [x, y, 0];
-    if (reach > 0) hit = this.data.ordered ? this.#hit(x, y) : this.#entering(x, y);
-    else [u, v, hit] = this.#nearest(x, y);
+    const [u, v] = reach > 0 ? [x, y] : this.#nearest(x, y);
+    const hit = this.data.ordered ? this.#hit(u, v) : this.#entering(u, v);
     const near = Math.min(...ends.map(([a, b]) => Math.hypot(u - a, v - b)));
     const loss = this.#loss(u, v);
     return { here: this.#loss(x, y), loss, hit, cost: loss * hit, held: near <= held };
@@ -126,7 +124,7 @@ class View {
   // Chance that a departure comes into the disc outside held ground, counted once: what has not met
   // it is passed on along the stretches, which are in the order of the way.
   #hit(x, y) {
-    const { edges, chances, source, target } = this.data, unhit = new Float64Array(this.visits.length);
+    const { edges, chances, source, target } = this.data, unhit = new Float64Array(this.leaving.length);
     unhit[source] = 1;
     chances.forEach((p, k) => {
       const [i, j] = [edges[2 * k], edges[2 * k + 1]];
@@ -144,10 +142,11 @@ class View {
     }, 0);
   }
 
-  // Whether the part of a stretch outside held ground comes into the disc.
+  // Whether the part of a stretch outside held ground comes into the disc; ends there, without one.
   #meets(k, x, y) {
     const { points, edges, reach, shelter, ends } = this.data;
     const [i, j] = [2 * edges[2 * k], 2 * edges[2 * k + 1]];
+    if (!(reach > 0)) return points[j] === x && points[j + 1] === y;
     const [a, b] = [points[i], points[i + 1]], [c, d] = [points[j] - a, points[j + 1] - b];
     const squared = c * c + d * d || 1;
     const inside = (u, v, radius) => { // from where to where, in shares of the stretch
@@ -171,11 +170,11 @@ class View {
   #nearest(x, y) {
     const { points } = this.data;
     let [best, least] = [0, Infinity];
-    for (let k = 0; k < this.visits.length; k += 1) {
-      const far = (points[2 * k] - x) ** 2 + (points[2 * k + 1] - y) ** 2;
+    for (let k = 0; k < points.length; k += 2) {
+      const far = (points[k] - x) ** 2 + (points[k + 1] - y) ** 2;
       if (far < least) [best, least] = [k, far];
     }
-    return [points[2 * best], points[2 * best + 1], this.visits[best]];
+    return [points[best], points[best + 1]];
   }
 
   showAll() {

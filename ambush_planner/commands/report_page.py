@@ -107,7 +107,7 @@ def _section(section: Section, name: str) -> str:
         options=''.join(f'<option value="{k}">{escape(f"{row[0]}: {row[1]}, {row[4]}")}</option>'
                         for k, row in enumerate(rows[1:])),
         least=f'{min(data["levels"]):.3g}', most=f'{max(data["levels"]):.3g}',
-        likeliest=words.percent(float(strategy.edge_probability.max(initial=0.0))),
+        likeliest=words.percent(float(strategy.shown_probability.max(initial=0.0))),
         waits='' if strategy.value > 0.0 else 'hidden', held='' if data['held'] > 0.0 else 'hidden',
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
         departures=_table(rows, 'tall', dots),

@@ -140,17 +140,15 @@ def route_entropy(network: Network, p: FloatArray) -> float:
     leaving = sums(network.tails, p, len(network.points))
     with_copy = entropy(p, leaving[network.tails])
     used = np.flatnonzero(p > 0.0)
-    # The trip's node that each node stands for.
-    _, node = np.unique(network.places * network.legs + network.leg, return_inverse=True)
-    tails, heads = node[network.tails[used]], node[network.heads[used]]
-    _, edge = np.unique(tails * (int(node.max()) + 1) + heads, return_inverse=True)
-    if edge.max(initial=-1) + 1 == len(used):
+    edge, node = network.first_edge[used], network.places * network.legs + network.leg
+    if len(np.unique(edge)) == len(used):
         return with_copy
+    tails, heads = node[network.edges[used]].T
     copy = []
     for end in node[[network.source, *network.stops, network.target]]:
         for at in np.flatnonzero(tails == end), np.flatnonzero(heads == end):
             if len(at):
-                shared = sums(edge[at], p[used[at]], len(used))[edge[at]]
+                shared = sums(edge[at], p[used[at]], len(p))[edge[at]]
                 copy.append(entropy(p[used[at]], shared))
     return max(with_copy - min(copy), 0.0)
 

@@ -101,6 +101,8 @@ class Strategy(Shown):
         The network with its options applied: sites, losses, playable edges.
     edge_probability : (M,)
         p: expected uses of each edge; probabilities where the strategy is acyclic.
+    shown_probability : (M,)
+        p with all copies of an edge, which a trip can have, added up at the first of them.
     visit_probability : (N,)
         x: expected visits of each node, 1 at the source and the target.
     ambush_probability : (N,)
@@ -166,6 +168,12 @@ class Strategy(Shown):
     def visit_probability(self) -> FloatArray:
         """x (N,): expected visits of each node."""
         return frozen_array(self.game.visits(self.edge_probability), np.float64)
+
+    @cached_property
+    def shown_probability(self) -> FloatArray:
+        """p (M,) with all copies of an edge added up at the first of them: what pictures show."""
+        p, first = self.edge_probability, self.network.first_edge
+        return frozen_array(sums(first, p, len(p)), np.float64)
 
     @property
     def ambush_probability(self) -> FloatArray:
@@ -268,9 +276,10 @@ class Strategy(Shown):
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
 
         It is the mean of the unit vectors along the edges out of the node, weighted by p (the right
-        column of the paper's figure 3); its length is 1 if the next step is certain.
+        column of the paper's figure 3); its length is 1 if the next step is certain. Copies of
+        a node count at the first of them.
         """
-        network, p = self.network, self.edge_probability
+        network, p = self.network, self.shown_probability
         step = network.points[network.heads] - network.points[network.tails]
         unit = step / np.maximum(network.lengths, np.finfo(float).tiny)[:, None]
         count = len(network.points)

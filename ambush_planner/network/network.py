@@ -132,6 +132,14 @@ class Network:
         """The first node (P,) of each place."""
         return frozen_array(np.unique(self.places, return_index=True)[1], np.int64)
 
+    @cached_property
+    def first_edge(self) -> IndexArray:
+        """The first edge (M,) between the same places on the same legs; copies follow it."""
+        node = self.places * self.legs + self.leg
+        ends = node[self.tails] * (node.max() + 1) + node[self.heads]
+        _, first, which = np.unique(ends, return_index=True, return_inverse=True)
+        return frozen_array(first[which], np.int64)
+
     @property
     def legs(self) -> int:
         """Number of legs of the trip, one more than stops."""

@@ -51,7 +51,7 @@ def strategy_tables(strategy: Strategy, risk_map: RiskMap) -> Mapping[str, Any]:
     import shapely
 
     held = strategy.game.options.held_radius
-    network, p = strategy.network, strategy.edge_probability
+    network, p = strategy.network, strategy.shown_probability
     q, first = strategy.ambush_at_places, network.representatives
     system = Coordinates(risk_map.crs) if risk_map.crs else None
     points = system.to_crs(network.points) if system else network.points

@@ -101,6 +101,7 @@ def map_data(section: Section, with_degrees: bool = True) -> dict[str, Any]:
         'cells': packed(cells, 'u1'), 'points': packed(network.points - corner, '<f4'),
         'edges': packed(network.edges[used], '<u4'),
         'chances': packed(p[used], '<f4'),
+        'shown': packed(strategy.shown_probability[network.first_edge[used]], '<f4'),
         'sites': packed(_sites(strategy) - [*corner, 0.0], '<f4'),
         'routes': packed(np.concatenate(routes), '<f4'), 'counts': [len(r) for r in routes],
     }

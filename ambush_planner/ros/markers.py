@@ -36,7 +36,7 @@ def edge_probabilities(strategy: Strategy, header: Header) -> bytes:
 
     The root keeps the many edges in the middle visible compared with the few at the ends.
     """
-    network, p = strategy.network, strategy.edge_probability
+    network, p = strategy.network, strategy.shown_probability
     shown = np.flatnonzero(p >= _LEAST_SHOWN)
     marker = _marker('edge_probabilities', Marker.LINE_LIST, header, network)
     marker.scale.x = 0.12 * _edge_length(network)
@@ -49,7 +49,7 @@ def mean_direction(strategy: Strategy, header: Header) -> bytes:
 
     The length shows how certain the direction is, the colour how often the node is visited.
     """
-    network, x = strategy.network, strategy.visit_probability
+    network, x = strategy.network, strategy.game.visits(strategy.shown_probability)
     length, direction = _edge_length(network), strategy.mean_direction()
     shown = np.flatnonzero((x >= _LEAST_SHOWN) & (np.hypot(*direction.T) > 1e-6))
     marker = _marker('mean_direction', Marker.LINE_LIST, header, network)
