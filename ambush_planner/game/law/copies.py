@@ -34,9 +34,6 @@ FEWEST, WIDTH = 16, 128
 LAWS = 2
 # Of the slack: what few routes may cost more than all; what the law aims at; its tolerance.
 FEW_LOSE, AIM, TOLERANCE = 1.0 / 3.0, 0.95, 0.04
-# Share of the value, per slack, that all sites may cause alike: with several ambushers the mixture
-# may miss a site altogether.
-EVEN = 0.1
 # Share of a budget's margin that the law keeps below it.
 KEPT_MARGIN = 1e-3
 # Entries over the weight of a copy that count as more than one.
@@ -111,9 +108,9 @@ class _Laws:
         self.game, self.limit, self.slack = routes.game, limit, slack
         self._loss, self._entering = routes.loss, routes.entering
         self._ambushers = few.ambushers
-        value, even = few.value(shares), EVEN * slack
-        level = (1.0 - even) * few.level(shares) + even * value / self._ambushers
-        self._most = level * limit * (1.0 - (1.0 - AIM) * slack) / value / self._loss
+        level = few.level(shares, routes.gap)
+        most = level * limit * (1.0 - (1.0 - AIM) * slack) / few.value(shares)
+        self._most = most / self._loss
         edges = len(self.game.playable)
         ground = conserved_strategy(self.game, few.flow(shares, edges), LEAST_FLOW)
         assert ground is not None

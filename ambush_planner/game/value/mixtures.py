@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 # Smallest value, as a share of the largest loss, that the program is scaled to.
 LEAST_UNIT = 1e-6
+# Share of the value, per relative gap, that all sites may cause alike.
+EVEN = 0.3
 
 
 class Mixture(NamedTuple):
@@ -87,11 +89,16 @@ class Mixtures:
         sites = np.concatenate(self._met)
         return self.loss * np.bincount(sites, weight, len(self.loss))
 
-    def level(self, shares: FloatArray) -> FloatArray:
-        """Loss (S,) that each site may cause; the k largest add up to the mixture's value."""
-        losses = self.losses(shares)
-        least = float(np.sort(losses)[-self.ambushers :].min(initial=math.inf))
-        return np.maximum(losses, least)
+    def level(self, shares: FloatArray, gap: float) -> FloatArray:
+        """Loss (S,) that each site may cause; the k largest add up to the mixture's value.
+
+        With several ambushers the mixture may miss a site altogether, which no law can; so all
+        sites may cause a small share of the value alike, which grows with the relative ``gap``.
+        """
+        losses, even = self.losses(shares), EVEN * gap
+        largest = np.sort(losses)[-self.ambushers :]
+        level = np.maximum(losses, largest.min(initial=math.inf))
+        return np.asarray((1.0 - even) * level + even * largest.sum() / self.ambushers)
 
     def value(self, shares: FloatArray) -> float:
         """The sum of the k largest losses."""

@@ -26,8 +26,6 @@ from ..game import Game
 from ..law.acyclic import conserved_strategy
 from .mixtures import Mixture, Mixtures
 
-# Cap on an edge's excess in units of the budget's margin; no strategy notices it.
-MOST_EXCESS = 1e7
 # Relative gaps of the linear programs: while routes join, and once none does.
 LOOSE, TIGHT = 5e-2, 1e-4
 # Share of the gap by which a route must cost less than the value to join.
@@ -118,7 +116,7 @@ class Routes:
     @property
     def level(self) -> FloatArray:
         """Loss (S,) that each site may cause; the k largest add up to the value."""
-        return self.mixtures.level(self.shares)
+        return self.mixtures.level(self.shares, self.gap)
 
     @property
     def flow(self) -> FloatArray:
