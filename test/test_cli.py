@@ -84,7 +84,7 @@ queue.close()
 def test_solvers_print_nothing_between_our_lines(tmp_path):
     """HiGHS 1.16 greets a process that uses it for the first time."""
     write_map(tmp_path / 'map.yaml', OccupancyMap(np.full((20, 30), 50, np.int8), 10.0))
-    line = 'plan map.yaml --start 15 15 --goal 285 185 --set game.ambush_radius=15 -o r.csv --json'
+    line = 'plan map.yaml --start 15 15 --goal 285 185 --reach 15 -o r.csv --json'
     environment = {**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}
     plan, worker = (subprocess.run(command, cwd=tmp_path, capture_output=True, timeout=120,
                                    env=environment, text=True)

@@ -8,7 +8,7 @@ from commands import run_here
 
 from ambush_planner import GameOptions, NetworkOptions, StrategyOptions, build_network, solve
 from ambush_planner.commands import table
-from ambush_planner.commands.inputs import options_from
+from ambush_planner.commands.inputs import options_of
 from ambush_planner.errors import InvalidOption
 from ambush_planner.maps.map_file import read_map, write_map
 from ambush_planner.maps.occupancy import OccupancyMap, risk_map_from_occupancy
@@ -76,11 +76,11 @@ def test_unusable_places_are_refused(tmp_path, text, reason):
 
 
 def test_options_have_the_names_of_parameters():
-    options = options_from(['map.alpha_max=5', 'strategy.max_detour=.inf', 'network.spacing=1e1',
+    options = options_of(['map.alpha_max=5', 'strategy.max_detour=.inf', 'network.spacing=1e1',
                             'network.method=uniform_grid8', 'network.target_nodes=99'])
     assert options.map.alpha_max == 5.0 and options.strategy.max_detour == np.inf
     assert options.network == NetworkOptions('uniform_grid8', 10.0, target_nodes=99)
-    assert options_from([]).game == GameOptions()
+    assert options_of([]).game == GameOptions()
 
 
 @pytest.mark.parametrize(('assignment', 'reason'), [
@@ -92,4 +92,4 @@ def test_options_have_the_names_of_parameters():
 ])
 def test_bad_options_are_refused(assignment, reason):
     with pytest.raises(InvalidOption, match=reason):
-        options_from([assignment])
+        options_of([assignment])

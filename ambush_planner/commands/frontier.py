@@ -18,13 +18,13 @@ from ..errors import InvalidOption
 from ..figures import HALO, PROBABILITY, WIDTH, as_png
 from ..planning.frontier import DETOURS, SLACKS, FrontierRow, trip_frontier
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
+from .inputs import MAP_HELP, OPTIONS_HELP, add_options, options_from, risk_map_from
 
 COLUMNS = tuple(field.name for field in fields(FrontierRow))
 EPILOG = f"""\
 {MAP_HELP}
-Solves a strategy for each of --detours, all with strategy.risk_slack of --set, and for each of
---slacks, all with strategy.max_detour of --set.
+Solves a strategy for each of --detours, all with --slack, and for each of --slacks, all with
+--detour.
 The table has a row for each: value and lower_bound, expected_length [m; s on roads with speeds],
 expected_exposure [loss x m], route_entropy [nats], and error if there is no strategy, which is a
 finding. TABLE.png shows the same as curves.
@@ -48,12 +48,12 @@ def parser() -> argparse.ArgumentParser:
                       '(default: 1.02 to 1.5)')
     made.add_argument('--slacks', type=float, nargs='+', metavar='E', default=SLACKS, help='shares '
                       'of the value to give up for less predictable routes (default: 0 to 0.3)')
-    add_set(made)
+    add_options(made)
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options, output = options_from(arguments.set), arguments.output
+    options, output = options_from(arguments), arguments.output
     if output.suffix == '.png':
         raise InvalidOption(f'{output}: the picture gets this name; name the table .csv')
     risk_map = risk_map_from(arguments.map, options.map, console)

@@ -1,4 +1,4 @@
-"""Inputs of commands that solve games: a risk map, a ``--set`` of options."""
+"""Inputs of commands that solve games: a risk map, places, options."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from ..arrays import FloatArray
 from ..errors import InvalidOption
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
+from ..maps.coordinates import Coordinates, InvalidCoordinates
 from ..maps.occupancy import NO_RISK, OccupancyOptions
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
@@ -27,8 +29,21 @@ MAP is a YAML file for map_server, as ambush risk and ambush terrain write it, a
 same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the lowest, resolution
 [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
-Options are named like the node's parameters (map., network., game., strategy., route.), which
-docs/ros_interface.md explains, and have the defaults of the Python functions."""
+The options of --set are named like the node's parameters (map., network., game., strategy.,
+route.), which docs/ros_interface.md explains, and have the defaults of the Python functions."""
+POSITION_HELP = """\
+A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west."""
+# Words for the options that every user sets.
+WORDS = {
+    'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
+              'nodes that he waits at)'),
+    'held': ('game.secured_radius', 'METRES', 'radius of the held ground around start, stops and '
+             'goal, where nobody can wait (default: as far as the reach)'),
+    'detour': ('strategy.max_detour', 'RATIO', "largest mean length, as a multiple of the shortest "
+               "route's (default: 1.2)"),
+    'slack': ('strategy.risk_slack', 'SHARE', 'share of the value to give up for less predictable '
+              'routes (default: 0.01)'),
+}
 
 
 @dataclass(frozen=True)
@@ -47,10 +62,56 @@ class SolveOptions:
         return PlanningOptions(self.network, self.game, self.strategy, self.route)
 
 
-def add_set(parser: argparse.ArgumentParser) -> None:
-    """Add the argument ``--set``, for ``options_from``."""
+@dataclass(frozen=True)
+class Position:
+    """A position as it was typed: world coordinates [m], or latitude and longitude [degrees]."""
+
+    numbers: tuple[float, float]
+    in_degrees: bool
+
+    def xy(self, risk_map: RiskMap) -> FloatArray:
+        """World position [m]; raises InvalidCoordinates."""
+        if not self.in_degrees:
+            return np.array(self.numbers)
+        if not risk_map.crs:
+            raise InvalidCoordinates(
+                f'{self.numbers[0]:g},{self.numbers[1]:g} is a latitude and longitude, but the '
+                'coordinate system of the map is unknown; name it (--crs), or give X Y [m]')
+        return Coordinates(risk_map.crs).from_lat_lon(self.numbers)
+
+
+class _Positions(argparse.Action):
+    """Parse ``X Y`` and ``LAT,LON``, one or several, and append them."""
+
+    def __call__(self, parser: argparse.ArgumentParser, namespace: argparse.Namespace,
+                 values: Any, option_string: str | None = None) -> None:
+        in_degrees = any(',' in text for text in values)
+        try:
+            numbers = [float(part) for text in values for part in text.split(',') if part]
+            pairs = list(zip(numbers[::2], numbers[1::2], strict=True))
+        except ValueError:
+            parser.error(f'argument {option_string}: must be X Y [m] or LAT,LON [degrees], got '
+                         f'{" ".join(values)!r}')
+        if self.dest != 'via' and len(pairs) != 1:
+            parser.error(f'argument {option_string}: must be one position')
+        before = getattr(namespace, self.dest) or []
+        setattr(namespace, self.dest, before + [Position(pair, in_degrees) for pair in pairs])
+
+
+def add_places(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments ``--start``, ``--goal`` and ``--via``, lists of ``Position``."""
+    for end in ('--start', '--goal', '--via'):
+        parser.add_argument(end, nargs='+', action=_Positions, required=end != '--via',
+                            metavar='X Y',
+                            help=('stops, ' if end == '--via' else '') + 'X Y [m] or LAT,LON')
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of ``WORDS`` and ``--set``, for ``options_from``."""
+    for word, (_, unit, text) in WORDS.items():
+        parser.add_argument(f'--{word}', metavar=unit, help=text)
     parser.add_argument('--set', nargs='+', default=[], metavar='NAME=VALUE',
-                        help='options, such as network.spacing=50 strategy.max_detour=1.3')
+                        help='other options, such as network.spacing=50 game.ambushers=2')
 
 
 def add_crs(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +142,17 @@ def crs_text(arguments: argparse.Namespace) -> str:
     return str(arguments.crs)
 
 
-def options_from(assignments: Sequence[str]) -> SolveOptions:
+def options_from(arguments: argparse.Namespace) -> SolveOptions:
+    """The options that ``add_options`` has parsed; raises InvalidOption.
+
+    A word of ``WORDS`` takes precedence over the same option of ``--set``.
+    """
+    words = {word: getattr(arguments, word) for word in WORDS}
+    return options_of([*arguments.set, *(f'{WORDS[word][0]}={value}'
+                                         for word, value in words.items() if value is not None)])
+
+
+def options_of(assignments: Sequence[str]) -> SolveOptions:
     """Parse assignments such as ``network.spacing=50``; raises InvalidOption."""
     options = vars(SolveOptions())
     names = [f'{group}.{option}' for group, part in options.items() for option in vars(part)]
@@ -91,7 +162,9 @@ def options_from(assignments: Sequence[str]) -> SolveOptions:
         if name not in names:
             raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
         group, option = name.split('.')
-        changes[group][option] = _value(name, text, type(getattr(options[group], option)))
+        default = getattr(options[group], option)
+        kind = float if default is None else type(default)
+        changes[group][option] = _value(name, text, kind)
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
 

@@ -17,7 +17,7 @@ from ..errors import AmbushPlannerError
 from ..game.strategy import Strategy
 from ..planning.many import Problem, solve_many
 from . import cli
-from .inputs import MAP_HELP, OPTIONS_HELP, add_set, options_from, risk_map_from
+from .inputs import MAP_HELP, OPTIONS_HELP, add_options, options_from, risk_map_from
 
 NUMBERS = ('value', 'lower_bound', 'expected_length', 'shortest_length', 'route_entropy')
 COLUMNS = ('depot', 'customer', *NUMBERS, 'error')
@@ -44,14 +44,14 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument('customers', type=Path, metavar='CUSTOMERS.csv', help='where trips end')
     made.add_argument('--map', type=Path, required=True, metavar='MAP', help='the risk map')
     cli.add_table(made)
-    add_set(made)
+    add_options(made)
     made.add_argument('--jobs', type=cli.number(1, 1e3, int), default=len(os.sched_getaffinity(0)),
                       metavar='N', help='processes (default: one for each processor)')
     return made
 
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
-    options = options_from(arguments.set)
+    options = options_from(arguments)
     pairs = list(product(read_places(arguments.depots), read_places(arguments.customers)))
     risk_map = risk_map_from(arguments.map, options.map, console)
     problems = [Problem(risk_map, start, goal, options.planning)

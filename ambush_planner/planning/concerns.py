@@ -26,6 +26,22 @@ def concerns(plan: Plan) -> list[str]:
     return [text for text in found if text]
 
 
+def assumptions(plan: Plan) -> list[str]:
+    """Return what a plan's value takes for granted, one sentence each."""
+    game = plan.strategy.game.options
+    held = f'within {game.held_radius:.4g} m of' if game.held_radius else 'at'
+    if not game.reach:
+        where = ("an ambusher waits at one of the network's nodes and meets only routes through "
+                 'it; give how far he reaches (--reach, game.ambush_radius)')
+    else:
+        places = ('anywhere else in free ground' if holds_anywhere(plan.options)
+                  else "at the network's nodes only")
+        where = (f'ambushes are {places} and meet a convoy that passes within '
+                 f'{game.ambush_radius:.4g} m')
+        where += f'; it strays at most {game.tube:.2g} m from its drawn route' if game.tube else ''
+    return [f'nobody can wait {held} start, stops and goal', where]
+
+
 def wide_gap(plan: Plan) -> str:
     """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
     strategy, options = plan.strategy, plan.options.strategy
