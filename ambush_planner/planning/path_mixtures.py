@@ -1,0 +1,150 @@
+"""Mixtures of given paths: what an ambusher causes who knows them, and the best shares.
+
+Paths that are driven side by side are a network of their own, on which they share no node but start
+and goal. A mixture of them is a strategy on it; hits, sites and cells are those of any strategy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.sparse import csr_matrix, hstack, vstack
+
+from ..arrays import FloatArray, IndexArray, frozen_array
+from ..errors import BudgetInfeasible, InvalidOption
+from ..game.game import make_game
+from ..game.law.chain import chain_of
+from ..game.value import highs
+from ..maps.risk_map import RiskMap
+from ..network.network import Network
+from .cell_losses import CellLosses, CellSearch
+from .plan import Plan
+
+# Largest relative gap between the best shares' value and that of the linear program.
+MAX_GAP = 1e-3
+# Largest distance of a path from a stop that it passes [m].
+AT_STOP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class PathMixture:
+    """Shares (K,) of given paths.
+
+    ``value`` is the mean loss by the worst ambusher who knows the shares, wherever in free ground
+    outside held ground he waits; ``worst_xy`` (2,) is where that is [m].
+    """
+
+    shares: FloatArray
+    value: float
+    worst_xy: FloatArray
+
+
+class PathMixtures:
+    """All mixtures of paths (L, 2 or 3), x and y [m] first, from start to goal of a plan.
+
+    An ambush of the plan's reach meets a path that passes within it outside held ground, once
+    however often it comes back. The robot's tracking error adds to the reach, but no tube: a given
+    path is what is driven.
+
+    Raises InvalidOption if the plan's game has no reach, or several ambushers.
+    """
+
+    def __init__(self, risk_map: RiskMap, plan: Plan, paths: Sequence[FloatArray]) -> None:
+        solved = plan.strategy.game
+        options = solved.options
+        if options.ambush_radius == 0.0:
+            raise InvalidOption('game.ambush_radius (--reach) must be over 0: paths are judged by '
+                                'what an ambush reaches')
+        if options.ambushers > 1:
+            raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, '
+                                f'got {options.ambushers}')
+        self._network, self._uses = _side_by_side(plan, paths)
+        self._game = make_game(self._network, replace(
+            options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))
+        self._search = CellSearch(CellLosses(risk_map, options.ambush_in_obstacles), self._game)
+        self._points, self._loss = np.zeros((0, 2)), np.zeros(0)
+        self._met = csr_matrix((0, len(paths)))
+        points = solved.network.points[solved.sites]
+        self._add_sites(points, solved.loss[solved.sites],
+                        self._game.exposed().entering(points, self._game.reach))
+
+    def judged(self, shares: FloatArray) -> PathMixture:
+        """The mixture with given shares (K,), which add up to 1."""
+        least = float((self._loss * (self._met @ shares)).max(initial=0.0))
+        found = self._search.worst(chain_of(self._network, self._uses @ shares), least)
+        self._add_sites(found.points, found.alpha, found.entering)
+        losses = self._loss * (self._met @ shares)
+        worst = int(losses.argmax())
+        return PathMixture(frozen_array(shares, np.float64), float(losses[worst]),
+                           frozen_array(self._points[worst], np.float64))
+
+    def best(self, costs: FloatArray | None = None, budget: float = math.inf) -> PathMixture:
+        """The shares of least value, up to ``MAX_GAP``, with mean ``costs`` (K,) within a budget.
+
+        Raises BudgetInfeasible if every path costs more.
+        """
+        count = self._met.shape[1]
+        costs = np.zeros(count) if costs is None else costs
+        if not costs.min() <= budget:
+            raise BudgetInfeasible(f'the shortest path takes {costs.min():.6g}, more than the '
+                                   f'budget of {budget:.6g}; raise max_detour')
+        limited = np.isfinite(budget)
+        limit = csr_matrix(np.append(costs, 0.0)[None, :] / (budget or 1.0))[: int(limited)]
+        total = csr_matrix(np.append(np.ones(count), 0.0)[None, :])
+        while True:
+            unit = float(self._loss.max(initial=0.0)) or 1.0
+            hit = self._met.multiply(self._loss[:, None] / unit)
+            rows = vstack((hstack((hit, np.full((len(self._loss), 1), -1.0))), limit))
+            bounds = np.append(np.zeros(len(self._loss)), np.ones(int(limited)))
+            program = highs.Program(np.append(np.zeros(count), 1.0), csr_matrix(rows), bounds,
+                                    total, np.ones(1))
+            solved = highs.run(program, 'simplex', math.inf)
+            shares = np.maximum(solved.x[:count], 0.0)
+            mixture = self.judged(shares / shares.sum())
+            if mixture.value <= solved.fun * unit * (1.0 + MAX_GAP):
+                return mixture
+
+    def _add_sites(self, points: FloatArray, loss: FloatArray, entering: csr_matrix) -> None:
+        met = csr_matrix(entering @ self._uses)
+        met.data[:] = 1.0  # however often a path comes back
+        self._points = np.concatenate((self._points, points))
+        self._loss = np.append(self._loss, loss)
+        self._met = csr_matrix(vstack((self._met, met)))
+
+
+def _side_by_side(plan: Plan, paths: Sequence[FloatArray]) -> tuple[Network, csr_matrix]:
+    """The network of the paths, and the edges (M, K) that each uses."""
+    start, goal = plan.network.points[[plan.network.source, plan.network.target]]
+    points, leg, edges, count = [start[None], goal[None]], [0, len(plan.stops_xy)], [], 2
+    for k, path in enumerate(paths):
+        line = np.vstack((start, path[:, :2], goal))
+        line = line[np.append(True, (line[1:] != line[:-1]).any(axis=1))]
+        if len(line) == 2:  # its one edge could be another path's, too
+            line = np.insert(line, 1, line.mean(axis=0), axis=0)
+        inner = count + np.arange(len(line) - 2)
+        points.append(line[1:-1])
+        leg.extend(_legs(plan, line, k)[1:-1].tolist())
+        nodes = np.concatenate(([0], inner, [1]))
+        edges.append(np.column_stack((nodes[:-1], nodes[1:])))
+        count += len(inner)
+    size = list(map(len, edges))
+    uses = csr_matrix((np.ones(sum(size)), (np.arange(sum(size)), np.repeat(np.arange(len(size)),
+                                                                            size))))
+    network = Network(np.concatenate(points), np.zeros(count), np.concatenate(edges), 0, 1,
+                      leg=np.array(leg))
+    return network, uses
+
+
+def _legs(plan: Plan, line: FloatArray, k: int) -> IndexArray:
+    """The leg (L,) of the trip at each point of path ``k``; raises InvalidOption."""
+    leg, at = np.zeros(len(line), dtype=np.int64), 0
+    for number, stop in enumerate(plan.stops_xy, start=1):
+        near = np.flatnonzero(np.hypot(*(line[at + 1 : -1] - stop).T) <= AT_STOP)
+        if not len(near):
+            raise InvalidOption(f'path {k} does not pass stop {number} at {stop}')
+        at += 1 + int(near[0])
+        leg[at:] = number
+    return leg

@@ -1,0 +1,119 @@
+"""Mixtures of given paths against their meaning: distances from every place, and small games."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ambush_planner import (
+    GameOptions,
+    InvalidOption,
+    NetworkOptions,
+    PlanningOptions,
+    RiskMap,
+    plan_trip,
+)
+from ambush_planner.errors import BudgetInfeasible
+from ambush_planner.planning.path_mixtures import PathMixtures
+
+START, GOAL = (3.0, 10.0), (37.0, 10.0)
+OPTIONS = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=2.0))
+
+
+def ground(seed=0, walls=True):
+    rng = np.random.default_rng(seed)
+    alpha, obstacles = rng.uniform(1.0, 5.0, (20, 40)), np.zeros((20, 40), dtype=bool)
+    obstacles[6:14, 18:22] = walls
+    return RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
+
+
+def distances(path, points):
+    """Distance (K,) of points from a path."""
+    least = np.full(len(points), np.inf)
+    for a, b in pairwise(path[:, :2]):
+        along = np.clip((points - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        least = np.minimum(least, np.hypot(*(points - a - along[:, None] * (b - a)).T))
+    return least
+
+
+@given(st.integers(0, 10**6))
+@examples(4)
+def test_value_is_the_loss_at_the_worst_place_on_the_map(seed):
+    rng, risk_map = np.random.default_rng(seed), ground(seed)
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    paths, shares = plan.paths(5, rng), rng.dirichlet(np.ones(5))
+    found = PathMixtures(risk_map, plan, paths).judged(shares)
+    # Dense places outside held ground; nobody is hit whose whole path near them is in it.
+    game = plan.strategy.game.options
+    cells = rng.uniform(0.0, 1.0, (3000, 2)) * (40.0, 20.0)
+    away = np.min([np.hypot(*(cells - end).T) for end in (START, GOAL)], axis=0)
+    cells = cells[away > game.held_radius]
+    loss = np.where(risk_map.obstacles, 0.0, risk_map.alpha)[tuple(cells[:, ::-1].astype(int).T)]
+    far = [p[np.min([np.hypot(*(p[:, :2] - end).T) for end in (START, GOAL)], axis=0)
+             > game.held_radius] for p in paths]
+    hit = [distances(path, cells) <= game.ambush_radius for path in far]
+    assert (loss * (shares @ hit)).max() <= found.value * (1.0 + 1e-9)
+    at = found.worst_xy[None]
+    near = [distances(path, at) <= game.ambush_radius + game.widened + 1e-9 for path in paths]
+    loss = risk_map.alpha[int(at[0, 1]), int(at[0, 0])]
+    assert found.value <= loss * (shares @ near).max() * (1.0 + 1e-9)
+
+
+def test_best_shares_beat_all_others_and_the_plans_bound_is_near():
+    risk_map, rng = ground(), np.random.default_rng(1)
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    mixtures = PathMixtures(risk_map, plan, plan.paths(60, rng))
+    best = mixtures.best()
+    assert best.shares.sum() == pytest.approx(1.0)
+    for _ in range(5):
+        assert best.value <= mixtures.judged(rng.dirichlet(np.ones(60))).value * 1.001
+    # Given paths need no tube, so they may be a little better than the plan.
+    assert 0.9 * plan.strategy.lower_bound < best.value < 1.3 * plan.strategy.lower_bound
+
+
+def test_two_ways_round_a_wall_are_driven_alike():
+    alpha, obstacles = np.ones((20, 40)), np.zeros((20, 40), dtype=bool)
+    obstacles[6:14, 8:32] = True
+    risk_map = RiskMap(alpha, obstacles, 1.0, (0.0, 0.0, 0.0))
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    paths = [np.array([START, (8.0, y), (32.0, y), GOAL]) for y in (4.0, 16.0, 3.5)]
+    best = PathMixtures(risk_map, plan, paths).best()
+    assert best.value == pytest.approx(0.5, rel=1e-3)
+    assert best.shares[1] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_length_budget_limits_the_shares():
+    risk_map = ground(walls=False)
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS)
+    paths = plan.paths(30, np.random.default_rng(2))
+    costs = np.array([np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in paths])
+    mixtures, budget = PathMixtures(risk_map, plan, paths), float(costs.min()) * 1.02
+    best = mixtures.best(costs, budget)
+    assert best.shares @ costs <= budget * (1.0 + 1e-6)
+    assert best.value >= mixtures.best().value * 0.999
+    with pytest.raises(BudgetInfeasible, match='max_detour'):
+        mixtures.best(costs, 1.0)
+
+
+def test_trips_pass_their_stops():
+    risk_map = ground(walls=False)
+    plan = plan_trip(risk_map, START, GOAL, OPTIONS, stops=[(20.0, 4.0)])
+    paths = plan.paths(3, np.random.default_rng(3))
+    assert PathMixtures(risk_map, plan, paths).best().value > 0.0
+    with pytest.raises(InvalidOption, match='stop 1'):
+        PathMixtures(risk_map, plan, [np.array([START, GOAL])])
+
+
+@pytest.mark.parametrize(('game', 'name'), [
+    (GameOptions(), 'ambush_radius'),
+    (GameOptions(ambush_radius=2.0, ambushers=2), 'ambushers'),
+])
+def test_games_without_places_are_refused(game, name):
+    risk_map = ground(walls=False)
+    plan = plan_trip(risk_map, START, GOAL, replace(OPTIONS, game=game))
+    with pytest.raises(InvalidOption, match=name):
+        PathMixtures(risk_map, plan, plan.paths(2))
