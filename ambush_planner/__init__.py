@@ -4,25 +4,38 @@ from .errors import (
     AmbushPlannerError,
     BudgetInfeasible,
     GoalBlocked,
+    GoalOutsideMap,
     InvalidNetwork,
     InvalidOption,
+    InvalidPose,
     InvalidRiskMap,
     NoRoute,
     NotDistinct,
     SolverFailed,
     StartBlocked,
+    StartOutsideMap,
     StopBlocked,
+    StopOutsideMap,
     TimeLimit,
 )
 from .game.game import GameOptions
 from .game.strategy import Strategy, StrategyOptions, solve
+from .maps.coordinates import InvalidCoordinates
+from .maps.elevation import InvalidTerrain
+from .maps.occupancy import OccupancyOptions
+from .maps.occupancy import risk_map_from_occupancy as risk_from_occupancy
+from .maps.risk_layers import InvalidLayers
 from .maps.risk_map import RiskMap
+from .maps.risk_map_file import read_risk_map
+from .maps.terrain_file import risk_from_terrain
+from .maps.vector_file import InvalidFeatures
 from .network.construction import NetworkOptions, build_network
 from .network.network import Network
 from .planning.evaluation import evaluate
 from .planning.frontier import FrontierRow, frontier, trip_frontier
 from .planning.many import Problem, Solved, solve_many
-from .planning.options import PlanningOptions
+from .planning.options import DriveOptions, PlanningOptions
+from .planning.plan import Plan
 from .planning.trip import plan_trip
 from .routes.days import DayEffect, day_effect, sample_departures
 
@@ -30,23 +43,34 @@ __all__ = [
     'AmbushPlannerError',
     'BudgetInfeasible',
     'DayEffect',
+    'DriveOptions',
     'FrontierRow',
     'GameOptions',
     'GoalBlocked',
+    'GoalOutsideMap',
+    'InvalidCoordinates',
+    'InvalidFeatures',
+    'InvalidLayers',
     'InvalidNetwork',
     'InvalidOption',
+    'InvalidPose',
     'InvalidRiskMap',
+    'InvalidTerrain',
     'Network',
     'NetworkOptions',
     'NoRoute',
     'NotDistinct',
+    'OccupancyOptions',
+    'Plan',
     'PlanningOptions',
     'Problem',
     'RiskMap',
     'Solved',
     'SolverFailed',
     'StartBlocked',
+    'StartOutsideMap',
     'StopBlocked',
+    'StopOutsideMap',
     'Strategy',
     'StrategyOptions',
     'TimeLimit',
@@ -54,8 +78,11 @@ __all__ = [
     'day_effect',
     'evaluate',
     'frontier',
-    'sample_departures',
     'plan_trip',
+    'read_risk_map',
+    'risk_from_occupancy',
+    'risk_from_terrain',
+    'sample_departures',
     'solve',
     'solve_many',
     'trip_frontier',

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+import dataclasses
+from typing import Any
+
+import numpy as np
 
 
-class Shown(ABC):
-    """A record that shows the numbers of its ``_summary()`` instead of its arrays."""
+class Shown:
+    """A record that shows itself in one line, without the contents of its arrays."""
 
-    @abstractmethod
     def _summary(self) -> dict[str, str]:
-        """Return the numbers as text, by their names."""
+        """Return what is shown, as text, by its names: by default all fields."""
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]
+        return {field.name: _brief(getattr(self, field.name)) for field in fields if field.repr}
 
     def __repr__(self) -> str:
         numbers = ', '.join(f'{name} {text}' for name, text in self._summary().items())
@@ -20,3 +24,12 @@ class Shown(ABC):
         rows = ''.join(f'<tr><th>{name}</th><td>{text}</td></tr>'
                        for name, text in self._summary().items())
         return f'<table>{rows}</table>'
+
+
+def _brief(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        return f'{value.dtype}{list(value.shape)}'
+    if isinstance(value, Shown):
+        return f'{type(value).__name__}(...)'
+    text = repr(value)
+    return text if len(text) < 60 else f'{type(value).__name__}(...)'

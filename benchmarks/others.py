@@ -120,7 +120,7 @@ def compared(name: str) -> Answer:
         return {'failed': True, 'seconds': plan.seconds, 'status': 'nothing to lose'}
     network, strategy, tube = plan.network, plan.strategy, plan.tube or 0.0
     reach = game.ambush_radius + tube
-    held = reach if game.secured_radius < 0.0 else game.secured_radius
+    held = reach if game.secured_radius is None else game.secured_radius
     places, alpha = standing_places(scenario.risk_map, network, held)
     others = Others(scenario.risk_map, network, strategy.expected_length, len(places))
     drawn = {planner: make() for planner, make in others.planners().items()}

@@ -142,7 +142,7 @@ def drawn_options(rng: np.random.Generator, network: Network,
     held = float(rng.choice([0.0, -1.0, 2.0 * reach, spacing * rng.uniform(0.0, 6.0), 1e9],
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
-    game = GameOptions(reach, held, float(rng.choice([math.inf] * 3 + [above])),
+    game = GameOptions(reach, None if held < 0.0 else held, float(rng.choice([math.inf] * 3 + [above])),
                        int(rng.choice([1] * 6 + [2, 4])))
     strategy = StrategyOptions(
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
@@ -156,7 +156,7 @@ def words_of(seed: int, kind: str, network: Network, options: PlanningOptions) -
     game, strategy, spacing = options.game, options.strategy, float(np.median(network.lengths))
     return (f'seed {seed}: {kind} {options.network.method} {len(network.points)} nodes, '
             f'reach {game.ambush_radius / spacing:.2g} spacings, held '
-            f'{game.secured_radius / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
+            f'{game.held_radius / spacing:.2g}, threshold {game.alpha_threshold:.3g}, '
             f'ambushers {game.ambushers}, detour {strategy.max_detour:.10g}, '
             f'exposure {strategy.max_exposure:g}, slack {strategy.risk_slack:g}')
 
@@ -219,8 +219,7 @@ def faults(game: RandomGame, strategy: Strategy, tally: Tally) -> Iterator[str]:
 def wrong_values(game: RandomGame, strategy: Strategy) -> Iterator[str]:
     """Compare value and bound with what geometry, recursion and HiGHS find."""
     network, value, options = strategy.network, strategy.value, game.options.game
-    p, reach, held = strategy.edge_probability, options.ambush_radius, options.secured_radius
-    held = reach if held < 0.0 else held
+    p, reach, held = strategy.edge_probability, options.ambush_radius, options.held_radius
     _, site = np.unique(network.points, axis=0, return_index=True)
     site = site[may_wait(network, held)[site]]
     if reach > 0.0:

@@ -103,7 +103,7 @@ def value_by_highs(name: str, budget: float) -> Answer:
     """The value at the nodes within the length budget [m], by HiGHS' dual simplex method."""
     problem = draw(name)
     network = problem.scenario.network(problem.options.network)
-    losses = losses_at_nodes(network, problem.options.game.secured_radius)
+    losses = losses_at_nodes(network, problem.options.game.held_radius)
     return highs(value_program(network, losses, [(network.lengths, budget)]))
 
 

@@ -1,9 +1,12 @@
-"""Links in the documents lead somewhere, modules that they name exist, and formulas parse."""
+"""Links lead somewhere, modules that are named exist, formulas parse, and examples run."""
 
+import doctest
 import re
 from pathlib import Path
 
 import pytest
+
+import ambush_planner
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = [*sorted(ROOT.glob('*.md')), *sorted(ROOT.glob('docs/*.md'))]
@@ -69,3 +72,12 @@ def test_formulas_parse(document):
         assert bare.count('{') == bare.count('}'), formula
     plain = re.sub(r'(?<!\w)\$`[^`\n]+`\$|`[^`\n]*`', '', text)
     assert '$' not in plain, 'formulas are written $`...`$, on one line, or in ```math'
+
+
+@pytest.mark.parametrize('name', [
+    name for name in ambush_planner.__all__
+    if '>>>' in (getattr(ambush_planner, name).__doc__ or '')])
+def test_examples_of_the_api_run(name):
+    found = doctest.DocTestFinder(recurse=False).find(getattr(ambush_planner, name), name)
+    result = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(found[0])
+    assert not result.failed

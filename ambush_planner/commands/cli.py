@@ -20,7 +20,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from ..errors import AmbushPlannerError
+from ..errors import (
+    AmbushPlannerError,
+    BudgetInfeasible,
+    GoalBlocked,
+    InvalidOption,
+    NoRoute,
+    StartBlocked,
+    StopBlocked,
+    TimeLimit,
+)
 from .console import Console as Console
 from .console import count as count
 from .console import place as place
@@ -61,6 +70,11 @@ class UsageError(AmbushPlannerError):
     """The arguments contradict each other or the files that exist."""
 
 
+# Exit codes of errors; all others are files that cannot be used.
+_CODES = (
+    ((InvalidOption, StartBlocked, StopBlocked, GoalBlocked), Exit.USAGE),
+    ((NoRoute, BudgetInfeasible, TimeLimit), Exit.FINDING),
+)
 Work = Callable[[argparse.Namespace, Console], Exit]
 
 
@@ -144,7 +158,7 @@ def _run(make_parser: Callable[[], argparse.ArgumentParser], work: Work,
         return _BROKEN_PIPE
     except (AmbushPlannerError, OSError) as error:
         console.error(error)
-        return Exit.UNREADABLE
+        return next((code for kinds, code in _CODES if isinstance(error, kinds)), Exit.UNREADABLE)
     except KeyboardInterrupt:
         console.error('interrupted')
         return _INTERRUPTED

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import threading
@@ -79,20 +80,28 @@ class Console:
         return show
 
     @contextmanager
-    def waiting(self, what: str) -> Iterator[None]:
-        """Say after two seconds, and again whenever the time has doubled, what takes so long."""
-        done = threading.Event()
+    def waiting(self, what: str) -> Iterator[Callable[[float, float], None]]:
+        """Say after two seconds, and again whenever the time has doubled, what takes so long.
+
+        Yields a function that takes the value and the bound so far.
+        """
+        done, so_far = threading.Event(), ['']
+
+        def progress(value: float, bound: float) -> None:
+            so_far[0] = f' lower bound {bound:.4g}'
+            if 0.0 < bound <= value < math.inf:
+                so_far[0] += f', value {value:.4g}, gap {value / bound - 1.0:.1%}'
 
         def tell() -> None:
             pause = 2.0
             while not done.wait(pause):
-                self.step(f'{what} ...')
+                self.step(f'{what} ...{so_far[0]}')
                 pause *= 2.0
 
         thread = threading.Thread(target=tell, daemon=True)
         thread.start()
         try:
-            yield
+            yield progress
         finally:
             done.set()
             thread.join()

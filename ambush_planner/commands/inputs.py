@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
+from ..planning.parameters import PARAMETERS
 from .console import Console
 
 MAP_HELP = """\
@@ -30,9 +33,12 @@ same values, -1..100, or an npz file with alpha and obstacles (H, W), row 0 the 
 [m] and, if they are known, origin (x, y, yaw) and crs, the coordinate system."""
 OPTIONS_HELP = """\
 The options of --set are named like the node's parameters (map., network., game., strategy.,
-route.), which docs/ros_interface.md explains, and have the defaults of the Python functions."""
+route.), which docs/ros_interface.md explains, and have the defaults of the Python functions, except
+that strategy.time_limit is 60 s."""
 POSITION_HELP = """\
 A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west."""
+# Time limit of each solve [s], as the node's.
+TIME_LIMIT = 60.0
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
@@ -53,13 +59,17 @@ class SolveOptions:
     map: OccupancyOptions = field(default_factory=OccupancyOptions)
     network: NetworkOptions = field(default_factory=NetworkOptions)
     game: GameOptions = field(default_factory=GameOptions)
-    strategy: StrategyOptions = field(default_factory=StrategyOptions)
+    strategy: StrategyOptions = field(
+        default_factory=lambda: StrategyOptions(time_limit=TIME_LIMIT))
     route: DriveOptions = field(default_factory=DriveOptions)
 
     @property
     def planning(self) -> PlanningOptions:
-        """All of them but those of the map, as ``plan_trip`` takes them."""
-        return PlanningOptions(self.network, self.game, self.strategy, self.route)
+        """All of them but those of the map, as ``plan_trip`` takes them.
+
+        At the time limit, commands use the best strategy so far, and say what its gap is.
+        """
+        return PlanningOptions(self.network, self.game, self.strategy, self.route, math.inf)
 
 
 @dataclass(frozen=True)
@@ -145,7 +155,7 @@ def crs_text(arguments: argparse.Namespace) -> str:
 def options_from(arguments: argparse.Namespace) -> SolveOptions:
     """The options that ``add_options`` has parsed; raises InvalidOption.
 
-    A word of ``WORDS`` takes precedence over the same option of ``--set``.
+    An option can be given once, by its word of ``WORDS`` or with ``--set``.
     """
     words = {word: getattr(arguments, word) for word in WORDS}
     return options_of([*arguments.set, *(f'{WORDS[word][0]}={value}'
@@ -155,18 +165,30 @@ def options_from(arguments: argparse.Namespace) -> SolveOptions:
 def options_of(assignments: Sequence[str]) -> SolveOptions:
     """Parse assignments such as ``network.spacing=50``; raises InvalidOption."""
     options = vars(SolveOptions())
-    names = [f'{group}.{option}' for group, part in options.items() for option in vars(part)]
+    names = {f'{group}.{field.name}': str(field.type)
+             for group, part in options.items() for field in dataclasses.fields(part)}
     changes: dict[str, dict[str, Any]] = {group: {} for group in options}
     for assignment in assignments:
         name, _, text = assignment.partition('=')
         if name not in names:
-            raise InvalidOption(f'no option {name!r}; choose from {", ".join(sorted(names))}')
+            raise InvalidOption(f'no option {name!r}; {_similar(name, names)}')
+        if not text:
+            raise InvalidOption(f'{name} has no value; write {name}=VALUE, without spaces')
         group, option = name.split('.')
-        default = getattr(options[group], option)
-        kind = float if default is None else type(default)
-        changes[group][option] = _value(name, text, kind)
+        if option in changes[group]:
+            raise InvalidOption(f'{name} has two values; give one')
+        kind = next(kind for kind in (str, float, int, bool) if kind.__name__ in names[name])
+        value = _value(name, text, kind)
+        changes[group][option] = PARAMETERS[name].plain(value) if name in PARAMETERS else value
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
+
+
+def _similar(name: str, names: Iterable[str]) -> str:
+    """The option that is meant, or all of them."""
+    near = [f'--{name}'] if name in WORDS else [each for each in names if each.endswith(f'.{name}')]
+    near = near or get_close_matches(name, names, 1)
+    return f'did you mean {near[0]}?' if near else f'choose from {", ".join(sorted(names))}'
 
 
 def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> RiskMap:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
-from ..planning.concerns import assumptions, concerns
+from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
 from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
@@ -72,8 +73,8 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
                 else risk_map_from(arguments.map, occupancy, console))
-    with console.waiting('solving the game'):
-        plan = _plan(arguments, risk_map, options.planning)
+    with console.waiting('solving the game') as progress:
+        plan = _plan(arguments, risk_map, options.planning, progress)
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')
@@ -83,7 +84,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     for text in concerns(plan):
         console.say(f'Warning: {text}.')
     tell_outputs(arguments.output, drawn, console)
-    return cli.Exit.HOLDS
+    return cli.Exit.HOLDS if is_sound(plan) else cli.Exit.FINDING
 
 
 def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
@@ -94,14 +95,16 @@ def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
                                    options)
 
 
-def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions) -> Plan:
+def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
+          progress: Callable[[float, float], None]) -> Plan:
     (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
                          for end in ('start', 'goal'))
     stops = [place.xy(risk_map) for place in arguments.via or ()]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter('ignore')  # the concerns tell more
-            return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order)
+            return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order,
+                             progress=progress)
     except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
         if not risk_map.crs:
             raise

@@ -34,8 +34,8 @@ class GameOptions:
         through the site's node.
     secured_radius
         Radius of the held ground around the source, each stop and the target [m]: nobody can wait
-        there, and with a reach nobody who drives there is hit. -1: as far as the reach, an
-        assumption.
+        there, and with a reach nobody who drives there is hit. None: as far as the reach and the
+        tube, an assumption.
     alpha_threshold
         The convoy avoids nodes with a larger alpha (the paper's "forbid areas"). With a reach,
         the ambusher can still wait there.
@@ -58,7 +58,7 @@ class GameOptions:
     """
 
     ambush_radius: float = 0.0
-    secured_radius: float = -1.0
+    secured_radius: float | None = None
     alpha_threshold: float = math.inf
     ambushers: int = 1
     ambush_in_obstacles: bool = False
@@ -67,8 +67,8 @@ class GameOptions:
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
-        if self.secured_radius != -1.0:
-            check_at_least('secured_radius', self.secured_radius, 0.0, 'm, or -1 for the reach')
+        if self.secured_radius is not None:
+            check_at_least('secured_radius', self.secured_radius, 0.0, 'm')
         check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('widened', self.widened, 0.0, 'm')
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
@@ -83,7 +83,7 @@ class GameOptions:
     @property
     def held_radius(self) -> float:
         """Radius of the held ground [m]."""
-        if self.secured_radius == -1.0:
+        if self.secured_radius is None:
             return self.ambush_radius + self.tube
         return self.secured_radius
 

@@ -38,7 +38,7 @@ from .two_routes import strategy_within_budgets
 from .value.cut import Cut
 from .value.faces import make_faces
 from .value.potential import Potential
-from .value.routes import Routes
+from .value.routes import Progress, Routes, unseen
 
 # Smallest risk slack of the search, relative to the value.
 LEAST_SLACK = 9e-6
@@ -87,7 +87,10 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A game, its budgets, and how far and how long to search."""
+    """A game, its budgets, and how far and how long to search.
+
+    ``progress`` is called with the value and the bound so far.
+    """
 
     game: Game
     budgets: tuple[Budget, Budget]
@@ -95,6 +98,7 @@ class Problem:
     deadline: float
     ground: Ground | None = None
     warm: Multipliers | None = None
+    progress: Progress = unseen
 
 
 class Solution(NamedTuple):
@@ -185,7 +189,7 @@ def _programs(problem: Problem, slack: float) -> Iterator[Cut | Potential | Rout
         if faces and faces.same_both_ways(budget.cost):
             yield Potential(faces, budget, gap, problem.deadline)
             return
-    yield Routes(game, binding, ROUTES_GAP * slack, problem.deadline)
+    yield Routes(game, binding, ROUTES_GAP * slack, problem.deadline, problem.progress)
 
 
 class _Search:
@@ -313,6 +317,7 @@ class _Search:
         rating = good, law.entropy if good else -law.value
         if self.best is None or rating > self.best[0]:
             self.best = rating, law.chain, law.value, law.worst
+            self.problem.progress(law.value, self.program.bound)
 
     def _done(self) -> bool:
         good = self.best is not None and self.best[0][0]

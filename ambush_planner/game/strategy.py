@@ -25,6 +25,7 @@ from .route_sampler import RouteSampler, entropy, route_entropy
 from .solver import Ground, Multipliers, Problem, most_unpredictable
 from .two_routes import strategy_within_budgets
 from .value.linear_program import linear_program_strategy
+from .value.routes import Progress, unseen
 
 SOLVERS = ('max_entropy', 'interior_point', 'simplex')
 # A published value is at most (1 + risk_slack + this) times its bound.
@@ -264,13 +265,17 @@ class Strategy(Shown):
     def _sampler(self) -> RouteSampler:
         return RouteSampler(self.network, self.edge_probability)
 
-    def sample_route(self, rng: np.random.Generator) -> IndexArray:
-        """Draw a route (K,): node indices, source first, target last, none twice."""
-        return self._sampler.draw(rng)
+    def sample_route(self, rng: np.random.Generator | int | None = None) -> IndexArray:
+        """Draw a route (K,): node indices, source first, target last, none twice.
 
-    def sample_routes(self, n: int, rng: np.random.Generator) -> list[IndexArray]:
-        """Draw ``n`` routes at once, much faster than one by one."""
-        return self._sampler.draw_many(n, rng)
+        ``rng`` is a generator, or a seed for tests; None: the operating system's entropy.
+        """
+        return self._sampler.draw(np.random.default_rng(rng))
+
+    def sample_routes(self, n: int,
+                      rng: np.random.Generator | int | None = None) -> list[IndexArray]:
+        """Draw ``n`` routes at once, as ``sample_route`` does but much faster."""
+        return self._sampler.draw_many(n, np.random.default_rng(rng))
 
     def mean_direction(self) -> FloatArray:
         """Mean direction (N, 2) in which the convoy leaves each node; 0 at unused nodes.
@@ -293,9 +298,24 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
           warm: Multipliers | None = None) -> Strategy:
     """Find the convoy's optimal mixed strategy on a network; its value is at the network's nodes.
 
-    With a reach, ``plan_trip`` also considers ambushers between the nodes. ``warm`` are the
-    multipliers of a strategy for the same nodes with other losses, budgets or slack, to start the
-    search from.
+    ``plan_trip`` also considers ambushers between the nodes, the driven paths and held ground.
+
+    Parameters
+    ----------
+    network
+        As ``build_network`` makes it, or any other.
+    game
+        What the ambusher can do.
+    options
+        The budgets, the solver, the time limit.
+    warm
+        Multipliers of a strategy for the same nodes with other losses, budgets or slack, to start
+        the search from.
+
+    Returns
+    -------
+    Strategy
+        With its value, its lower bound and the ambusher who proves it.
 
     Raises
     ------
@@ -308,13 +328,27 @@ def solve(network: Network, game: GameOptions | None = None, options: StrategyOp
     TimeLimit
         The time limit passed before the value was within the slack of its bound; the error's
         ``strategy`` is the best so far.
+
+    Examples
+    --------
+    Two ways, past losses of 1 and 3: the ambusher gains most if both cost the same.
+
+    >>> from ambush_planner import Network, solve
+    >>> network = Network(points=[(0, 0), (1, 1), (1, -1), (2, 0)], alpha=[0, 1, 3, 0],
+    ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
+    >>> strategy = solve(network, options=StrategyOptions(risk_slack=0.0))
+    >>> round(strategy.value, 3), strategy.edge_probability.round(2).tolist()
+    (0.75, [0.75, 0.25, 0.75, 0.25])
     """
+    if not isinstance(network, Network):
+        raise InvalidNetwork(f'solve needs a Network, got a {type(network).__name__}; '
+                             'build_network makes one of a RiskMap, and plan_trip does it all')
     return solve_game(make_game(network, game or GameOptions()), options or StrategyOptions(),
                       warm=warm)
 
 
 def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = None,
-               warm: Multipliers | None = None) -> Strategy:
+               warm: Multipliers | None = None, progress: Progress = unseen) -> Strategy:
     """Find the optimal strategy against an ambusher at the sites of a game and on its ``ground``.
 
     Raises the errors of ``solve``.
@@ -325,7 +359,8 @@ def solve_game(game: Game, options: StrategyOptions, ground: Ground | None = Non
     strategy_within_budgets(game, budgets)
     if options.solver != 'max_entropy':
         return _by_linear_program(game, budgets, options, deadline)
-    found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm))
+    found = most_unpredictable(Problem(game, budgets, options.risk_slack, deadline, ground, warm,
+                                       progress))
     strategy = strategy_of(found.game, found.p, found.ambusher, found.budgets, found.bound)
     strategy = replace(strategy, iterations=found.evaluations, multipliers=found.multipliers,
                        entropy_bound=found.entropy_bound)

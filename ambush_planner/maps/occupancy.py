@@ -35,9 +35,9 @@ class OccupancyOptions:
     """How values of an occupancy grid are converted to losses.
 
     A value v in 0..100 gives alpha = alpha_min + (alpha_max - alpha_min) * v / 100. Values of at
-    least ``obstacle_threshold`` are obstacles. Unknown cells (-1) are obstacles unless
-    ``unknown_alpha`` >= 0 gives them a loss. ``crs`` is the coordinate system of maps that have
-    none ('': unknown).
+    least ``obstacle_threshold`` are obstacles. Unknown cells (-1) have the loss ``unknown_alpha``;
+    None: they are obstacles. ``crs`` is the coordinate system of maps that have none; None:
+    unknown.
 
     Raises InvalidOption if a number is not finite or out of range.
     """
@@ -45,15 +45,17 @@ class OccupancyOptions:
     alpha_min: float = 1.0
     alpha_max: float = 10.0
     obstacle_threshold: int = 100
-    unknown_alpha: float = -1.0
-    crs: str = ''
+    unknown_alpha: float | None = None
+    crs: str | None = None
 
     def __post_init__(self) -> None:
         for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
             loss = getattr(self, name)
+            if loss is None:
+                continue
             if not math.isfinite(loss):
                 raise InvalidOption(f'{name} must be finite, got {loss}')
-            if loss > 0.0 and not LEAST_LOSS <= loss <= MOST_LOSS:
+            if loss != 0.0 and not LEAST_LOSS <= loss <= MOST_LOSS:
                 raise InvalidOption(
                     f'{name} must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got {loss}; scale the '
                     'losses'
@@ -71,9 +73,30 @@ class OccupancyOptions:
 def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
                             origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
                             options: OccupancyOptions | None = None) -> RiskMap:
-    """Convert an occupancy grid (H, W) of values -1..100 to a risk map.
+    """Convert an occupancy grid to a risk map.
 
-    Raises InvalidRiskMap if a value is outside -1..100, or the map is malformed.
+    Parameters
+    ----------
+    values : (H, W)
+        -1 (unknown) or 0..100, row 0 the lowest, as in nav_msgs/OccupancyGrid.
+    resolution
+        Cell size [m].
+    origin
+        World pose (x, y, yaw) of the lower left corner [m, m, rad].
+    options
+        What values mean.
+
+    Raises
+    ------
+    InvalidRiskMap
+        A value is outside -1..100, or the map is malformed.
+
+    Examples
+    --------
+    >>> from ambush_planner import risk_from_occupancy
+    >>> risk_map = risk_from_occupancy([[0, 50], [100, -1]], resolution=0.5)
+    >>> risk_map.alpha[0].tolist(), risk_map.obstacles[1].tolist()
+    ([1.0, 5.5], [True, True])
     """
     options = options or OccupancyOptions()
     grid = np.asarray(values)
@@ -82,11 +105,11 @@ def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
     span = options.alpha_max - options.alpha_min
     alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
     obstacles = grid >= options.obstacle_threshold
-    if options.unknown_alpha >= 0.0:
+    if options.unknown_alpha is not None:
         alpha = np.where(unknown, options.unknown_alpha, alpha)
     else:
         obstacles = obstacles | unknown
-    return RiskMap(alpha, obstacles, resolution, origin, options.crs or None)
+    return RiskMap(alpha, obstacles, resolution, origin, options.crs)
 
 
 def carries_risk(values: npt.NDArray[np.number[Any]], options: OccupancyOptions) -> bool:

@@ -17,13 +17,14 @@ from scipy.ndimage import distance_transform_edt
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidRiskMap
+from ..notebook import Shown
 
 # Range of nonzero losses, in which the products in a certificate neither overflow nor underflow.
 LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
 
 
-@dataclass(frozen=True, eq=False)
-class RiskMap:
+@dataclass(frozen=True, eq=False, repr=False)
+class RiskMap(Shown):
     """Loss for being ambushed in each cell.
 
     Parameters
@@ -62,6 +63,13 @@ class RiskMap:
             object.__setattr__(self, name, value)
         object.__setattr__(self, 'resolution', resolution)
         object.__setattr__(self, 'origin', origin)
+
+    def _summary(self) -> dict[str, str]:
+        rows, columns = self.alpha.shape
+        free = self.alpha[~self.obstacles]
+        loss = f'{free.min():.4g} to {free.max():.4g}' if free.size else 'none'
+        return {'cells': f'{columns} x {rows} of {self.resolution:.4g} m', 'loss': loss,
+                'obstacles': f'{self.obstacles.mean():.1%}', 'crs': self.crs or 'unknown'}
 
     @property
     def size(self) -> tuple[float, float]:

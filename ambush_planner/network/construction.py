@@ -40,7 +40,7 @@ class NetworkOptions:
     spacing
         Distance of lattice nodes [m]; random sampling draws as many nodes as the lattice has. On
         roads, the largest distance of nodes, which are also at all junctions and bends.
-        0: chosen for about ``target_nodes`` nodes, never below the map's resolution.
+        None: chosen for about ``target_nodes`` nodes, never below the map's resolution.
     clearance
         Minimum distance of nodes and edges from obstacle cells [m]; 0: they do not touch any.
     clear_of_edge
@@ -56,25 +56,26 @@ class NetworkOptions:
     """
 
     method: str = 'uniform_delaunay'
-    spacing: float = 0.0
+    spacing: float | None = None
     clearance: float = 0.0
     seed: int = 0
     target_nodes: int = 2500
     clear_of_edge: bool = True
-    graph: str | RoadGraph = ''
+    graph: str | RoadGraph | None = None
     join_distance: float = 50.0
 
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:
             raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
-        check_at_least('spacing', self.spacing, 0.0, 'm')
+        if self.spacing is not None:
+            check_at_least('spacing', self.spacing, 0.0, 'm')
         check_at_least('clearance', self.clearance, 0.0, 'm')
         check_whole('seed', self.seed, 0)
         check_whole('target_nodes', self.target_nodes, 2)
         check_flag('clear_of_edge', self.clear_of_edge)
         check_at_least('join_distance', self.join_distance, 0.0, 'm')
         if self.method == 'graph' and not isinstance(self.graph, RoadGraph):
-            object.__setattr__(self, 'graph', read_roads(self.graph))
+            object.__setattr__(self, 'graph', read_roads(self.graph or ''))
 
     @property
     def roads(self) -> RoadGraph | None:
@@ -97,10 +98,30 @@ def build_network(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.Array
     narrow passage that the map's cells show, nodes are added there. The same inputs, options and
     seed give the same network, bit for bit.
 
-    Raises StartBlocked, StopBlocked or GoalBlocked if the position is not finite, off the map, or
-    within the clearance of an obstacle; InvalidNetwork if two consecutive positions are equal;
-    InvalidOption if the spacing requires more than ``MAX_CANDIDATES`` nodes; NoRoute if no route
-    leads from start to goal, or to a stop.
+    Returns
+    -------
+    Network
+        From the start, its source, to the goal, its target.
+
+    Raises
+    ------
+    StartBlocked, StopBlocked, GoalBlocked
+        The position is not finite, off the map, or within the clearance of an obstacle.
+    InvalidNetwork
+        Two consecutive positions are equal.
+    InvalidOption
+        The spacing requires more than ``MAX_CANDIDATES`` nodes.
+    NoRoute
+        No route leads from start to goal, or to a stop.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ambush_planner import NetworkOptions, RiskMap, build_network
+    >>> risk_map = RiskMap(np.ones((12, 24)), np.zeros((12, 24), bool), resolution=1.0)
+    >>> network = build_network(risk_map, (2.0, 6.0), (22.0, 6.0), NetworkOptions(spacing=3.0))
+    >>> network.points[[network.source, network.target]].tolist()
+    [[2.0, 6.0], [22.0, 6.0]]
     """
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options or NetworkOptions(), stops)
     return graph.network(graph.visits)
@@ -188,10 +209,10 @@ def _cell_path_between(space: FreeSpace, start: int, end: int) -> tuple[FloatArr
 
 
 def chosen_spacing(risk_map: RiskMap, options: NetworkOptions) -> float:
-    """Spacing [m] as given, or for about ``target_nodes`` nodes on the free cells if it is 0."""
+    """Spacing [m] as given, or for about ``target_nodes`` nodes on the free cells if it is None."""
     spacing, roads = options.spacing, options.roads
     length = road_length(roads_on_map(roads, risk_map)) if roads else 0.0
-    if spacing == 0.0:
+    if spacing is None:
         free_area = float((~risk_map.obstacles).sum()) * risk_map.resolution**2
         spacing = length / options.target_nodes if roads else math.sqrt(
             free_area / options.target_nodes)

@@ -11,14 +11,15 @@ import numpy.typing as npt
 
 from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidNetwork
+from ..notebook import Shown
 
 
 def _by_default() -> IndexArray:
     return np.empty(0, dtype=np.int64)
 
 
-@dataclass(frozen=True, eq=False)
-class Network:
+@dataclass(frozen=True, eq=False, repr=False)
+class Network(Shown):
     """A directed network with a loss at each node, validated.
 
     Edges into the source or out of the target are dropped with a warning and kept in
@@ -92,6 +93,11 @@ class Network:
         object.__setattr__(self, 'places', places)
         object.__setattr__(self, 'leg', leg)
         object.__setattr__(self, 'dropped_edges', frozen_array(edges[outside], np.int64))
+
+    def _summary(self) -> dict[str, str]:
+        stops = {'stops': str(self.legs - 1)} if self.legs > 1 else {}
+        return {'nodes': str(len(self.points)), 'edges': str(len(self.edges)),
+                'source': str(self.source), 'target': str(self.target), **stops}
 
     @cached_property
     def lengths(self) -> FloatArray:

@@ -473,7 +473,7 @@ class _Segments:
 
 
 def _obstacles(values: npt.NDArray[np.int8], options: OccupancyOptions) -> npt.NDArray[np.bool_]:
-    unknown = (values == -1) & (options.unknown_alpha < 0.0)
+    unknown = (values == -1) & (options.unknown_alpha is None)
     found: npt.NDArray[np.bool_] = (values >= options.obstacle_threshold) | unknown
     return found
 

@@ -42,6 +42,11 @@ def assumptions(plan: Plan) -> list[str]:
     return [f'nobody can wait {held} start, stops and goal', where]
 
 
+def is_sound(plan: Plan) -> bool:
+    """Whether the gap is within the slack, and an ambush costs anything at all."""
+    return within_slack(plan.strategy, plan.options.strategy) and plan.value > 0.0
+
+
 def wide_gap(plan: Plan) -> str:
     """Why the value is further above its lower bound than the slack, and what helps; '' if not."""
     strategy, options = plan.strategy, plan.options.strategy
@@ -69,7 +74,7 @@ def _held_ground(plan: Plan) -> str:
     enough = game.options.ambush_radius + game.options.tube + start_tolerance(
         plan.options, plan.spacing)
     asked = plan.options.game.secured_radius
-    hold = 0.0 <= asked < enough
+    hold = asked is not None and asked < enough
     if place := _covers_all(plan):
         remedy = (f'hold {enough:.3g} m there (game.secured_radius -1), or ' if hold else '')
         return (f'{place}: the value {plan.strategy.value:.4g} is what an ambush costs that is '

@@ -36,10 +36,22 @@ class Measures:
 def evaluate(strategy: Strategy) -> dict[str, Measures]:
     """Compare a strategy with the planners that always drive the same route.
 
-    Returns one row per planner: 'stochastic', 'energy_efficient' (shortest length) and
-    'risk_avoidance' (least sum of alpha, ties by length), all on the playable edges. An ambusher
-    who has learnt a fixed route waits at its worst site; against the stochastic planner he can do
-    no better than the equilibrium.
+    An ambusher who has learnt a fixed route waits at its worst site; against the stochastic planner
+    he can do no better than the equilibrium.
+
+    Returns
+    -------
+    dict of Measures
+        'stochastic', 'energy_efficient' (shortest length) and 'risk_avoidance' (least sum of alpha,
+        ties by length), all on the playable edges.
+
+    Examples
+    --------
+    >>> from ambush_planner import Network, evaluate, solve
+    >>> network = Network(points=[(0, 0), (1, 1), (1, -2), (2, 0)], alpha=[0, 1, 3, 0],
+    ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
+    >>> round(evaluate(solve(network))['energy_efficient'].v_repeated, 3)
+    1.0
     """
     game, q = strategy.game, strategy.ambush_probability
     p_first = meeting_probability(game, strategy.edge_probability, q)

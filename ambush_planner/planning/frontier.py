@@ -54,8 +54,20 @@ def frontier(network: Network, game: GameOptions | None = None, detours: Sequenc
     The values are those of ``solve``, at the network's nodes; ``trip_frontier`` gives those of
     plans. Each solve starts from the previous one, the longest detour first. ``on_row`` is called
     with each finished row; the result has the requested order. ``options.time_limit`` applies to
-    each solve; at the limit the row is that of the best strategy so far, with its bound. Raises
-    InvalidNetwork, InvalidOption and NoRoute as ``solve``, before the first solve.
+    each solve; at the limit the row is that of the best strategy so far, with its bound.
+
+    Raises
+    ------
+    InvalidNetwork, InvalidOption, NoRoute
+        As ``solve``, before the first solve.
+
+    Examples
+    --------
+    >>> from ambush_planner import Network, frontier
+    >>> network = Network(points=[(0, 0), (1, 1), (1, -3), (2, 0)], alpha=[0, 1, 1, 0],
+    ...                   edges=[(0, 1), (0, 2), (1, 3), (2, 3)], source=0, target=3)
+    >>> [round(row.lower_bound, 2) for row in frontier(network, detours=(1.0, 2.0), slacks=())]
+    [1.0, 0.5]
     """
     def solved(budgets: StrategyOptions, before: Strategy | None) -> Strategy:
         return solve(network, game, budgets, before.multipliers if before else None)

@@ -69,7 +69,24 @@ def solve_many(problems: Iterable[Problem], executor: Executor, *,
         problems are cancelled.
     in_flight
         Number of problems that the executor holds at once, at least its number of workers; 0:
-        twice the number of processors. Raises InvalidOption if negative.
+        twice the number of processors.
+
+    Raises
+    ------
+    InvalidOption
+        ``in_flight`` is negative.
+
+    Examples
+    --------
+    >>> from concurrent.futures import ThreadPoolExecutor
+    >>> import numpy as np
+    >>> from ambush_planner import Problem, RiskMap, solve_many
+    >>> risk_map = RiskMap(np.ones((6, 12)), np.zeros((6, 12), bool), resolution=1.0)
+    >>> problems = [Problem(risk_map, (1.0, 3.0), (11.0, y)) for y in (1.0, 5.0)]
+    >>> with ThreadPoolExecutor() as pool:
+    ...     results = solve_many(problems, pool)
+    >>> [result.error for result in results]
+    [None, None]
     """
     if in_flight < 0:
         raise InvalidOption(f'in_flight must be >= 0, got {in_flight}')

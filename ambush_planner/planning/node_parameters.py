@@ -17,12 +17,12 @@ from ..maps.occupancy import OccupancyOptions
 from ..maps.road_file import RoadGraph
 from ..network.construction import NetworkOptions
 from .options import DriveOptions, PlanningOptions
-from .parameters import AUTOMATIC, PARAMETERS
+from .parameters import PARAMETERS
 
 # Cell value of an obstacle in Nav2's costmaps (inscribed).
 COSTMAP_OBSTACLE = 99
 # Parameters that are not fields of the options that their groups are named after.
-_OTHER_PARAMETERS = ('map.preset', 'map.costmap', 'strategy.max_gap')
+_OTHER_PARAMETERS = ('map.preset', 'map.costmap', 'strategy.max_gap', 'route.path_spacing')
 
 _Options = TypeVar('_Options')
 
@@ -100,8 +100,8 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
         threshold = min(occupancy.obstacle_threshold, COSTMAP_OBSTACLE)
         occupancy = replace(occupancy, obstacle_threshold=threshold)
     if values['map.preset'] == 'costmap':
-        occupancy = replace(occupancy, alpha_min=1.0, alpha_max=1.0,
-                            unknown_alpha=min(occupancy.unknown_alpha, 1.0))
+        unknown = None if occupancy.unknown_alpha is None else min(occupancy.unknown_alpha, 1.0)
+        occupancy = replace(occupancy, alpha_min=1.0, alpha_max=1.0, unknown_alpha=unknown)
     limit = values['max_planning_time']
     return NodeParameters(
         occupancy=occupancy,
@@ -110,7 +110,7 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
                      values if roads is None else {**values, 'network.graph': roads}),
             _options(GameOptions, 'game', values),
             _options(StrategyOptions, 'strategy', values, time_limit=limit),
-            _drive_options(values),
+            _options(DriveOptions, 'route', values),
             values['strategy.max_gap'],
         ),
         recording=_options(RecordingOptions, 'recording', values),
@@ -127,22 +127,11 @@ def parameters_from(values: Mapping[str, Any], roads: RoadGraph | None = None) -
     )
 
 
-def _drive_options(values: Mapping[str, Any]) -> DriveOptions:
-    tube = values['route.tube']
-    if tube < 0.0 and tube != AUTOMATIC:
-        raise InvalidOption(f'route.tube must be >= 0 [m], or -1 for automatic, got {tube}')
-    try:
-        return DriveOptions(None if tube == AUTOMATIC else tube, values['route.turning_radius'],
-                            values['route.start_tolerance'], values['route.tracking_error'])
-    except InvalidOption as error:
-        raise InvalidOption(f'route.{error}') from error
-
-
 def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any],
              **others: Any) -> _Options:
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
-    options = {name.removeprefix(start): values[name]
+    options = {name.removeprefix(start): PARAMETERS[name].plain(values[name])
                for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS}
     try:
         return kind(**options, **others)

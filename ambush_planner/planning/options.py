@@ -38,9 +38,8 @@ class DriveOptions:
         Least radius of turns [m], if the corridors have enough room.
     start_tolerance
         How far the start and goal of a departure may be from the plan's [m]. Held ground shrinks by
-        it, unless its radius is chosen (-1), so that the certificate holds for all of them. At most
-        half a node spacing; with a reach, also at most a quarter of it and the radius of held
-        ground.
+        it, unless its radius is None, so that the certificate holds for all of them. At most half a
+        node spacing; with a reach, also at most a quarter of it and the radius of held ground.
     tracking_error
         Largest distance of the robot from the path [m]; it adds to the tube. Only for games with a
         reach.
@@ -84,14 +83,14 @@ def solved_game(risk_map: RiskMap, options: PlanningOptions) -> GameOptions:
     """The game of a plan: with its tube, and with held ground for all starts that it serves.
 
     If an ambusher may wait anywhere, his sites stand for all places around them. Held ground
-    shrinks by the start tolerance, except that a radius of -1 includes it.
+    shrinks by the start tolerance, except that a radius of None includes it.
     """
     spacing = node_spacing(risk_map, options.network)
     game = _driven_game(options, spacing)
     if holds_anywhere(options):
         side = risk_map.resolution / parts_of_cells(risk_map.resolution, game)
         game = replace(game, widened=side / math.sqrt(2.0))
-    if game.secured_radius == -1.0:
+    if game.secured_radius is None:
         return replace(game, secured_radius=game.held_radius)
     held = game.secured_radius - start_tolerance(options, spacing)
     return replace(game, secured_radius=max(held, 0.0))

@@ -86,6 +86,16 @@ class Plan(Shown):
     order_found: str = 'given'
     risk_map: RiskMap | None = None
 
+    @property
+    def value(self) -> float:
+        """Mean loss per departure by the best ambush that knows all but the draw."""
+        return self.strategy.value
+
+    @property
+    def lower_bound(self) -> float:
+        """No strategy on the same network and budgets has a smaller value."""
+        return self.strategy.lower_bound
+
     def _summary(self) -> dict[str, str]:
         return {**self.strategy._summary(), 'node spacing': f'{self.spacing:g} m',
                 'held ground': f'{self.strategy.game.options.held_radius:g} m',
@@ -101,14 +111,18 @@ class Plan(Shown):
 
         return draw_strategy(axes, self.strategy, self.risk_map)
 
-    def paths(self, n: int, rng: np.random.Generator | None = None) -> list[FloatArray]:
-        """Draw ``n`` routes and return their paths (L, 3) = (x, y, yaw), one pose per spacing."""
-        return departure_paths(self, n, self.spacing, rng or np.random.default_rng())
+    def paths(self, n: int,
+              rng: np.random.Generator | int | None = None) -> list[FloatArray]:
+        """Draw ``n`` routes and return their paths (L, 3) = (x, y, yaw), one pose per spacing.
 
-    def routes(self, n: int, rng: np.random.Generator | None = None) -> Any:
+        ``rng`` is a generator, or a seed for tests; None: the operating system's entropy.
+        """
+        return departure_paths(self, n, self.spacing, np.random.default_rng(rng))
+
+    def routes(self, n: int, rng: np.random.Generator | int | None = None) -> Any:
         """Draw ``n`` routes and return their paths as a GeoDataFrame; see ``route_table``.
 
-        Without ``rng``, the operating system's entropy makes them unpredictable.
+        ``rng`` as in ``paths``.
         """
         from .route_layers import route_table
 

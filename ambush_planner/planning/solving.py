@@ -13,6 +13,7 @@ from ..game.game import make_game
 from ..game.revaluation import open_gap
 from ..game.solver import Multipliers
 from ..game.strategy import Strategy, solve_game
+from ..game.value.routes import Progress, unseen
 from ..maps.risk_map import RiskMap
 from ..network.hiding_places import with_hiding_places, with_places
 from ..network.network import Network
@@ -46,7 +47,7 @@ class WarmStart:
 
 
 def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptions,
-                     warm: WarmStart | None = None) -> Strategy:
+                     warm: WarmStart | None = None, progress: Progress = unseen) -> Strategy:
     """Solve the game on a network built on the map.
 
     With a reach, an ambusher may wait anywhere on free ground (``holds_anywhere``): the places that
@@ -61,7 +62,8 @@ def solve_on_network(risk_map: RiskMap, network: Network, options: PlanningOptio
     game = make_game(network, solved_game(risk_map, options))
     ground = CellSearch(cells, game) if holds_anywhere(options) else None
     try:
-        return solve_game(game, options.strategy, ground, warm.on(network) if warm else None)
+        return solve_game(game, options.strategy, ground, warm.on(network) if warm else None,
+                          progress)
     except TimeLimit as late:
         if late.strategy is None:
             raise

@@ -18,11 +18,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..arrays import FloatArray, IndexArray
-from ..errors import InvalidNetwork, InvalidOption, NoRoute, TimeLimit
+from ..errors import InvalidNetwork, InvalidOption, InvalidRiskMap, NoRoute, TimeLimit
 from ..game.ambusher import capped_at_one
 from ..game.game import Game, make_game
 from ..game.strategy import Strategy
 from ..game.value.cut import solve_by_min_cut
+from ..game.value.routes import Progress, unseen
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, build_trip_graph
 from ..network.network import Network
@@ -44,27 +45,71 @@ Position = tuple[float, float]
 
 def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
               options: PlanningOptions | None = None, *, stops: Iterable[npt.ArrayLike] = (),
-              order: str = 'given', warm: WarmStart | None = None) -> Plan:
-    """Plan a trip from start to goal through stops, all world positions [m].
+              order: str = 'given', warm: WarmStart | None = None,
+              progress: Progress = unseen) -> Plan:
+    """Plan a trip from start to goal through stops.
 
-    One strategy covers all legs; value, certificate and ``max_detour`` are those of the whole trip.
-    Nobody can wait at start, goal or a stop, nor within ``secured_radius`` of them. A goal at the
-    start's position makes a round trip.
+    One strategy covers all legs: value, certificate and ``max_detour`` are those of the whole trip.
+    Nobody can wait at start, goal or a stop, nor within ``secured_radius`` of them.
 
-    The order 'best' seeks the least value within the budget of ``max_detour`` times the shortest
-    way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more than the risk
-    slack if each leg that a site hits is charged (``Plan.order_found`` is 'best'). With more stops,
-    or if the time limit passes, the order is a short one or the best so far ('heuristic').
-    ``Plan.order`` has the indices of the stops as they are visited. A ``warm`` start is used for
-    the given order only.
+    Parameters
+    ----------
+    risk_map
+        The losses and obstacles.
+    start_xy, goal_xy
+        World positions [m]; a goal at the start's position makes a round trip.
+    options
+        Network, game, strategy and how routes become paths.
+    stops
+        World positions [m].
+    order
+        'given', or 'best': the order of least value within the budget of ``max_detour`` times the
+        shortest way in any order. For up to ``MOST_STOPS`` stops, no other order is better by more
+        than the risk slack if each leg that a site hits is charged (``Plan.order_found`` is
+        'best'). With more stops, or if the time limit passes, the order is a short one or the best
+        so far ('heuristic').
+    warm
+        A similar strategy to start the search from, for the given order only.
+    progress
+        Is called with the value and the lower bound so far; the value is ``inf`` before the first
+        strategy.
 
-    A gap of value and lower bound beyond the risk slack is warned of, with its reason.
+    Returns
+    -------
+    Plan
+        With ``value``, ``lower_bound``, ``strategy`` and ``order``; it draws ``paths(n)``.
 
-    Raises InvalidOption for any other order, StopBlocked for a stop off the map or within the
-    clearance of an obstacle, and the errors of ``build_network`` and ``solve``.
+    Raises
+    ------
+    InvalidRiskMap, InvalidOption
+        An argument is of the wrong kind or out of range.
+    StartBlocked, StopBlocked, GoalBlocked
+        A position is off the map or within the clearance of an obstacle.
+    NoRoute, BudgetInfeasible
+        No route leads from start to goal, or none within the budgets.
+    TimeLimit
+        The time limit passed before the gap was at most ``max_gap``; it has the best ``strategy``.
+
+    Warns
+    -----
+    UserWarning
+        The gap of value and lower bound is larger than the risk slack; the text says why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from ambush_planner import GameOptions, NetworkOptions, PlanningOptions, RiskMap, plan_trip
+    >>> risk_map = RiskMap(np.ones((12, 24)), np.zeros((12, 24), bool), resolution=1.0)
+    >>> options = PlanningOptions(NetworkOptions(spacing=2.0), GameOptions(ambush_radius=1.0))
+    >>> plan = plan_trip(risk_map, (2.0, 6.0), (22.0, 6.0), options)
+    >>> plan.lower_bound <= plan.value <= 1.0101 * plan.lower_bound
+    True
+    >>> path = plan.paths(1)[0]  # x, y [m] and yaw [rad], drawn by the operating system's entropy
+    >>> path[0, :2].tolist(), path[-1, :2].tolist()
+    ([2.0, 6.0], [22.0, 6.0])
     """
     made = _plan_trip(risk_map, start_xy, goal_xy, options or PlanningOptions(), list(stops), order,
-                      warm)
+                      warm, progress)
     if text := wide_gap(made):
         warnings.warn(text, stacklevel=2)
     return made
@@ -72,18 +117,26 @@ def plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike
 
 def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLike,
                options: PlanningOptions, asked: list[npt.ArrayLike], order: str,
-               warm: WarmStart | None) -> Plan:
+               warm: WarmStart | None, progress: Progress = unseen) -> Plan:
     if order not in ORDERS:
         raise InvalidOption(f'order must be one of {", ".join(ORDERS)}, got {order!r}')
+    if not isinstance(risk_map, RiskMap):
+        raise InvalidRiskMap(f'plan_trip needs a RiskMap, got a {type(risk_map).__name__}; '
+                             'read_risk_map reads one from a file')
+    if not issubclass(type(options), PlanningOptions):
+        kind = type(options).__name__
+        field = kind.removesuffix('Options').lower()
+        raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
+                            f'PlanningOptions({field}={kind}(...))')
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,
                              [asked[k] for k in place])
     chosen, found = tuple(range(len(asked))), order
     if order == 'given' or len(asked) < 2:
-        strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm)
+        strategy = solve_on_network(risk_map, graph.network(graph.visits), options, warm, progress)
     else:
-        strategy, chosen, found = _StopOrderSearch(risk_map, graph, options).run()
+        strategy, chosen, found = _StopOrderSearch(risk_map, graph, options, progress).run()
     made = make_plan(risk_map, strategy, options, begin)
     return replace(made, order=tuple(place[k] for k in chosen), order_found=found,
                    risk_map=risk_map)
@@ -134,8 +187,10 @@ class _StopOrderSearch:
     bounds come from minimum cuts between pairs of ends; each solved order adds another.
     """
 
-    def __init__(self, risk_map: RiskMap, graph: TripGraph, options: PlanningOptions) -> None:
+    def __init__(self, risk_map: RiskMap, graph: TripGraph, options: PlanningOptions,
+                 progress: Progress) -> None:
         self._map, self._graph, self._options = risk_map, graph, options
+        self._progress = progress
         self._game = solved_game(risk_map, options)
         self._deadline = time.monotonic() + options.strategy.time_limit
         self._ends = sorted(set(graph.visits))
@@ -213,7 +268,7 @@ class _StopOrderSearch:
         detour = max(limit / length, 1.0)
         options = replace(self._options.strategy, max_detour=detour, time_limit=left)
         return solve_on_network(self._map, self._network(order),
-                                replace(self._options, strategy=options))
+                                replace(self._options, strategy=options), progress=self._progress)
 
     def _pair_bounds(self, game: Game) -> Iterable[_OrderBound]:
         """Bounds from the minimum cuts between pairs of ends; with a reach, they may be weak."""

@@ -138,7 +138,7 @@ class Inputs:
             there = self._transforms.to_frame(origin, 'the costmap', new.frame,
                                               values.robot.max_age)
             costmap = replace(costmap, origin=pose_from_ros(there.pose))
-            new = joined_map(new, costmap, values.occupancy.unknown_alpha < 0.0)
+            new = joined_map(new, costmap, values.occupancy.unknown_alpha is None)
         if self._map is None or not self._map.same_map(new):
             self._map = new
         self._refused = None

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from scipy.sparse import csr_matrix, vstack
@@ -46,6 +46,14 @@ FIRST_TURN, LEG_ROUNDS = 16, 60
 MOST_EXCESS, LEAST_FLOW = 1e7, 1e-7
 
 
+# Is called with the value of a mixture or strategy, and a bound, as they improve.
+Progress = Callable[[float, float], None]
+
+
+def unseen(value: float, bound: float) -> None:
+    """Nobody watches."""
+
+
 class Routes:
     """The least value by a linear program over whole routes; it only grows.
 
@@ -66,9 +74,10 @@ class Routes:
     Raises BudgetInfeasible if no strategy is within all budgets.
     """
 
-    def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float,
-                 deadline: float) -> None:
+    def __init__(self, game: Game, budgets: tuple[Budget, ...], gap: float, deadline: float,
+                 progress: Progress = unseen) -> None:
         self.game, self.gap, self.deadline, self._budgets = game, gap, deadline, budgets
+        self._progress = progress
         binding = [b for b in budgets if b.binds]
         excess = [np.where(game.playable, np.minimum(b.excess / b.margin, MOST_EXCESS), 0.0)
                   for b in binding]
@@ -153,6 +162,7 @@ class Routes:
             precision = precision if added else tight
 
     def _ended(self) -> bool:
+        self._progress(self.value, self.bound)
         rounding = ROUNDING * float(self.loss.max(initial=0.0))
         proved = self.value <= max(self.bound * (1.0 + self.gap), rounding)
         return proved or time.monotonic() > self.deadline

@@ -1,0 +1,58 @@
+"""From the file of an elevation model to a risk map, in one step."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .elevation import elevation_from_raster, mask_from_raster
+from .elevation_file import read_raster
+from .occupancy import OccupancyOptions, risk_map_from_occupancy
+from .risk_map import RiskMap
+from .terrain_risk import TerrainOptions, terrain_map
+from .visibility import ViewOptions
+
+
+def risk_from_terrain(file: Path | str, *, resolution: float | None = None,
+                      weapon_range: float = 300.0, roads: Path | str | None = None,
+                      options: TerrainOptions | None = None,
+                      occupancy: OccupancyOptions | None = None) -> RiskMap:
+    """Make the risk map of an elevation model, as ``ambush terrain`` does.
+
+    Parameters
+    ----------
+    file
+        A GeoTIFF (extra ``gis``) or an npz file.
+    resolution
+        Cell size [m]; None: the elevation model's.
+    weapon_range
+        Range of weapons [m]; ``options``, if given, has its own.
+    roads
+        A raster of roads: its cells other than 0.
+    options
+        How terrain is converted to risk.
+    occupancy
+        How risk 0..99 is converted to losses.
+
+    Returns
+    -------
+    RiskMap
+        With the coordinate system of the elevation model.
+
+    Raises
+    ------
+    InvalidTerrain, OSError
+        A file or an option cannot be used.
+
+    Examples
+    --------
+    >>> risk_map = risk_from_terrain('dem.tif', weapon_range=500.0)  # doctest: +SKIP
+    """
+    options = options or TerrainOptions(ViewOptions(weapon_range))
+    elevation = elevation_from_raster(read_raster(Path(file)), resolution or 0.0)
+    on_roads = None
+    if roads is not None:
+        on_roads = mask_from_raster(read_raster(Path(roads), 'roads', nearest=True), elevation)
+    ground = terrain_map(elevation, options, on_roads)
+    made = risk_map_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
+                                   occupancy)
+    return RiskMap(made.alpha, made.obstacles, made.resolution, made.origin, elevation.crs)
