@@ -31,9 +31,9 @@ def test_names_a_place_that_covers_every_way_out(alpha):
 
 
 def test_a_chosen_radius_leaves_no_place_that_covers_every_way_out():
-    """-1 is the reach with tube and start tolerance, so that the value is below certainty."""
+    """By default it is the reach, tube and start tolerance, so the value is below certainty."""
     for tolerance in (0.0, np.inf):
-        found = plan(3.0, -1.0, tolerance=tolerance)
+        found = plan(3.0, None, tolerance=tolerance)
         assert found.strategy.game.options.held_radius == 3.525
         assert found.strategy.value < 0.9
         assert not any('covers every way' in text for text in concerns(found))
@@ -43,5 +43,5 @@ def test_names_a_passage_far_from_the_ends():
     wall = np.zeros((20, 30), bool)
     wall[:, 15] = True
     wall[9:11, 15] = False
-    (text,) = concerns(plan(2.0, -1.0, obstacles=wall))
+    (text,) = concerns(plan(2.0, None, obstacles=wall))
     assert text.startswith('one place meets every route, ') and 'hold' not in text

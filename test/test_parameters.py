@@ -91,7 +91,7 @@ def test_every_parameter_is_described_and_ranged(node, name):
     ({'network__spacing': -1.0}, 'out of range'),
     ({'network__spacing': math.inf}, 'network.spacing must be finite'),
     ({'network__clearance': math.nan}, 'out of range'),
-    ({'route__tube': -0.5}, 'route.tube must be >= 0 [m], or -1 for automatic, got -0.5'),
+    ({'route__tube': -0.5}, 'route.tube must be finite and >= 0 [m], got -0.5'),
     ({'route__turning_radius': math.inf}, 'route.turning_radius must be finite'),
     ({'strategy__solver': 'magic'}, 'strategy.solver must be one of max_entropy'),
     ({'strategy__length_weight': 1.0}, 'strategy.length_weight must be in [0, 1)'),

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
 
 from ..arrays import BoolArray, FloatArray
 from .elevation import MAX_CELLS, InvalidTerrain
@@ -47,6 +46,8 @@ def write_map(path: Path, occupancy: OccupancyMap, remark: str = '') -> Path:
         'occupied_thresh': 0.65, 'free_thresh': 0.196,
         **({'crs': occupancy.crs} if occupancy.crs else {}),
     }
+    import yaml
+
     comments = ''.join(f'# {line}\n' for line in remark.splitlines())
     path.write_text(comments + yaml.safe_dump(fields, sort_keys=False), encoding='utf-8')
     return picture
@@ -57,6 +58,8 @@ def read_map(path: Path) -> OccupancyMap:
 
     Raises InvalidTerrain if either file is malformed, OSError if it cannot be opened.
     """
+    import yaml
+
     try:
         fields = yaml.safe_load(path.read_text(encoding='utf-8'))
     except (yaml.YAMLError, UnicodeDecodeError, ValueError) as error:

@@ -27,7 +27,7 @@ NUMBERS = (
 _NETWORK = ('points', 'alpha', 'edges', 'source', 'target', 'places', 'leg')
 _PROBABILITIES = ('edge_probability', 'ambush_probability')
 # What a plan adds to the game's options [m]: tube, what a site stands for, and held ground.
-_PLANNED = ('tube', 'widened', 'secured_radius')
+_PLANNED = {'tube': 'tube', 'widened': 'widened', 'secured_radius': 'held_radius'}
 # For which leg the ambusher waits at each site, on trips.
 _BY_LEG = 'by_leg'
 # The flows of the ambusher's circulation, if he has one.
@@ -42,7 +42,7 @@ def strategy_file(strategy: Strategy) -> bytes:
     arrays: dict[str, Any] = {
         **{name: getattr(strategy.network, name) for name in _NETWORK},
         **{name: getattr(strategy, name) for name in (*_PROBABILITIES, *NUMBERS)},
-        **{name: getattr(strategy.game.options, name) for name in _PLANNED},
+        **{name: getattr(strategy.game.options, each) for name, each in _PLANNED.items()},
         _COUNTING_GAP: strategy.counting_gap,
     }
     if strategy.ambusher.circulation is not None:
