@@ -51,7 +51,8 @@ def write_report(place: Path, output: Path, verify: bool,
         checks = Checks(len(departures), problems, *audited(departures)[1:])
         code = cli.Exit.FINDING if problems else code
     if departures:
-        cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
+        text = page(sections, output, len(unreadable), checks)
+        cli.write_private(output, {PAGE: text.encode()})
         console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
     else:
         console.error('no recording could be read, so there is no report')
