@@ -66,9 +66,9 @@ class Page(HTMLParser):
         return [value for name, value in self.attributes if name == attribute]
 
 
-@pytest.fixture(scope='module')
-def a_plan():
-    return sample_plan()
+def drawn_departures(count, **options):
+    plan = sample_plan()
+    return [departure(plan, route, k + 1, **options) for k, route in enumerate(drawn(plan, count))]
 
 
 def page_of(folder, *departures, code=0, arguments=()):
@@ -76,16 +76,15 @@ def page_of(folder, *departures, code=0, arguments=()):
         record(folder / 'in', departures)
     arguments = [str(folder / 'in'), '-o', str(folder / 'out'), '--replace', *arguments]
     assert report.main(arguments) == code
+    assert (folder / 'out' / 'report.html').stat().st_mode & 0o777 == 0o600
     return Page(folder / 'out')
 
 
 @pytest.fixture(scope='module')
-def made(tmp_path_factory, a_plan):
+def made(tmp_path_factory):
     """The page of twelve departures, and the section that it was made from."""
     folder = tmp_path_factory.mktemp('report')
-    page = page_of(folder, *(
-        departure(a_plan, route, k + 1) for k, route in enumerate(drawn(a_plan, 12))
-    ))
+    page = page_of(folder, *drawn_departures(12))
     (section,) = sections_of(read_departures(recordings_in(folder / 'in'), pytest.fail))
     return page, section
 
@@ -102,9 +101,9 @@ def test_the_page_needs_nothing_else_and_its_policy_names_the_only_script(made):
         page.values('content'))
 
 
-def test_the_numbers_are_those_of_the_strategy(made, a_plan):
+def test_the_numbers_are_those_of_the_strategy(made):
     page, section = made
-    strategy, rows = a_plan.strategy, evaluate(a_plan.strategy)
+    strategy, rows = section.strategy, evaluate(section.strategy)
     numbers = [float(number.split()[0]) for number, _ in report_words.tiles(section)]
     assert numbers == pytest.approx(
         [strategy.value, 100.0 * rows['stochastic'].p_first, 12,
@@ -170,8 +169,8 @@ def test_an_outline_is_as_accurate_as_asked_for_and_has_few_points(turns, tolera
     assert len(found) <= 2 * len(turns) + 2  # two points of a leg that is parallel to a chord
 
 
-def test_report_and_audit_need_no_matplotlib(tmp_path, a_plan):
-    record(tmp_path / 'in', [departure(a_plan, each) for each in drawn(a_plan, 2)])
+def test_report_and_audit_need_no_matplotlib(tmp_path):
+    record(tmp_path / 'in', drawn_departures(2))
     for arguments in (['report', '-o', str(tmp_path / 'out')], ['audit']):
         code = ('import sys\nsys.modules["matplotlib"] = None\n'
                 'from ambush_planner.commands import cli\n'
@@ -181,23 +180,23 @@ def test_report_and_audit_need_no_matplotlib(tmp_path, a_plan):
         assert done.returncode == (0 if arguments[0] == 'report' else 4), done.stderr
 
 
-def test_a_fixed_seed_and_an_unusable_system_are_warned_about(tmp_path, a_plan, made):
+def test_a_fixed_seed_and_an_unusable_system_are_warned_about(tmp_path, made):
     entries = {'parameters': parameters(seed=77123, **{'map.crs': 'nonsense'})}
-    page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
+    page = page_of(tmp_path, *drawn_departures(1, entries=entries))
     assert 'fixed seed' in page.text and '77123' not in page.html
     assert 'No latitude and longitude at the pointer: ' in page.text
     assert 'fixed seed' not in made[0].text
 
 
-def test_text_from_files_is_escaped(tmp_path, a_plan):
+def test_text_from_files_is_escaped(tmp_path):
     entries = {'departure_id': HOSTILE,
                'parameters': parameters(**{'recording.directory': HOSTILE})}
-    page = page_of(tmp_path, departure(a_plan, drawn(a_plan, 1)[0], entries=entries))
+    page = page_of(tmp_path, *drawn_departures(1, entries=entries))
     assert len(page.scripts) == 1 and 'img' not in page.tags and '<script>alert' not in page.html
     assert HOSTILE in page.text and f'departure {HOSTILE}' in page.values('title')
 
 
-def test_maps_and_trips_have_sections(tmp_path, a_plan):
+def test_maps_and_trips_have_sections(tmp_path):
     """Departures whose start moves a little are on one trip, with several strategies."""
     other, rows = sample_plan(hill=90), []
     for k in range(3):
@@ -224,10 +223,10 @@ def test_it_says_verified_only_if_it_verified(tmp_path, made):
     assert 'What 1 departure can show' in text
 
 
-def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
+def test_failed_verification_and_the_audit_are_on_the_page(tmp_path):
     """These recordings say one thing and hold another; their routes are all the same."""
-    (route,) = drawn(a_plan, 1)
-    rows = [departure(a_plan, route, k + 1) for k in range(5)]
+    (route,) = drawn(sample_plan(), 1)
+    rows = [departure(sample_plan(), route, k + 1) for k in range(5)]
     text = page_of(tmp_path, *rows, code=1, arguments=['--verify']).text
     assert 'VERIFICATION FAILED for 5 of 5 recordings' in text and 'Verified:' not in text
     assert 'The audit found: the convoy used some stretches far more' in text
@@ -235,9 +234,8 @@ def test_failed_verification_and_the_audit_are_on_the_page(tmp_path, a_plan):
     assert 'What 5 departures can show' in text and 'in 9 of 10 cases' in text
 
 
-def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
-    paths = record(tmp_path / 'in', [departure(a_plan, r, k)
-                                     for k, r in enumerate(drawn(a_plan, 2))])
+def test_unreadable_files_are_named_and_counted(tmp_path, capsys):
+    paths = record(tmp_path / 'in', drawn_departures(2))
     paths[0].write_bytes(b'nothing')
     page = page_of(tmp_path, code=3)
     assert 'Not shown, because unreadable: 1 recording.' in page.text
@@ -247,17 +245,6 @@ def test_unreadable_files_are_named_and_counted(tmp_path, a_plan, capsys):
     result = json.loads(capsys.readouterr().out)
     assert set(result) == documented_keys(report) and result['page'] is None
     assert not (tmp_path / 'none').exists()
-
-
-def test_output_is_private_and_replaced_only_if_requested(tmp_path, a_plan, capsys):
-    record(tmp_path / 'in', [departure(a_plan, drawn(a_plan, 1)[0])])
-    out = tmp_path / 'out'
-    assert report.main([str(tmp_path / 'in'), '-o', str(out)]) == 0
-    assert out.stat().st_mode & 0o777 == 0o700
-    assert (out / 'report.html').stat().st_mode & 0o777 == 0o600
-    with pytest.raises(SystemExit) as stop:
-        report.main([str(tmp_path / 'in'), '-o', str(out)])
-    assert stop.value.code == 2 and '--replace' in capsys.readouterr().err
 
 
 @given(st.data())
