@@ -116,7 +116,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
         data = map_data(section, with_degrees=False)
     data['colours'] = colours(section)
     left, bottom, right, top = data['box']
-    settings, changed = words.settings(section)
+    settings = words.settings(section)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
         warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
@@ -133,7 +133,7 @@ def _section(section: Section, folder: Path, name: str) -> str:
         certificate=_paragraphs(words.certificate(section)),
         measures=_table(words.measures(strategy), 'first'),
         quantities=_table([(), *words.quantities(strategy)]),
-        changed=f'{changed} differ from the defaults',
+        changed=sum(bool(default) for _, _, default in settings),
         settings=_table([('setting', 'value', 'default'), *settings]),
     )
 

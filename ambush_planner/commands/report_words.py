@@ -151,23 +151,21 @@ def departures(section: Section) -> list[tuple[str, ...]]:
     return [('route', 'time (UTC)', 'length', *(['mean loss'] * varies)), *rows]
 
 
-def settings(section: Section) -> tuple[list[tuple[str, str, str]], int]:
-    """All parameters but the seed with their defaults, and how many differ; those come first."""
+def settings(section: Section) -> list[tuple[str, str, str]]:
+    """Rows of all parameters but the seed: name, value, and the default if that differs.
+
+    Those that differ come first.
+    """
     found: dict[str, set[str]] = {}
     for each in section.departures:
         for name, value in {'frame of the map': each.frame, **each.parameters.values}.items():
-            found.setdefault(name, set()).add(str(value))
-    changed, usual = [], []
-    for name, values in sorted(found.items()):
-        value = values.pop() if len(values) == 1 else 'differs between departures'
-        default = str(PARAMETERS[name].default) if name in PARAMETERS else value
-        if name == 'seed':
-            continue
-        if value == default:
-            usual.append((name, value or 'empty', ''))
-        else:
-            changed.append((name, value or 'empty', default or 'empty'))
-    return changed + usual, len(changed)
+            found.setdefault(name, set()).add(str(value) or 'empty')
+    rows = []
+    for name in sorted(found.keys() - {'seed'}):
+        value = found[name].pop() if len(found[name]) == 1 else 'differs between departures'
+        default = str(PARAMETERS[name].default) or 'empty' if name in PARAMETERS else value
+        rows.append((name, value, default if default != value else ''))
+    return sorted(rows, key=lambda row: not row[2])
 
 
 def travel(strategy: Strategy, value: float) -> str:
