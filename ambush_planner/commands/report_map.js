@@ -342,15 +342,16 @@ class View {
     const [u, v] = [x + origin[0], y + origin[1]], places = cell < 1 ? 1 : 0;
     const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
     const share = found.hit < LEAST ? 'practically no' : `${digits(100 * found.hit)} % of`;
-    const risk = Number.isNaN(found.here) ? 'obstacle' : `risk ${digits(found.here)}`;
-    return `${this.#verdict(found)}\n${risk} (the best ambush costs ${digits(value)})\n`
+    const risk = Number.isNaN(found.here) ? '' : `risk ${digits(found.here)}; `;
+    return `${this.#verdict(found)}\n${risk}the best ambush costs ${digits(value)}\n`
       + `${share} departures ${pass}\n`
       + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m${this.#degrees(u, v)}`;
   }
 
   #verdict({ held, cost }) {
     if (held && this.data.held > 0) return 'Held ground: nobody can wait here';
-    if (held || Number.isNaN(cost)) return 'Nobody can wait here';
+    if (held) return 'Start, stops and goal: nobody can wait here';
+    if (Number.isNaN(cost)) return 'Obstacle';
     const loss = cost < LEAST * this.data.value ? 'practically nothing' : digits(cost);
     return `An ambush here costs ${loss} on average`;
   }
