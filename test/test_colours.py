@@ -1,6 +1,5 @@
 """One table of colours: readers of any vision tell them apart, and files with literals agree."""
 
-import json
 import re
 from itertools import combinations, product
 from pathlib import Path
@@ -16,7 +15,7 @@ from ambush_planner import colours
 from ambush_planner.ros import markers
 
 ROOT = Path(__file__).resolve().parent.parent
-CONFIG, COMMANDS = ROOT / 'config', ROOT / 'ambush_planner/commands'
+CONFIG = ROOT / 'config'
 # Normal vision, then colours in linear RGB as protanopes, deuteranopes and tritanopes see them:
 # Machado, Oliveira and Fernandes 2009, severity 1.
 VISION = (
@@ -54,25 +53,6 @@ def test_colour_blind_readers_tell_the_colours_apart():
 
 def hexadecimal(numbers):
     return '#' + bytes(int(each) for each in numbers).hex()
-
-
-def test_the_report_uses_the_table():
-    script = (COMMANDS / 'report_map.js').read_text()
-    section = (COMMANDS / 'report_section.html').read_text()
-    style = (COMMANDS / 'report.css').read_text()
-    blues = json.loads(re.search(r'BLUES = (.*);', script)[1])
-    assert tuple(map(hexadecimal, blues)) == colours.PROBABILITY
-    for name, colour in (('BLACK', colours.OBSTACLE), ('ORANGE', colours.AMBUSHER),
-                         ('YELLOW', colours.ENDS)):
-        assert f"{name} = '{colour}'" in script
-    # A pixel is alpha, blue, green, red.
-    assert re.search(r'OBSTACLE \? (0x\w+)', script)[1] == '0xff' + bytes.fromhex(
-        colours.OBSTACLE[1:])[::-1].hex()
-    darkest = 255 - int(re.search(r'255 - (\d+) \*', script)[1])
-    assert ('#ffffff', hexadecimal([darkest] * 3)) == colours.RISK
-    shown = re.findall(r'#[0-9a-f]{6}\b', section)
-    assert shown == [colours.RISK[1], colours.OBSTACLE, *colours.PROBABILITY, colours.AMBUSHER]
-    assert f'.5px solid {colours.AMBUSHER}' in style
 
 
 def test_the_layouts_of_qgis_rviz_and_foxglove_use_the_table():

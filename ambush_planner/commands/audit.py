@@ -17,6 +17,10 @@ from ..recordings.audit import Audit, NotAuditable, audit
 from . import cli
 
 PICTURE = 'audit.png'
+SENSITIVITY = (
+    'What the test can find: one route driven every time in 5 departures, a few routes in turn in '
+    'about 20, a mild preference for some stretches in about 100.'
+)
 NUMBERS = ('left_out', 'p_value', 'impossible', 'value', 'observer_loss', 'observer_range')
 EPILOG = """\
 Tests all departures together, each under the strategy that it was drawn from: does the convoy
@@ -67,13 +71,17 @@ def audited(departures: list[RecordedDeparture]) -> tuple[Audit | None, list[str
         findings.append('the convoy used some stretches far more or less often than published '
                         f'(p = {result.p_value:.3g})')
     low, high = result.observer_range
-    notes = ['An observer who learns from each departure would have caused a mean loss of '
-             f'{result.observer_loss:.4g}; the published value is {result.value:.4g}. If the '
-             f'departures are drawn as published, that loss is {low:.4g} to {high:.4g} in 9 of 10 '
-             'cases.']
+    notes = [
+        SENSITIVITY,
+        'An observer who waits where an ambush would have cost the earlier departures most would '
+        f'have caused a mean loss of {result.observer_loss:.3g}. Over {result.departures} '
+        f'departures drawn as published it is {low:.3g} to {high:.3g} in 9 of 10 cases: the '
+        'narrower that range, the more it says about the guarantee, which is a mean over many '
+        f'departures ({result.value:.3g}).',
+    ]
     if not findings:
         notes.insert(0, 'Nothing suspicious: the convoy used the stretches as often as published '
-                     f'(p = {result.p_value:.3g}). A few departures reveal only gross deviations.')
+                     f'(p = {result.p_value:.2g}).')
     if result.left_out:
         notes.append('Not audited, because their strategies have cycles: '
                      f'{cli.count(result.left_out, "departure")}.')

@@ -17,9 +17,10 @@ EPILOG = """\
 The page, report.html, shows the map, the strategy, the routes, a comparison with planners that
 always drive the same route, and what is guaranteed, with one section per map and trip. The map can
 be moved and zoomed, layers and single departures can be selected, and the cost of an ambush is
-shown at the pointer. The page needs no network; its only script is inline. It shows secret routes:
-its mode is 0600, that of a new folder 0700. With --verify it also says what ambush verify and
-ambush audit find; the exit code is 1 if a recording fails verification.
+shown at the pointer. The list of departures links their recordings. The page needs no network; its
+only script is inline. It shows secret routes: its mode is 0600, that of a new folder 0700. With
+--verify it also says what ambush verify and ambush audit find; the exit code is 1 if a recording
+fails verification.
 --json: {"verdict", "page", "departures", "sections", "unreadable", "verified"}
 """ + cli.EXIT_CODES
 
@@ -51,7 +52,8 @@ def write_report(place: Path, output: Path, verify: bool,
         checks = Checks(len(departures), problems, *audited(departures)[1:])
         code = cli.Exit.FINDING if problems else code
     if departures:
-        cli.write_private(output, {PAGE: page(sections, len(unreadable), checks).encode()})
+        text = page(sections, output, len(unreadable), checks)
+        cli.write_private(output, {PAGE: text.encode()})
         console.line(f'{cli.place(output / PAGE)} shows secret routes; only this user can read it.')
     else:
         console.error('no recording could be read, so there is no report')

@@ -1,12 +1,11 @@
 'use strict';
-// The maps of a report: pan, zoom, layers, single departures, numbers at the pointer.
+// The maps of a report: pan, zoom, layers, single departures, a reading at the pointer.
 // Positions are metres from the risk map's corner, along the world's axes.
 
 const LEAST = 1e-3; // Edges with smaller probabilities are not drawn.
 const CLASSES = 12; // Number of colours and widths of edges.
-const BLUES = [[127, 184, 230], [47, 127, 208], [17, 70, 176], [20, 7, 92]];
-const BLACK = '#1c1714', ORANGE = '#e66100', YELLOW = '#ffd92f', THIN = '#33557f';
 const OBSTACLE = 255;
+const PRINTED = 3; // Pixels of a printed map for each pixel on the screen.
 const TYPES = {
   cells: Uint8Array, points: Float32Array, edges: Uint32Array, chances: Float32Array,
   shown: Float32Array, sites: Float32Array, routes: Float32Array,
@@ -18,22 +17,35 @@ async function unpack(text, Type) {
   return new Type(await new Response(stream).arrayBuffer());
 }
 
-function blue(share) {
-  const at = share * (BLUES.length - 1), k = Math.min(Math.floor(at), BLUES.length - 2);
-  return `rgb(${BLUES[k].map((c, i) => Math.round(c + (at - k) * (BLUES[k + 1][i] - c)))})`;
+// The colours of a CSS variable, as texts.
+function colours(name) {
+  const style = getComputedStyle(document.documentElement);
+  return style.getPropertyValue(`--${name}`).split(',').map((text) => text.trim());
 }
 
+const rgb = (colour) => [1, 3, 5].map((k) => parseInt(colour.slice(k, k + 2), 16));
+
+// The colour [red, green, blue] at a share, 0..1, of a ramp.
+function between(ramp, share) {
+  const at = share * (ramp.length - 1), k = Math.min(Math.floor(at), ramp.length - 2);
+  const [low, high] = [rgb(ramp[k]), rgb(ramp[k + 1])];
+  return low.map((c, i) => Math.round(c + (at - k) * (high[i] - c)));
+}
+
+const pixel = ([red, green, blue]) => (255 << 24 | blue << 16 | green << 8 | red) >>> 0;
 const digits = (number) => Number(number.toPrecision(3)).toString();
 
 class View {
   constructor(figure, data) {
-    Object.assign(this, { figure, data });
+    const section = figure.closest('section');
+    Object.assign(this, { section, data });
     this.canvas = figure.querySelector('canvas');
     this.pen = this.canvas.getContext('2d');
     this.layers = Object.fromEntries(
-      [...figure.querySelectorAll('[data-layer]')].map((box) => [box.dataset.layer, box]));
-    this.pick = figure.querySelector('select');
-    this.readout = figure.querySelector('.readout');
+      [...section.querySelectorAll('[data-layer]')].map((box) => [box.dataset.layer, box]));
+    this.rows = [...section.querySelectorAll('.departures tbody tr')];
+    this.picked = -1; // the row of the only departure that is shown; -1: all are
+    this.reading = figure.querySelector('.reading');
     this.circle = figure.querySelector('.reach');
     this.fingers = new Map();
     this.ground = this.#paint(true);
@@ -43,7 +55,7 @@ class View {
     this.lines = this.#lines();
     this.#listen();
     this.showAll();
-    new ResizeObserver(() => this.#resize()).observe(figure);
+    new ResizeObserver(() => this.#resize()).observe(this.canvas);
   }
 
   // The map as a picture, a pixel a cell: losses in grey, or obstacles only.
@@ -52,13 +64,11 @@ class View {
     const picture = new OffscreenCanvas(columns, rows), pen = picture.getContext('2d');
     const image = pen.createImageData(columns, rows), pixels = new Uint32Array(image.data.buffer);
     const most = Math.max(...levels), span = most - Math.min(...levels) || 1;
-    const grey = levels.map((loss) => {
-      const light = Math.round(255 - 123 * (1 - (most - loss) / span));
-      return (255 << 24 | light << 16 | light << 8 | light) >>> 0;
-    });
+    const ramp = colours('risk'), [black] = colours('obstacle').map(rgb).map(pixel);
+    const grey = levels.map((loss) => pixel(between(ramp, 1 - (most - loss) / span)));
     cells.forEach((level, k) => {
       const at = (rows - 1 - Math.floor(k / columns)) * columns + k % columns;
-      pixels[at] = level === OBSTACLE ? 0xff14171c : losses ? grey[level] : 0;
+      pixels[at] = level === OBSTACLE ? black : losses ? grey[level] : 0;
     });
     pen.putImageData(image, 0, 0);
     return picture;
@@ -68,9 +78,10 @@ class View {
   #stretches() {
     const { points, edges, shown } = this.data;
     const most = shown.reduce((a, b) => Math.max(a, b), 2 * LEAST);
+    const ramp = colours('chances');
     const classes = Array.from({ length: CLASSES }, (_, k) => {
-      const share = k / (CLASSES - 1);
-      return { path: new Path2D(), colour: blue(share), width: 0.5 + 2.5 * share ** 2 };
+      const share = k / (CLASSES - 1), colour = `rgb(${between(ramp, share)})`;
+      return { path: new Path2D(), colour, width: 0.5 + 2.5 * share ** 2 };
     });
     shown.forEach((p, k) => {
       if (p < LEAST) return;
@@ -184,17 +195,13 @@ class View {
     this.#resize();
   }
 
-  #resize() {
+  #resize(fine = window.devicePixelRatio || 1) {
     const { box: [left, bottom, right, top] } = this.data;
-    const width = this.figure.clientWidth;
-    const wanted = width * (top - bottom) / (right - left);
-    const height = Math.round(Math.min(Math.max(wanted, 220), 0.75 * window.innerHeight));
-    const fine = window.devicePixelRatio || 1;
+    const { clientWidth: width, clientHeight: height } = this.canvas;
     Object.assign(this, { width, height, fine });
     Object.assign(this.canvas, { width: width * fine, height: height * fine });
-    this.canvas.style.height = `${height}px`;
     this.whole = 0.97 * Math.min(width / (right - left), height / (top - bottom));
-    this.draw();
+    this.#draw();
   }
 
   get scale() { return this.whole * this.zoom; }
@@ -238,13 +245,12 @@ class View {
     pen.drawImage(this.layers.risk.checked ? this.ground : this.bare, 0, -rows, columns, rows);
     pen.restore();
     if (this.layers.chances.checked) {
-      pen.globalAlpha = this.layers.routes.checked ? 0.6 : 1;
       for (const { path, colour, width } of this.stretches) this.#stroke(path, colour, width);
-      pen.globalAlpha = 1;
     }
     if (held > 0) {
-      pen.setLineDash([6 / scale, 4 / scale]);
-      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'black', 1.2);
+      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'white', 4);
+      pen.setLineDash([7 / scale, 5 / scale]);
+      for (const [x, y] of data.ends) this.#stroke(disc(x, y, held), 'black', 2);
       pen.setLineDash([]);
     }
     if (this.layers.routes.checked) this.#drawRoutes();
@@ -259,45 +265,49 @@ class View {
   }
 
   #drawRoutes() {
-    const picked = this.pick.value, { colours } = this.data;
+    const [thin] = colours('accent'), all = this.picked < 0;
     this.lines.forEach((path, k) => {
-      if (picked !== 'all' && picked !== String(k)) return;
-      const faint = picked === 'all' && !colours[k];
-      if (!faint) this.#stroke(path, 'white', 5);
-      this.#stroke(path, colours[k] || THIN, faint ? 0.8 : 2.6);
+      if (!all && this.picked !== k) return;
+      const colour = this.data.colours[k], faint = all && !colour;
+      const width = faint ? 0.8 : all ? 1.8 : 3;
+      if (!faint) this.#stroke(path, 'white', width + 2);
+      this.#stroke(path, colour || thin, width);
     });
   }
 
   #drawSites() {
     const { sites } = this.data, size = Math.min(1, 0.4 + this.width / 1200) / this.scale;
+    [this.pen.fillStyle] = colours('ambusher');
     for (let k = 0; k < sites.length; k += 3) {
       const path = disc(sites[k], sites[k + 1], (3 + 5 * Math.sqrt(sites[k + 2])) * size);
-      this.pen.fillStyle = ORANGE;
       this.pen.fill(path);
-      this.#stroke(path, 'white', 1);
+      this.#stroke(path, 'white', 1.5);
     }
+    const likeliest = sites.findIndex((share, k) => k % 3 === 2 && share === 1) - 2;
+    if (likeliest >= 0) this.#label('ambusher', sites[likeliest], sites[likeliest + 1], -12);
   }
 
   #drawEnd(x, y, name) {
-    const { pen, scale } = this, half = 6 / scale, path = disc(x, y, name === 'start' ? 0 : half);
-    if (name === 'start') path.rect(x - half, y - half, 2 * half, 2 * half);
-    pen.fillStyle = YELLOW;
-    pen.fill(path);
+    const path = ({ start: square, goal: star }[name] || disc)(x, y, 6 / this.scale);
+    [this.pen.fillStyle] = colours('ends');
+    this.pen.fill(path);
     this.#stroke(path, 'black', 1.2);
-    const px = (x - this.x) * scale + this.width / 2;
-    const room = px > -6 && px < this.width + 6 ? 22 : Infinity;
-    this.#label(name, Math.min(Math.max(px - 17, 2), this.width - 36),
-      (this.y - y) * scale + this.height / 2 + room);
+    this.#label(name, x, y, 24);
   }
 
-  #label(text, px, py) {
-    const { pen } = this;
+  // Write a text so many pixels below a place, unless the place is to the side of the picture.
+  #label(text, x, y, below) {
+    const { pen, width, fine } = this, px = (x - this.x) * this.scale + width / 2;
+    if (px < 0 || px > width) return;
     pen.save();
-    pen.setTransform(this.fine, 0, 0, this.fine, 0, 0);
-    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', lineWidth: 3,
-      strokeStyle: 'white', fillStyle: BLACK });
-    pen.strokeText(text, px, py);
-    pen.fillText(text, px, py);
+    pen.setTransform(fine, 0, 0, fine, 0, 0);
+    Object.assign(pen, { font: 'bold 14px system-ui, sans-serif', textAlign: 'center',
+      lineWidth: 3, strokeStyle: 'white', fillStyle: 'black' });
+    const half = pen.measureText(text).width / 2 + 2;
+    const at = [Math.min(Math.max(px, half), width - half),
+      (this.y - y) * this.scale + this.height / 2 + below];
+    pen.strokeText(text, ...at);
+    pen.fillText(text, ...at);
     pen.restore();
   }
 
@@ -308,8 +318,8 @@ class View {
     path.moveTo(x, y);
     path.lineTo(x + metres, y);
     this.#stroke(path, 'white', 6);
-    this.#stroke(path, BLACK, 3);
-    this.#label(this.#far(metres), 10, this.height - 18);
+    this.#stroke(path, 'black', 3);
+    this.#label(this.#far(metres), x + metres / 2, y, -8);
   }
 
   #far(metres) { return metres >= 1000 ? `${digits(metres / 1000)} km` : `${digits(metres)} m`; }
@@ -321,38 +331,69 @@ class View {
     const [s, t] = [x, y].map((at, k) => (at - degrees.middle[k]) / degrees.half[k]);
     const horner = (terms, at) => terms.reduceRight((sum, term) => sum * at + term, 0);
     const [lat, lon] = [degrees.lat, degrees.lon].map(
-      (rows) => horner(rows.map((row) => horner(row, t)), s).toFixed(6));
-    return ` (${lat}, ${lon})`;
+      (rows) => horner(rows.map((row) => horner(row, t)), s).toFixed(5));
+    return `\n${lat}, ${lon}`;
   }
 
-  // Say what is at a place of the canvas.
+  // What an ambush at a place would cost, in words.
+  words(x, y) {
+    const { reach, value, origin, cell } = this.data, found = this.measure(x, y);
+    if (found.here === undefined) return 'Outside the map';
+    const [u, v] = [x + origin[0], y + origin[1]], places = cell < 1 ? 1 : 0;
+    const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
+    const share = found.hit < LEAST ? 'practically no' : `${digits(100 * found.hit)} % of`;
+    const risk = Number.isNaN(found.here) ? '' : `risk ${digits(found.here)}; `;
+    return `${this.#verdict(found)}\n${risk}the best ambush costs ${digits(value)}\n`
+      + `${share} departures ${pass}\n`
+      + `x ${u.toFixed(places)} m, y ${v.toFixed(places)} m${this.#degrees(u, v)}`;
+  }
+
+  #verdict({ held, cost }) {
+    if (held && this.data.held > 0) return 'Held ground: nobody can wait here';
+    if (held) return 'Start, stops and goal: nobody can wait here';
+    if (Number.isNaN(cost)) return 'Obstacle';
+    const loss = cost < LEAST * this.data.value ? 'practically nothing' : digits(cost);
+    return `An ambush here costs ${loss} on average`;
+  }
+
+  // Show the reach and the reading at a place of the canvas; the reading never covers the place.
   tell(px, py) {
-    const [x, y] = this.place(px, py), { reach, held, origin, value } = this.data;
-    const found = this.measure(x, y), percent = `${digits(100 * found.hit)} % of departures`;
-    const across = `${2 * reach * this.scale}px`;
-    Object.assign(this.circle.style, { left: `${px}px`, top: `${py}px`, width: across,
-      height: across, display: 'block' });
-    if (found.here === undefined) this.readout.textContent = 'Outside the map.';
-    else {
-      const [u, v] = [x + origin[0], y + origin[1]];
-      const where = `x ${u.toFixed(1)} m, y ${v.toFixed(1)} m${this.#degrees(u, v)}: `;
-      const loss = Number.isNaN(found.here) ? 'obstacle. ' : `loss ${digits(found.here)}. `;
-      const pass = reach > 0 ? `pass within ${this.#far(reach)}` : 'pass the nearest node';
-      let cost = ` An ambush causes a mean loss of ${digits(found.cost)} (the best one ${digits(value)}).`;
-      if (found.held) cost = held > 0 ? ' Held ground: nobody can wait here.' : '';
-      else if (!(found.cost >= 0)) cost = '';
-      this.readout.textContent = `${where}${loss}${percent} ${pass}.${cost}`;
-    }
+    const { circle, reading } = this, across = `${2 * this.data.reach * this.scale}px`;
+    Object.assign(circle.style, { left: `${px}px`, top: `${py}px`, width: across, height: across,
+      display: 'block' });
+    reading.textContent = this.words(...this.place(px, py));
+    reading.hidden = false;
+    const { offsetWidth: wide, offsetHeight: high } = reading;
+    reading.style.left = `${Math.min(Math.max(px - wide / 2, 2), this.width - wide - 2)}px`;
+    reading.style.top = `${py > this.height / 2 ? py - high - 16 : py + 16}px`;
+  }
+
+  #tellNothing() {
+    this.circle.style.display = 'none';
+    this.reading.hidden = true;
+  }
+
+  // Show one departure alone, or all again.
+  #pick(row) {
+    this.picked = this.picked === row ? -1 : row;
+    this.rows.forEach((each, k) => {
+      each.querySelector('button').ariaPressed = String(k === this.picked);
+    });
+    this.canvas.scrollIntoView({ block: 'nearest' });
+    this.draw();
   }
 
   #listen() {
-    const { canvas, figure } = this;
-    for (const box of [...Object.values(this.layers), this.pick]) {
-      box.addEventListener('change', () => this.draw());
-    }
+    const { canvas, section } = this;
+    for (const box of Object.values(this.layers)) box.addEventListener('change', () => this.draw());
+    this.rows.forEach((row, k) => row.addEventListener('click', (event) => {
+      if (!event.target.closest('a')) this.#pick(k);
+    }));
+    window.addEventListener('beforeprint', () => this.#resize(PRINTED));
+    window.addEventListener('afterprint', () => this.#resize());
     const actions = { in: () => this.zoomBy(1.5), out: () => this.zoomBy(1 / 1.5),
       all: () => this.showAll() };
-    for (const button of figure.querySelectorAll('[data-zoom]')) {
+    for (const button of section.querySelectorAll('[data-zoom]')) {
       button.addEventListener('click', actions[button.dataset.zoom]);
     }
     canvas.addEventListener('keydown', (event) => this.#key(event, actions));
@@ -364,7 +405,10 @@ class View {
       canvas.addEventListener(end, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener('pointermove', (event) => this.#pointer(event));
-    canvas.addEventListener('pointerleave', () => { this.circle.style.display = 'none'; });
+    canvas.addEventListener('pointerleave', (event) => {
+      if (event.pointerType === 'mouse') this.#tellNothing();
+    });
+    canvas.addEventListener('blur', () => this.#tellNothing());
     // The wheel scrolls the page until the map has been clicked; pinching a touchpad is ctrl.
     canvas.addEventListener('wheel', (event) => {
       if (document.activeElement !== canvas && !event.ctrlKey) return;
@@ -407,15 +451,31 @@ function disc(x, y, radius) {
   return path;
 }
 
+function square(x, y, half) {
+  const path = new Path2D();
+  path.rect(x - half, y - half, 2 * half, 2 * half);
+  return path;
+}
+
+function star(x, y, half) {
+  const path = new Path2D();
+  for (let k = 0; k < 10; k += 1) {
+    const far = (k % 2 ? 0.8 : 2) * half, angle = Math.PI * (0.5 + k / 5);
+    path.lineTo(x + far * Math.cos(angle), y + far * Math.sin(angle));
+  }
+  path.closePath();
+  return path;
+}
+
 async function show(figure) {
   try {
     const data = JSON.parse(figure.querySelector('script').textContent);
     for (const [name, Type] of Object.entries(TYPES)) data[name] = await unpack(data[name], Type);
     figure.view = new View(figure, data);
   } catch (error) {
-    figure.querySelector('.readout').textContent = `This browser cannot show the map: ${error}`;
+    figure.querySelector('figcaption').textContent = `This browser cannot show the map: ${error}`;
     throw error;
   }
 }
 
-window.maps = Promise.all([...document.querySelectorAll('figure.map')].map(show));
+window.maps = Promise.all([...document.querySelectorAll('figure')].map(show));

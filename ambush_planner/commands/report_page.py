@@ -8,19 +8,27 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from pathlib import Path
 from string import Template
+from urllib.parse import quote
 
-from ..colours import ROUTES
+from ..colours import AMBUSHER, ENDS, OBSTACLE, PROBABILITY, RISK, ROUTES
 from ..maps.coordinates import InvalidCoordinates
 from ..recordings.report_data import Section, map_data
 from . import report_words as words
 from .audit import when
 from .cli import count, resource
 
+# The colours of the page by their names in CSS and in the script.
+COLOURS = {'risk': RISK, 'chances': PROBABILITY, 'accent': PROBABILITY[2:3],
+           'routes': ROUTES, 'obstacle': [OBSTACLE], 'ambusher': [AMBUSHER], 'ends': [ENDS]}
+# Least and greatest ratio of width to height of the map on the page.
+MIN_RATIO, MAX_RATIO = 0.6, 2.5
 SEVERAL = (
     'The start, the goal or the settings changed a little, so {} strategies were computed for this '
     'trip. The page shows probabilities and numbers of the latest one; the table has the mean loss '
@@ -30,9 +38,10 @@ FIXED_SEED = (
     'At least one of these departures was drawn with a fixed seed: anyone who knows the seed can '
     'predict the route. Use fixed seeds for tests only.'
 )
-NOT_VERIFIED = (
-    'Not verified: this page shows what the recordings say. Run ambush verify on them, or make '
-    'this page with --verify.'
+NOT_VERIFIED = 'Not verified: this page shows what the recordings say; --verify checks them.'
+VERIFIED = (
+    'Verified: all {} recordings are complete, the numbers follow from the recorded map, and each '
+    'route from the recorded random numbers.'
 )
 
 
@@ -46,93 +55,123 @@ class Checks:
     notes: Sequence[str]
 
 
-def page(sections: Sequence[Section], unreadable: int, checks: Checks | None) -> str:
-    """Return the page; ``checks`` is None if the recordings were not verified."""
-    departures = sum(len(section.departures) for section in sections)
-    said = _checks(checks)
+def page(sections: Sequence[Section], folder: Path, unreadable: int, checks: Checks | None) -> str:
+    """Return the page for a folder; ``checks`` is None if the recordings were not verified."""
+    warnings = _problems(checks) if checks else []
     if unreadable:
-        said.append(_warning(f'Not shown, because unreadable: {count(unreadable, "recording")}.'))
+        warnings.append(f'Not shown, because unreadable: {count(unreadable, "recording")}.')
     script = resource('report_map.js')
     return Template(resource('report_page.html')).substitute(
-        digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(),
-        title=f'Convoy routes: {count(departures, "departure")}', style=resource('report.css'),
-        checks='\n'.join(said), script=script,
+        digest=b64encode(hashlib.sha256(script.encode()).digest()).decode(), script=script,
+        colours=' '.join(f'--{name}: {", ".join(each)};' for name, each in COLOURS.items()),
+        style=resource('report.css'), warnings=_warnings(warnings), status=_status(checks),
+        audit=_audit(checks, sum(len(section.departures) for section in sections)),
         sections='\n'.join(
-            _section(section, f'Trip {k} of {len(sections)}: ' if len(sections) > 1 else '')
+            _section(section, folder, f'Trip {k} of {len(sections)}: ' * (len(sections) > 1))
             for k, section in enumerate(sections, start=1)
         ),
     )
 
 
-def colours(section: Section) -> dict[int, str]:
-    """Colours of the latest departures by index; earlier ones have none."""
+def colours(section: Section) -> list[str | None]:
+    """Colours of the departures; all but the latest have none."""
     total = len(section.departures)
-    return {k: ROUTES[k % len(ROUTES)] for k in range(max(0, total - len(ROUTES)), total)}
+    return [ROUTES[k % len(ROUTES)] if k >= total - len(ROUTES) else None for k in range(total)]
 
 
-def _checks(checks: Checks | None) -> list[str]:
+def _problems(checks: Checks) -> list[str]:
+    """That verification or audit have found something; the end of the page has all of it."""
+    failed = [f'VERIFICATION FAILED for {len(checks.problems)} of {checks.recordings} recordings. '
+              'Do not rely on this page; its end has the reasons.'] * bool(checks.problems)
+    others = len(checks.findings) - 1
+    more = f' The end of the page has {others} more.' if others > 0 else ''
+    return failed + [f'The audit found: {each}.{more}' for each in checks.findings[:1]]
+
+
+def _status(checks: Checks | None) -> str:
     if checks is None:
-        return _paragraphs([NOT_VERIFIED])
-    said = [f'Verified: all {checks.recordings} recordings follow from their inputs, as checked by '
-            'ambush_verify.']
-    warnings = [f'The audit has a finding: {finding}.' for finding in checks.findings]
-    if checks.problems:
-        said = [f'{name}: {"; ".join(problems)}' for name, problems in checks.problems.items()]
-        warnings.insert(0, f'VERIFICATION FAILED for {len(said)} of {checks.recordings} '
-                           'recordings. Do not rely on this page.')
-    return [*map(_warning, warnings), *_paragraphs([*said, *checks.notes])]
+        return NOT_VERIFIED
+    return '' if checks.problems else VERIFIED.format(checks.recordings)
 
 
-def _section(section: Section, name: str) -> str:
+def _audit(checks: Checks | None, departures: int) -> str:
+    if checks is None:
+        return ''
+    return f'<h3>What {count(departures, "departure")} can show</h3>\n' + _paragraphs([
+        *(f'{name}: {"; ".join(problems)}.' for name, problems in checks.problems.items()),
+        *(f'Finding: {each}.' for each in checks.findings), *checks.notes,
+    ])
+
+
+def _section(section: Section, folder: Path, name: str) -> str:
     departures, strategy = section.departures, section.strategy
     times = dict.fromkeys(when(departures[k].stamp_ns) for k in (0, -1))
-    warnings = []
+    warnings, several = [], len({id(each.strategy) for each in departures})
     if any(each.parameters.seed >= 0 for each in departures):
-        warnings.append(_warning(FIXED_SEED))
-    if (strategies := len({id(each.strategy) for each in departures})) > 1:
-        warnings += _paragraphs([SEVERAL.format(strategies)])
+        warnings.append(FIXED_SEED)
     try:
         data = map_data(section)
     except InvalidCoordinates as error:
-        warnings.append(_warning(f'No latitude and longitude at the pointer: {error}.'))
+        warnings.append(f'No latitude and longitude at the pointer: {error}.')
         data = map_data(section, with_degrees=False)
-    coloured, rows = colours(section), words.departures(section)
-    data['colours'] = [coloured.get(k) for k in range(len(departures))]
-    dots = {k: f'&nbsp;<span style="color:{colour}">●</span>' for k, colour in coloured.items()}
+    data['colours'] = colours(section)
+    left, bottom, right, top = data['box']
+    settings = words.settings(section)
     return Template(resource('report_section.html')).substitute(
         heading=f'{name}{count(len(departures), "departure")}, {" to ".join(times)}',
-        warnings='\n'.join(warnings),
-        tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
-                      for number, text in words.tiles(strategy)),
-        options=''.join(f'<option value="{k}">{escape(f"{row[0]}: {row[1]}, {row[4]}")}</option>'
-                        for k, row in enumerate(rows[1:])),
-        least=f'{min(data["levels"]):.3g}', most=f'{max(data["levels"]):.3g}',
-        likeliest=words.percent(float(strategy.shown_probability.max(initial=0.0))),
-        waits='' if strategy.value > 0.0 else 'hidden', held='' if data['held'] > 0.0 else 'hidden',
+        warnings=_warnings(warnings) + _paragraphs([SEVERAL.format(several)] * (several > 1)),
+        ratio=f'{min(max((right - left) / (top - bottom), MIN_RATIO), MAX_RATIO):.3f}',
         data=json.dumps(data, allow_nan=False).replace('<', '\\u003c'),
-        departures=_table(rows, 'tall', dots),
-        certificate='\n'.join(_paragraphs(words.certificate(section))),
-        measures=_table(words.measures(strategy), 'better'),
-        quantities=_table([(), *words.quantities(strategy)], 'small'),
-        settings=_table([(), *words.settings(section)], 'small'),
+        tiles=''.join(f'<li><b>{escape(number)}</b> {escape(text)}</li>'
+                      for number, text in words.tiles(section)),
+        least=words.rounded(min(data['levels'])), most=words.rounded(max(data['levels'])),
+        likeliest=words.percent(float(strategy.shown_probability.max(initial=0.0))),
+        waits='' if strategy.value > 0.0 else 'hidden',
+        held=words.distance(data['held']), ends=words.ends(strategy),
+        holds='' if data['held'] > 0.0 else 'hidden',
+        departures=_departures(section, folder),
+        certificate=_paragraphs(words.certificate(section)),
+        measures=_table(words.measures(strategy), 'first'),
+        quantities=_table([(), *words.quantities(strategy)]),
+        changed=sum(bool(default) for _, _, default in settings),
+        settings=_table([('setting', 'value', 'default'), *settings]),
     )
 
 
-def _paragraphs(texts: Iterable[str]) -> list[str]:
-    return [f'<p>{escape(text)}</p>' for text in texts]
+def _paragraphs(texts: Iterable[str]) -> str:
+    return '\n'.join(f'<p>{escape(text)}</p>' for text in texts)
 
 
-def _warning(text: str) -> str:
-    return f'<p class="secret"><strong>Warning.</strong> {escape(text)}</p>'
+def _warnings(texts: Iterable[str]) -> str:
+    return '\n'.join(f'<p class="secret"><strong>Warning.</strong> {escape(text)}</p>'
+                     for text in texts)
 
 
-def _table(rows: Sequence[Sequence[str]], kind: str, marks: Mapping[int, str] | None = None) -> str:
-    """Return a table; the first row is its head, ``marks`` are HTML after the names of rows."""
-    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in rows[0])
+def _departures(section: Section, folder: Path) -> str:
+    """The table of departures: a button that selects the route, its numbers, and its recording."""
+    head, *rows = words.departures(section)
     lines = []
-    for k, (name, *cells) in enumerate(rows[1:]):
-        data = ''.join(f'<td>{escape(cell)}</td>' for cell in cells)
-        mark = (marks or {}).get(k, '')
-        lines.append(f'<tr><th scope="row">{escape(name)}{mark}</th>{data}</tr>')
-    return (f'<div class="wide {kind}" tabindex="0"><table><thead><tr>{heads}</tr></thead>\n'
-            '<tbody>' + '\n'.join(lines) + '</tbody></table></div>')
+    for each, colour, (number, *cells) in zip(section.departures, colours(section), rows,
+                                              strict=True):
+        dot = f'<i style="background:{colour or "none"}"></i>'
+        button = f'<button type="button" aria-pressed="false">{dot}{number}</button>'
+        file = quote(os.path.relpath(each.path, folder))
+        lines.append(f'<tr title="departure {escape(each.id)}"><th scope="row">{button}</th>'
+                     f'{_cells(cells)}<td><a href="{file}">MCAP</a></td></tr>')
+    return _framed([*head, 'recording'], lines, 'departures')
+
+
+def _table(rows: Sequence[Sequence[str]], kind: str = '') -> str:
+    """Return a table; the first row is its head."""
+    return _framed(rows[0], [f'<tr><th scope="row">{escape(name)}</th>{_cells(cells)}</tr>'
+                             for name, *cells in rows[1:]], kind)
+
+
+def _cells(texts: Iterable[str]) -> str:
+    return ''.join(f'<td>{escape(text)}</td>' for text in texts)
+
+
+def _framed(head: Iterable[str], lines: Iterable[str], kind: str) -> str:
+    heads = ''.join(f'<th scope="col">{escape(cell)}</th>' for cell in head)
+    return (f'<table class="{kind}"><thead><tr>{heads}</tr></thead>'
+            f'<tbody>{"".join(lines)}</tbody></table>')

@@ -9,6 +9,7 @@ import numpy as np
 from ..game.bottleneck import DECISIVE_SHARE
 from ..game.strategy import Strategy
 from ..planning.evaluation import evaluate
+from ..planning.parameters import PARAMETERS
 from ..recordings.report_data import Section
 from .audit import when
 
@@ -21,67 +22,102 @@ PLANNERS = {
 OPTIMAL = 1e-5
 
 
+def rounded(number: float, digits: int = 3) -> str:
+    """Return a number with so many significant digits and without an exponent."""
+    return f'{float(f"{number:.{digits}g}"):.12g}'
+
+
 def distance(metres: float) -> str:
-    """Return a length in km if it is at least 2 km, else in m."""
-    return f'{metres / 1000.0:.1f} km' if metres >= 2000.0 else f'{metres:.0f} m'
+    """Return a length in m, from 1000 m in km."""
+    return f'{rounded(metres / 1000.0)} km' if metres >= 1000.0 else f'{rounded(metres)} m'
 
 
 def percent(share: float) -> str:
-    """Return a share, 0..1, with three significant digits."""
-    return f'{100.0 * share:.3g} %'
+    """Return a share, 0..1, with two significant digits."""
+    return f'{rounded(100.0 * share, 2)} %'
 
 
 def certificate(section: Section) -> list[str]:
-    """What the value and its lower bound guarantee."""
-    strategy = section.strategy
-    held = strategy.game.options.held_radius
-    ends = 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
-    outside = f' more than {distance(held)} from {ends}' if held > 0.0 else ''
-    length = ('' if strategy.length_budget == math.inf else
-              f' with an expected length of at most {travel(strategy, strategy.length_budget)}')
-    gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
-    verdict = 'optimal' if gap <= OPTIMAL else f'within {percent(gap)} of the optimum'
-    reach = strategy.game.reach
-    passing = f'that passes within {distance(reach)}' if reach > 0.0 else 'through its place'
-    assumed = (
-        f' Nobody can wait within {distance(held)} of {ends}: if that ground is not held, '
-        'the guarantee does not hold.' if held > 0.0 else ''
-    )
+    """What the value and its lower bound guarantee, and what that assumes."""
     return [
-        f'No ambusher{outside} causes a mean loss of more than {strategy.value:.4f} per departure, '
-        'even if he knows the map, the strategy and all earlier routes. He must not know the next '
-        'route.',
-        f'No planner can guarantee less than {strategy.lower_bound:.4f} on this network{length}: '
-        'the ambusher in the picture causes at least this mean loss against every planner.',
-        f'The two numbers differ by {strategy.gap:.1e}, so this strategy is {verdict}. Both were '
-        'computed again for this page from the recorded probabilities.',
-        'The assumptions: at each departure one ambush waits at one place, which is chosen before '
-        f'the route is drawn, and hits every route {passing}. It causes the loss of the risk map '
-        f'at its place.{assumed} If the map is wrong, or there are more ambushes, the numbers are '
-        'wrong, too.',
+        _guarantee(section), _optimality(section.strategy),
+        ' '.join(filter(None, (_assumptions(section.strategy), held(section)))),
+        'Losses are in the units of the risk map: they compare how bad an ambush is at different '
+        'places.',
     ]
 
 
-def tiles(strategy: Strategy) -> list[tuple[str, str]]:
+def _guarantee(section: Section) -> str:
+    strategy = section.strategy
+    anywhere = strategy.game.options.widened > 0.0
+    where = 'Wherever' if anywhere else 'At whichever node of the network'
+    outside = f', except on the held ground around {ends(strategy)}' if held(section) else ''
+    return (f'{where} an ambusher waits{outside}, he causes a mean loss of at most '
+            f'{rounded(strategy.value)} per departure, even if he knows the map, the probabilities '
+            'and all earlier routes. He must not know the next route.')
+
+
+def _optimality(strategy: Strategy) -> str:
+    length = ('' if strategy.length_budget == math.inf else
+              f' with a mean length of at most {travel(strategy, strategy.length_budget)}')
+    gap = strategy.gap / strategy.value if strategy.value > 0.0 else 0.0
+    near = f'within {percent(gap)} of ' if gap > OPTIMAL else ''
+    return (f'No other probabilities on this network{length} can promise less than '
+            f'{rounded(strategy.lower_bound)}: the ambusher on the map causes at least that much '
+            f'against every planner. So these are {near}the best possible. Both numbers were '
+            'computed again for this page.')
+
+
+def _assumptions(strategy: Strategy) -> str:
+    game, radius = strategy.game, strategy.game.options.ambush_radius
+    places = 'one place' if game.ambushers == 1 else f'{game.ambushers} places'
+    hits = (f'every route that passes within {distance(game.reach)} (his reach of '
+            f'{distance(radius)}, and {distance(game.reach - radius)} by which the path and his '
+            'place may be off)' if radius > 0.0 else
+            'only routes through his node, since no reach is set (game.ambush_radius)')
+    return (f'This assumes that he holds {places} at each departure, chosen before the route is '
+            f'drawn, hits {hits}, and causes the loss of the risk map there.')
+
+
+def held(section: Section) -> str:
+    """The assumption about held ground; '' if there is none."""
+    radius = section.strategy.game.options.held_radius
+    asked = section.departures[-1].parameters.planning.game.secured_radius
+    if not radius > 0.0:
+        return ''
+    margin = (f' ({distance(asked)}, less how far start and goal may move)'
+              if round(asked - radius) > 0 else '')
+    return (f'Held ground is assumed: nobody can wait within {distance(radius)} of '
+            f'{ends(section.strategy)}{margin}.')
+
+
+def tiles(section: Section) -> list[tuple[str, str]]:
     """The most important numbers, each with its meaning."""
-    shortest = evaluate(strategy)['energy_efficient'].v_repeated
+    strategy, rows = section.strategy, evaluate(section.strategy)
+    fixed, chance = rows['energy_efficient'], rows['stochastic'].p_first
+    several = strategy.game.ambushers > 1
+    different = len({each.path_poses.tobytes() for each in section.departures})
+    mean, least = (travel(strategy, length)
+                   for length in (strategy.expected_length, strategy.shortest_length))
     return [
-        (f'{strategy.value:.2f}', 'mean loss per departure from the best possible ambush'),
-        (f'{shortest:.2f}', 'the same if the convoy always took the shortest route'),
-        (_routes(strategy), 'equally likely routes would be as hard to guess'),
-        (f'{strategy.expected_length / strategy.shortest_length:.2f} x',
-         f'mean length, relative to the shortest route '
-         f'({travel(strategy, strategy.shortest_length)})'),
+        (rounded(strategy.value), 'mean loss per departure from the best ambush, instead of '
+         f'{rounded(fixed.v_repeated)} on always the shortest route'),
+        (rounded(chance, 2), 'ambushes met per departure, on average') if several else
+        (percent(chance), 'of departures meet the best ambush, instead of '
+         f'{percent(fixed.p_repeated)} on a fixed route that he has learnt'),
+        (f'{different} of {len(section.departures)}', 'departures took different routes'),
+        (f'{rounded(strategy.expected_length / strategy.shortest_length)} times',
+         f'as long as the shortest route, on average ({mean} instead of {least})'),
     ]
 
 
 def measures(strategy: Strategy) -> list[tuple[str, ...]]:
-    """Head and rows of the comparison of planners (the paper's table III)."""
-    head = ('planner', 'mean length E', 'probability of a hit, planner unknown: P_1',
-            'probability of a hit, planner known: P_inf', 'mean loss, planner known: V_inf')
+    """Head and rows of the comparison of planners (the paper's table III: E, P_1, P_inf, V_inf)."""
+    head = ('the convoy drives', 'mean length', 'hit by the ambusher on the map',
+            'hit once the habit is known', 'mean loss once it is known')
     return [head, *(
         (PLANNERS[name], travel(strategy, row.expected_length), percent(row.p_first),
-         percent(row.p_repeated), f'{row.v_repeated:.3f}')
+         percent(row.p_repeated), rounded(row.v_repeated))
         for name, row in evaluate(strategy).items()
     )]
 
@@ -92,49 +128,57 @@ def quantities(strategy: Strategy) -> list[tuple[str, str]]:
     waits = strategy.ambush_at_places
     sites = int((waits > DECISIVE_SHARE * waits.max()).sum()) if strategy.value > 0.0 else 0
     return [
-        ('value z', f'{strategy.value:.9g}'),
-        ('lower bound', f'{strategy.lower_bound:.9g}'),
-        ('gap', f'{strategy.gap:.3g}'),
-        ('expected length', travel(strategy, strategy.expected_length)),
+        ('mean loss, at most (value)', rounded(strategy.value, 4)),
+        ('no planner can promise less than', rounded(strategy.lower_bound, 4)),
+        ('mean length', travel(strategy, strategy.expected_length)),
         ('shortest route', travel(strategy, strategy.shortest_length)),
-        ('length budget', travel(strategy, budget) if math.isfinite(budget) else 'none'),
-        ('edge entropy', f'{strategy.edge_entropy:.4g} nats'),
-        ('route entropy', f'{strategy.route_entropy:.4g} nats'),
-        ('effective number of routes', _routes(strategy)),
+        ('limit of the mean length', travel(strategy, budget) if math.isfinite(budget) else 'none'),
+        ('as hard to guess as one route of', f'{_routes(strategy)} equally likely ones'),
         ('network', f'{len(network.points):,} nodes, {len(network.edges):,} edges'),
         ('sites of the best ambusher', f'{sites:,}' if sites else 'none: no ambush causes a loss'),
     ]
 
 
 def departures(section: Section) -> list[tuple[str, ...]]:
-    """Head and rows of the list of departures, in order of time."""
+    """Head and rows of the list of departures, in order of time; the loss only if it varies."""
+    varies = len({id(each.strategy) for each in section.departures}) > 1
     rows = []
     for number, each in enumerate(section.departures, start=1):
         steps = np.diff(each.path_poses[:, :2], axis=0)
-        rows.append((
-            str(number), when(each.stamp_ns), str(each.number), f'{each.strategy.value:.4f}',
-            distance(float(np.hypot(*steps.T).sum())), each.id,
-        ))
-    return [('#', 'time', 'number in its run', 'mean loss z', 'length', 'departure id'), *rows]
+        rows.append((str(number), when(each.stamp_ns)[:len('2000-01-01 00:00')],
+                     distance(float(np.hypot(*steps.T).sum())),
+                     *([rounded(each.strategy.value)] * varies)))
+    return [('route', 'time (UTC)', 'length', *(['mean loss'] * varies)), *rows]
 
 
-def settings(section: Section) -> list[tuple[str, str]]:
-    """The frame and all parameters but the seed; values that differ are not listed."""
+def settings(section: Section) -> list[tuple[str, str, str]]:
+    """Rows of all parameters but the seed: name, value, and the default if that differs.
+
+    Those that differ come first.
+    """
     found: dict[str, set[str]] = {}
     for each in section.departures:
-        values = {'frame of the map': each.frame, **each.parameters.values}
-        for name, value in values.items():
-            found.setdefault(name, set()).add(str(value))
-    return [(name, values.pop() if len(values) == 1 else 'differs between departures')
-            for name, values in sorted(found.items()) if name != 'seed']
+        for name, value in {'frame of the map': each.frame, **each.parameters.values}.items():
+            found.setdefault(name, set()).add(str(value) or 'empty')
+    rows = []
+    for name in sorted(found.keys() - {'seed'}):
+        value = found[name].pop() if len(found[name]) == 1 else 'differs between departures'
+        default = str(PARAMETERS[name].default) or 'empty' if name in PARAMETERS else value
+        rows.append((name, value, default if default != value else ''))
+    return sorted(rows, key=lambda row: not row[2])
 
 
 def travel(strategy: Strategy, value: float) -> str:
     """A length, or a time where budgets are of time."""
-    return distance(value) if strategy.network.travel_unit == 'm' else f'{value:.4g} s'
+    return distance(value) if strategy.network.travel_unit == 'm' else f'{rounded(value)} s'
+
+
+def ends(strategy: Strategy) -> str:
+    """The places that are held."""
+    return 'start, stops and goal' if len(strategy.network.stops) else 'start and goal'
 
 
 def _routes(strategy: Strategy) -> str:
     """The effective number of routes."""
-    number = math.exp(min(strategy.route_entropy, 700.0))
-    return f'{number:.3g}' if number < 100.0 or number >= 1e9 else f'{number:,.0f}'
+    power = strategy.route_entropy / math.log(10.0)
+    return f'{math.exp(strategy.route_entropy):,.0f}' if power < 6.0 else f'about 10^{power:.0f}'
