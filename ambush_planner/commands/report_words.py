@@ -85,8 +85,9 @@ def held(section: Section) -> str:
     asked = section.departures[-1].parameters.planning.game.secured_radius
     if not radius > 0.0:
         return ''
-    margin = (f' ({distance(asked)}, less how far start and goal may move)'
-              if round(asked - radius) > 0 else '')
+    margin = ''
+    if asked is not None and round(asked - radius) > 0:
+        margin = f' ({distance(asked)}, less how far start and goal may move)'
     return (f'Held ground is assumed: nobody can wait within {distance(radius)} of '
             f'{ends(section.strategy)}{margin}.')
 
