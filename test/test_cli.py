@@ -136,6 +136,8 @@ LINES = {
     'risk': 'layers.yaml -o risk.yaml',
     'frontier': 'map.yaml --start 15 15 --goal 285 185 -o front.csv --detours 1.1 --slacks 0.1 '
                 '--set network.spacing=40',
+    'slots': 'map.yaml --start 15 15 --goal 285 185 --slots 8:00 9:00 --set network.spacing=40 '
+             '-o slots.csv',
     'table': 'from.csv to.csv --map map.yaml -o table.csv --jobs 1 --set network.spacing=40',
 }
 

@@ -43,6 +43,7 @@ COMMANDS = {
     'replay': 'publish recorded departures again',
     'report': 'show recorded departures on one page for any browser',
     'risk': 'make a risk map from terrain, polygons, roads and incidents',
+    'slots': 'choose how likely each time of departure is',
     'table': 'compute value and length for all pairs of depots and customers',
     'terrain': 'make a risk map from an elevation model',
     'verify': 'check that recorded departures follow from their inputs',

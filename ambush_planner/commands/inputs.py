@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -15,7 +16,7 @@ import numpy as np
 import yaml
 
 from ..arrays import FloatArray
-from ..errors import InvalidOption
+from ..errors import GoalOutsideMap, InvalidOption, StartOutsideMap, StopOutsideMap
 from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.coordinates import Coordinates, InvalidCoordinates
@@ -25,6 +26,8 @@ from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
 from ..planning.parameters import PARAMETERS
+from ..planning.plan import Plan
+from ..planning.trip import plan_trip
 from .console import Console
 
 MAP_HELP = """\
@@ -198,6 +201,24 @@ def risk_map_from(path: Path, options: OccupancyOptions, console: Console) -> Ri
     if losses.size and np.ptp(losses) == 0.0 and options.alpha_min < options.alpha_max:
         console.say(f'Warning: {NO_RISK}.')
     return risk_map
+
+
+def planned(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
+            console: Console, **more: Any) -> Plan:
+    """The plan between the places of ``add_places``; ``more`` as ``plan_trip`` takes it."""
+    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
+                         for end in ('start', 'goal'))
+    stops = [place.xy(risk_map) for place in arguments.via or ()]
+    try:
+        with console.waiting('solving the game') as progress, warnings.catch_warnings():
+            warnings.simplefilter('ignore')  # the concerns tell more
+            return plan_trip(risk_map, start, goal, options, stops=stops, progress=progress, **more)
+    except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
+        if not risk_map.crs:
+            raise
+        low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)
+        raise type(error)(f'{error}; it spans latitudes {low[0]:.4f} to {high[0]:.4f} and '
+                          f'longitudes {low[1]:.4f} to {high[1]:.4f}') from error
 
 
 def _value(name: str, text: str, kind: type) -> Any:

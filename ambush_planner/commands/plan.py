@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import GoalOutsideMap, StartOutsideMap, StopOutsideMap
-from ..maps.coordinates import Coordinates
 from ..maps.occupancy import OccupancyOptions, risk_map_from_occupancy
 from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import agreed_crs
 from ..planning.concerns import assumptions, concerns, is_sound
 from ..planning.evaluation import evaluate
-from ..planning.options import PlanningOptions
 from ..planning.plan import Plan
-from ..planning.trip import ORDERS, plan_trip
+from ..planning.trip import ORDERS
 from . import cli
 from .geo_files import FORMATS_HELP, add_outputs, draw, tell_outputs, write_outputs
 from .inputs import (
@@ -31,6 +26,7 @@ from .inputs import (
     add_places,
     crs_text,
     options_from,
+    planned,
     risk_map_from,
 )
 from .report_words import travel
@@ -73,8 +69,7 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
                 else risk_map_from(arguments.map, occupancy, console))
-    with console.waiting('solving the game') as progress:
-        plan = _plan(arguments, risk_map, options.planning, progress)
+    plan = planned(arguments, risk_map, options.planning, console, order=arguments.order)
     if arguments.seed is not None:
         console.say('Warning: drawn with --seed, so anyone who knows the seed can predict these '
                     'routes. Use it for tests only.')
@@ -93,24 +88,6 @@ def _map_of_terrain(arguments: argparse.Namespace, options: OccupancyOptions,
     options = replace(options, crs=agreed_crs(elevation.crs, options.crs))
     return risk_map_from_occupancy(ground.values, ground.resolution, (*elevation.corner, 0.0),
                                    options)
-
-
-def _plan(arguments: argparse.Namespace, risk_map: RiskMap, options: PlanningOptions,
-          progress: Callable[[float, float], None]) -> Plan:
-    (start,), (goal,) = ([place.xy(risk_map) for place in getattr(arguments, end)]
-                         for end in ('start', 'goal'))
-    stops = [place.xy(risk_map) for place in arguments.via or ()]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore')  # the concerns tell more
-            return plan_trip(risk_map, start, goal, options, stops=stops, order=arguments.order,
-                             progress=progress)
-    except (StartOutsideMap, GoalOutsideMap, StopOutsideMap) as error:
-        if not risk_map.crs:
-            raise
-        low, high = Coordinates(risk_map.crs).to_lat_lon(risk_map.bounds)
-        raise type(error)(f'{error}; it spans latitudes {low[0]:.4f} to {high[0]:.4f} and '
-                          f'longitudes {low[1]:.4f} to {high[1]:.4f}') from error
 
 
 def _tell(plan: Plan, console: cli.Console) -> None:

@@ -1,0 +1,74 @@
+"""When to depart: an ambusher who waits in one slot of the day cannot wait in another.
+
+Slot t has the value z_t of its own plan. An ambush lasts ``window`` consecutive slots, in each of
+which the ambusher may wait elsewhere. Against a slot drawn with probabilities pi, independently of
+the route, the worst window costs the largest sum of pi_t z_t within it: a linear program. With a
+window of one slot, pi_t is proportional to 1 / z_t, and the joint value is 1 / sum(1 / z_t); with m
+slots of the same value z and a window of w, it is z / ceil(m / w) (docs/theory.md, section 14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..arrays import FloatArray, frozen_array
+from ..errors import InvalidOption
+from ..option_checks import check_whole
+
+
+@dataclass(frozen=True, eq=False)
+class SlotMixture:
+    """How likely each slot (T,) is drawn, and the joint ``value`` and ``lower_bound``."""
+
+    shares: FloatArray
+    value: float
+    lower_bound: float
+
+
+def mix_slots(values: npt.ArrayLike, lower_bounds: npt.ArrayLike, window: int = 1) -> SlotMixture:
+    """Draw the departure's slot and route so that no window costs more than necessary.
+
+    Parameters
+    ----------
+    values, lower_bounds : (T,)
+        Those of the plan of each slot.
+    window
+        Number of consecutive slots that one ambush lasts.
+
+    Raises
+    ------
+    InvalidOption
+        There is no slot, or the window is not a whole number of 1 or more.
+
+    Examples
+    --------
+    >>> mix_slots([1.0, 2.0], [1.0, 2.0]).shares.round(3).tolist()
+    [0.667, 0.333]
+    """
+    check_whole('window', window, 1)
+    values, lower_bounds = (np.asarray(each, dtype=np.float64) for each in (values, lower_bounds))
+    if not values.size:
+        raise InvalidOption('slots must name at least one time')
+    shares, value = _least(values, window)
+    _, bound = _least(lower_bounds, window)
+    return SlotMixture(frozen_array(shares, np.float64), value, bound)
+
+
+def _least(values: FloatArray, window: int) -> tuple[FloatArray, float]:
+    """The shares (T,) that minimise the largest sum of share times value in a window, and it."""
+    from scipy.optimize import linprog
+
+    slots, unit = len(values), float(values.max())
+    if values.min() == 0.0:  # nobody can harm who departs then
+        return np.eye(slots)[int(values.argmin())], 0.0
+    first = np.arange(max(slots - window, 0) + 1)[:, None]
+    covered = (np.arange(slots) >= first) & (np.arange(slots) < first + window)
+    rows = np.column_stack((covered * values / unit, -np.ones(len(first))))
+    found = linprog(np.append(np.zeros(slots), 1.0), A_ub=rows, b_ub=np.zeros(len(first)),
+                    A_eq=[np.append(np.ones(slots), 0.0)], b_eq=[1.0], method='highs')
+    shares = np.maximum(found.x[:slots], 0.0)
+    shares /= shares.sum()
+    return shares, float((covered @ (shares * values)).max())

@@ -1,0 +1,69 @@
+"""Slots of departure: the full matrix game, and the formulas for windows."""
+
+from math import ceil
+
+import numpy as np
+import pytest
+from games import examples
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import linprog
+
+from ambush_planner import InvalidOption
+from ambush_planner.commands import cli
+from ambush_planner.planning.slots import mix_slots
+
+
+def matrix_game(losses):
+    """Value of the game with ``losses`` [ambusher, convoy], by its linear program."""
+    rows, columns = losses.shape
+    found = linprog(np.append(np.zeros(columns), 1.0),
+                    A_ub=np.column_stack((losses, -np.ones(rows))), b_ub=np.zeros(rows),
+                    A_eq=[np.append(np.ones(columns), 0.0)], b_eq=[1.0])
+    return found.fun
+
+
+@given(st.integers(0, 10**6))
+@examples(10)
+def test_joint_value_is_that_of_the_game_over_slots_routes_and_sites(seed):
+    """Three slots with sites and routes of their own: one matrix for all."""
+    rng = np.random.default_rng(seed)
+    games = [rng.uniform(0.0, 1.0, (3, 4)) * (rng.random((3, 4)) < 0.7) + 0.1 for _ in range(3)]
+    joint = np.zeros((9, 12))
+    for k, game in enumerate(games):
+        joint[3 * k : 3 * k + 3, 4 * k : 4 * k + 4] = game
+    values = [matrix_game(game) for game in games]
+    found = mix_slots(values, values)
+    assert found.value == pytest.approx(matrix_game(joint), rel=1e-7)
+    assert found.value == pytest.approx(1.0 / np.sum(1.0 / np.array(values)), rel=1e-9)
+    assert found.shares * values == pytest.approx(found.value, rel=1e-9)
+
+
+@pytest.mark.parametrize(('slots', 'window'), [(1, 1), (5, 2), (6, 3), (7, 3), (3, 8)])
+def test_equal_slots_and_a_window(slots, window):
+    found = mix_slots([2.0] * slots, [1.9] * slots, window)
+    assert found.value == pytest.approx(2.0 / ceil(slots / window))
+    assert found.lower_bound == pytest.approx(1.9 / ceil(slots / window))
+    worst = max(found.shares[k : k + window].sum() for k in range(slots))
+    assert worst * 2.0 == pytest.approx(found.value)
+
+
+def test_a_safe_slot_takes_all():
+    found = mix_slots([1.0, 0.0, 2.0], [1.0, 0.0, 2.0])
+    assert found.value == 0.0 and found.shares.tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize(('values', 'window', 'name'), [([], 1, 'slots'), ([1.0], 0, 'window')])
+def test_bad_slots_are_refused(values, window, name):
+    with pytest.raises(InvalidOption, match=name):
+        mix_slots(values, values, window)
+
+
+@pytest.mark.parametrize(('times', 'reason'), [
+    ('8:00 25:00', '25:00'), ('9:00 08:30', 'forwards'), ('8:00 08:00', 'forwards'),
+])
+def test_bad_times_are_refused_and_nothing_is_written(tmp_path, capsys, times, reason):
+    table = tmp_path / 'slots.csv'
+    line = f'slots docs/yard.yaml --start 4 20 --goal 56 20 -o {table} --slots {times}'
+    assert cli.main(line.split()) == cli.Exit.USAGE
+    assert reason in capsys.readouterr().err and not table.exists()
