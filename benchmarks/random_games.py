@@ -143,7 +143,8 @@ def drawn_options(rng: np.random.Generator, network: Network,
                             p=[0.25, 0.25, 0.25, 0.22, 0.03]))
     above = float(np.quantile(network.alpha, rng.uniform(0.7, 0.99)))
     game = GameOptions(reach, None if held < 0.0 else held,
-                       float(rng.choice([math.inf] * 3 + [above])), int(rng.choice([1] * 6 + [2, 4])))
+                       float(rng.choice([math.inf] * 3 + [above])),
+                       int(rng.choice([1] * 6 + [2, 4])))
     strategy = StrategyOptions(
         max_detour=float(rng.choice([*DETOURS, 1.0 + rng.exponential(0.1)])),
         max_exposure=float(rng.choice([math.inf] * 7 + [1.0, 1.1, 1.3])),
