@@ -25,6 +25,13 @@ def check_at_least(name: str, value: object, least: float, unit: str = '',
         raise InvalidOption(f'{name} must be {range_}, got {value}')
 
 
+def none_for(options: object, **automatic: float | str) -> None:
+    """Set options to None that have the node's value for it: ROS parameters cannot be None."""
+    for name, value in automatic.items():
+        if getattr(options, name) == value:
+            object.__setattr__(options, name, None)
+
+
 def check_whole(name: str, value: object, least: int) -> None:
     """Check that ``value`` is a whole number >= ``least``."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool | np.bool_)

@@ -25,7 +25,6 @@ from ..maps.risk_map import RiskMap
 from ..maps.risk_map_file import read_risk_map
 from ..network.construction import NetworkOptions
 from ..planning.options import DriveOptions, PlanningOptions
-from ..planning.parameters import PARAMETERS
 from ..planning.plan import Plan
 from ..planning.trip import plan_trip
 from .console import Console
@@ -42,6 +41,8 @@ POSITION_HELP = """\
 A position is X Y, world coordinates [m], or LAT,LON [degrees], negative in the south and west."""
 # Time limit of each solve [s], as the node's.
 TIME_LIMIT = 60.0
+# Options that a plan or an argument of its own sets.
+SET_BY_PLAN = ('game.tube', 'game.widened', 'game.loads')
 # Words for the options that every user sets.
 WORDS = {
     'reach': ('game.ambush_radius', 'METRES', 'how far an ambusher reaches (default: 0, only the '
@@ -169,7 +170,8 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
     """Parse assignments such as ``network.spacing=50``; raises InvalidOption."""
     options = vars(SolveOptions())
     names = {f'{group}.{field.name}': str(field.type)
-             for group, part in options.items() for field in dataclasses.fields(part)}
+             for group, part in options.items() for field in dataclasses.fields(part)
+             if f'{group}.{field.name}' not in SET_BY_PLAN}
     changes: dict[str, dict[str, Any]] = {group: {} for group in options}
     for assignment in assignments:
         name, _, text = assignment.partition('=')
@@ -181,8 +183,7 @@ def options_of(assignments: Sequence[str]) -> SolveOptions:
         if option in changes[group]:
             raise InvalidOption(f'{name} has two values; give one')
         kind = next(kind for kind in (str, float, int, bool) if kind.__name__ in names[name])
-        value = _value(name, text, kind)
-        changes[group][option] = PARAMETERS[name].plain(value) if name in PARAMETERS else value
+        changes[group][option] = _value(name, text, kind)
     return SolveOptions(**{group: dataclasses.replace(part, **changes[group])
                            for group, part in options.items()})
 

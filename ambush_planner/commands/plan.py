@@ -55,6 +55,8 @@ def parser() -> argparse.ArgumentParser:
     add_outputs(made)
     made.add_argument('--order', choices=ORDERS, default='given',
                       help='order of the stops (default: given)')
+    made.add_argument('--load', type=cli.number(0.0, 1.0), nargs='+', default=(), metavar='SHARE',
+                      help='with --via: share of the loss that is aboard on each leg')
     made.add_argument('--seed', type=cli.number(0, 2**63, int), metavar='N',
                       help='always draw the same routes; for tests only, as they can be predicted')
     add_crs(made)
@@ -66,6 +68,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
     options = options_from(arguments)
+    options = replace(options, game=replace(options.game, loads=tuple(arguments.load)))
     occupancy = replace(options.map, crs=crs_text(arguments) or options.map.crs)
     risk_map = (_map_of_terrain(arguments, occupancy, console) if arguments.terrain
                 else risk_map_from(arguments.map, occupancy, console))

@@ -46,10 +46,12 @@ class ExposedEdges:
     """The exposed parts of edges, by default all, and the discs that they enter.
 
     Routes are exposed further than ``held`` [m] from source, stops and target; everywhere if it is
-    not positive.
+    not positive. An edge that enters a disc ``counts`` (M,) so much, by default 1.
     """
 
-    def __init__(self, network: Network, held: float, edges: IndexArray | None = None) -> None:
+    def __init__(self, network: Network, held: float, edges: IndexArray | None = None,
+                 counts: FloatArray | None = None) -> None:
+        self._counts = np.ones(len(network.edges)) if counts is None else counts
         edges = np.arange(len(network.edges)) if edges is None else edges
         self._count = len(network.edges)
         self._parts = parts = _exposed_parts(network, edges, held)
@@ -65,7 +67,7 @@ class ExposedEdges:
         self._begins = _begins(parts, self._length, self._at_tail)
 
     def entering(self, centres: FloatArray, reach: float) -> csr_matrix:
-        """(K, M) 0/1: edges that bring a route into the discs of radius ``reach`` [m].
+        """(K, M): what edges count that bring a route into the discs of radius ``reach`` [m].
 
         An edge counts if its exposed part meets the disc, unless the edge before it has brought the
         route there. A route is hit exactly if it uses one of the row's edges; the sum of the row
@@ -80,7 +82,8 @@ class ExposedEdges:
             places = site[enters], self._parts.edge[part[enters]]
             rows.append(csr_matrix((np.ones(len(places[0])), places), (len(some), self._count)))
         found = csr_matrix(vstack(rows))
-        found.data[:] = 1.0  # several exposed parts of one edge
+        found.data[:] = self._counts[found.indices]  # once, however many exposed parts
+        found.eliminate_zeros()
         return found
 
     def _enters(self, part: IndexArray, centre: FloatArray, reach: float,

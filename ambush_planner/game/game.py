@@ -19,7 +19,7 @@ from ..errors import InvalidOption, NoRoute
 from ..network.hiding_places import with_places
 from ..network.network import Network
 from ..network.shortest_paths import distances_from, on_some_route
-from ..option_checks import check_at_least, check_flag, check_whole
+from ..option_checks import check_at_least, check_flag, check_whole, none_for
 from .discs import ExposedEdges, near_ends
 
 
@@ -50,6 +50,9 @@ class GameOptions:
     widened
         How far from a site the ambusher may wait instead [m]. It adds to the reach, so that the
         sites stand for all places around them. A plan sets it.
+    loads
+        What share of the loss is aboard on each leg of a trip, 0 to 1; (): all of it. It must not
+        grow, as an ambusher at a place that is passed twice would then wait for the second time.
 
     Raises
     ------
@@ -64,9 +67,11 @@ class GameOptions:
     ambush_in_obstacles: bool = False
     tube: float = 0.0
     widened: float = 0.0
+    loads: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         check_at_least('ambush_radius', self.ambush_radius, 0.0, 'm')
+        none_for(self, secured_radius=-1.0)
         if self.secured_radius is not None:
             check_at_least('secured_radius', self.secured_radius, 0.0, 'm')
         check_at_least('tube', self.tube, 0.0, 'm')
@@ -74,6 +79,12 @@ class GameOptions:
         check_at_least('alpha_threshold', self.alpha_threshold, 0.0, finite=False)
         check_whole('ambushers', self.ambushers, 1)
         check_flag('ambush_in_obstacles', self.ambush_in_obstacles)
+        object.__setattr__(self, 'loads', tuple(self.loads))
+        for before, load in zip((1.0, *self.loads), self.loads, strict=False):
+            check_at_least('loads', load, 0.0)
+            if load > before:
+                raise InvalidOption(f'loads must be at most 1 and not grow from leg to leg, got '
+                                    f'{load:g} after {before:g}')
 
     @property
     def reach(self) -> float:
@@ -131,7 +142,7 @@ class Game:
 
     @cached_property
     def hits(self) -> csr_matrix:
-        """(S, M) 0/1: the edges that bring a route into each site's reach.
+        """(S, M): the edges that bring a route into each site's reach, with the load aboard, or 1.
 
         These are the edges into the node if the radius is 0, else those that enter the disc.
         """
@@ -143,11 +154,18 @@ class Game:
         edge = np.flatnonzero(site >= 0)
         row = site[edge]
         shape = (len(self.sites), len(self.network.edges))
-        return csr_matrix((np.ones(len(edge)), (row, edge)), shape=shape)
+        return csr_matrix((self._aboard[edge], (row, edge)), shape=shape)
+
+    @cached_property
+    def _aboard(self) -> FloatArray:
+        """The load (M,) on each edge."""
+        loads = np.array(self.options.loads or np.ones(self.network.legs))
+        return np.asarray(loads[self.network.leg[self.network.tails]])
 
     def exposed(self, edges: IndexArray | None = None) -> ExposedEdges:
         """The parts of edges, by default all, outside held ground."""
-        return ExposedEdges(self.network, self.options.held_radius - self.options.tube, edges)
+        held = self.options.held_radius - self.options.tube
+        return ExposedEdges(self.network, held, edges, self._aboard)
 
     def site_losses(self, p: FloatArray) -> FloatArray:
         """Mean loss (S,) of an ambush at each site against strategy p: the rows of ``D p``."""
@@ -249,6 +267,9 @@ def make_game(network: Network, options: GameOptions) -> Game:
             f'{options.ambushers} ambushers need as many different sites, but the network has '
             f'only {network.place_count} nodes'
         )
+    if options.loads and (network.legs == 1 or len(options.loads) != network.legs):
+        raise InvalidOption(f'loads are for trips with stops, one for each leg: got '
+                            f'{len(options.loads)} for {network.legs}')
     allowed = network.alpha <= options.alpha_threshold
     everywhere = Game(
         network,

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import InvalidOption, InvalidRiskMap
+from ..option_checks import none_for
 from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
 
 NO_RISK = ('every free cell of the map has the same loss, so the map carries no risk: only '
@@ -49,6 +50,7 @@ class OccupancyOptions:
     crs: str | None = None
 
     def __post_init__(self) -> None:
+        none_for(self, unknown_alpha=-1.0, crs='')
         for name in ('alpha_min', 'alpha_max', 'unknown_alpha'):
             loss = getattr(self, name)
             if loss is None:

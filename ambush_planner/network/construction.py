@@ -15,7 +15,7 @@ from ..errors import InvalidNetwork, InvalidOption, NoRoute
 from ..maps.obstacles import ObstacleField
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph, read_roads
-from ..option_checks import check_at_least, check_flag, check_whole
+from ..option_checks import check_at_least, check_flag, check_whole, none_for
 from .layout import FreeSpace, connect_nodes
 from .network import Network
 from .passages import MAX_NODE_DISTANCE, passage_nodes, widest_cell_path
@@ -67,6 +67,7 @@ class NetworkOptions:
     def __post_init__(self) -> None:
         if not isinstance(self.method, str) or self.method not in METHODS:
             raise InvalidOption(f"method must be one of {', '.join(METHODS)}, got {self.method!r}")
+        none_for(self, spacing=0.0, graph='')
         if self.spacing is not None:
             check_at_least('spacing', self.spacing, 0.0, 'm')
         check_at_least('clearance', self.clearance, 0.0, 'm')

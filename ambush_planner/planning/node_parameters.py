@@ -131,7 +131,7 @@ def _options(kind: Callable[..., _Options], group: str, values: Mapping[str, Any
              **others: Any) -> _Options:
     """Make the options of a group; errors name its parameters instead of the fields."""
     start = f'{group}.'
-    options = {name.removeprefix(start): PARAMETERS[name].plain(values[name])
+    options = {name.removeprefix(start): values[name]
                for name in values if name.startswith(start) and name not in _OTHER_PARAMETERS}
     try:
         return kind(**options, **others)

@@ -10,7 +10,7 @@ from ..game.game import GameOptions
 from ..game.strategy import StrategyOptions
 from ..maps.risk_map import RiskMap
 from ..network.construction import NetworkOptions, chosen_spacing
-from ..option_checks import check_at_least
+from ..option_checks import check_at_least, none_for
 
 # Largest distance of a place from the site that stands for it, as a share of the reach, and the
 # most parts of a cell's side that this may take.
@@ -51,6 +51,7 @@ class DriveOptions:
     tracking_error: float = 0.0
 
     def __post_init__(self) -> None:
+        none_for(self, tube=-1.0)
         if self.tube is not None:
             check_at_least('tube', self.tube, 0.0, 'm')
         check_at_least('turning_radius', self.turning_radius, 0.0, 'm')

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
 
 from ..game.game import GameOptions
 from ..game.strategy import SOLVERS, StrategyOptions
@@ -26,8 +25,7 @@ class Declaration:
     """One parameter; its type is that of the default, its range ``low`` to ``high``.
 
     A ``fixed`` parameter keeps its initial value. It is not read-only to ROS, so that ``ros2 param
-    load`` can set it to the value that ``dump`` has written. The value ``automatic`` is None in
-    Python: chosen by the planner, or unknown.
+    load`` can set it to the value that ``dump`` has written.
     """
 
     default: bool | int | float | str | list[str]
@@ -36,11 +34,6 @@ class Declaration:
     high: float = math.inf
     choices: tuple[str, ...] = ()
     fixed: bool = False
-    automatic: float | str | None = None
-
-    def plain(self, value: Any) -> Any:
-        """The value as Python's options have it."""
-        return None if self.automatic is not None and value == self.automatic else value
 
 
 PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
@@ -51,7 +44,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'map.crs': Declaration(
         '',
         "Coordinate system of the map's frame for reports and exports, such as EPSG:32616, or "
-        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.', automatic=''),
+        '`datum LAT LON YAW` as in navsat_transform; empty: unknown.'),
     'map.obstacle_threshold': Declaration(
         _MAP.obstacle_threshold,
         'Cells of at least this value are obstacles; 101: none are.', 1, 101),
@@ -67,13 +60,13 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         'for it.', fixed=True),
     'map.unknown_alpha': Declaration(
         AUTOMATIC, 'Loss from an ambush in an unknown cell (-1); -1: such cells are obstacles.',
-        AUTOMATIC, automatic=AUTOMATIC),
+        AUTOMATIC),
     'network.method': Declaration(
         _NETWORK.method, 'How nodes are sampled and connected.', choices=METHODS),
     'network.spacing': Declaration(
         0.0,
         'Distance between nodes [m] (on roads: at most); 0: chosen for about '
-        "network.target_nodes nodes, but at least the map's resolution.", automatic=0.0),
+        "network.target_nodes nodes, but at least the map's resolution."),
     'network.target_nodes': Declaration(
         _NETWORK.target_nodes, 'Approximate number of nodes if network.spacing is 0.',
         2, 1_000_000),
@@ -85,7 +78,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
     'network.graph': Declaration(
         '',
         'File with roads, for network.method graph: lines (GeoPackage, GeoJSON, ...) or a graph of '
-        'nav2_route (GeoJSON).', automatic=''),
+        'nav2_route (GeoJSON).'),
     'network.join_distance': Declaration(
         _NETWORK.join_distance,
         'Maximum distance of start, stops and goal from the nearest road [m].'),
@@ -97,7 +90,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         AUTOMATIC,
         'Radius of the held ground around start, stops and goal [m], where nobody can wait and '
         'nobody who drives there is hit; -1: as far as the reach, with tube, tracking error and '
-        'start tolerance.', AUTOMATIC, automatic=AUTOMATIC),
+        'start tolerance.', AUTOMATIC),
     'game.alpha_threshold': Declaration(
         _GAME.alpha_threshold, 'Routes avoid nodes with a higher loss; .inf: none.'),
     'game.ambushers': Declaration(
@@ -157,7 +150,7 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         AUTOMATIC,
         'Maximum distance of the driven path from the drawn route [m], added to the reach of '
         'ambushes; -1: as far as the path meets no other node, or, with an ambush_radius, a '
-        'fraction of the distance between nodes.', AUTOMATIC, automatic=AUTOMATIC),
+        'fraction of the distance between nodes.', AUTOMATIC),
     'route.tracking_error': Declaration(
         DriveOptions().tracking_error,
         'Maximum distance of the robot from the driven path [m], added to the reach of ambushes; '

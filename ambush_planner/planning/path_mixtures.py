@@ -61,6 +61,8 @@ class PathMixtures:
         if options.ambushers > 1:
             raise InvalidOption('game.ambushers must be 1: paths are judged against one ambusher, '
                                 f'got {options.ambushers}')
+        if options.loads:
+            raise InvalidOption('game.loads must be empty: paths are judged with all aboard')
         self._network, self._uses = _side_by_side(plan, paths)
         self._game = make_game(self._network, replace(
             options, tube=plan.options.drive.tracking_error, secured_radius=options.held_radius))

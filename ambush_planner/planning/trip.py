@@ -128,6 +128,8 @@ def _plan_trip(risk_map: RiskMap, start_xy: npt.ArrayLike, goal_xy: npt.ArrayLik
         field = kind.removesuffix('Options').lower()
         raise InvalidOption(f'options must be PlanningOptions, got {kind}; write '
                             f'PlanningOptions({field}={kind}(...))')
+    if options.game.loads and order == 'best':
+        raise InvalidOption("loads belong to legs, so order must be 'given', got 'best'")
     begin = time.monotonic()
     place = _sorted_places(asked) if order == 'best' else list(range(len(asked)))
     graph = build_trip_graph(risk_map, start_xy, goal_xy, options.network,

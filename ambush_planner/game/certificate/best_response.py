@@ -122,20 +122,24 @@ class Ground:
         self.out = np.searchsorted(self.tail, np.arange(self.count + 1))
         self.hits, self.entering = hits, csr_matrix(hits[:, self.edge])
         by_edge = hits.tocsc()
-        self._met_by = by_edge.indices, by_edge.indptr.tolist()
+        self._met_by = by_edge.indices, by_edge.data, by_edge.indptr.tolist()
         # Whether no way can meet a site more than once.
         self.exact = game.reach == 0.0 and not np.ptp(network.leg[network.tails[self.edge]])
 
-    def met(self, route: IndexArray) -> BoolArray:
-        """Which sites (S,) a route meets, given by its edges (K,)."""
-        met, (sites, first) = np.zeros(self.hits.shape[0], dtype=bool), self._met_by
-        for edge in route.tolist():
-            met[sites[first[edge] : first[edge + 1]]] = True
+    def met(self, route: IndexArray) -> FloatArray:
+        """What each site (S,) counts that a route, given by its edges (K,), meets; 0 for others.
+
+        The first entry decides: none after it counts more.
+        """
+        met, (sites, counts, first) = np.zeros(self.hits.shape[0]), self._met_by
+        for edge in reversed(route.tolist()):
+            own = slice(first[edge], first[edge + 1])
+            met[sites[own]] = counts[own]
         return met
 
     def cost(self, route: IndexArray, base: FloatArray, charge: FloatArray) -> float:
         """What a route costs, each site counted once."""
-        return float(base[route].sum() + charge[self.met(route)].sum())
+        return float(base[route].sum() + charge @ self.met(route))
 
     def shortest(self, base: FloatArray, charge: FloatArray) -> IndexArray:
         """The edges (K,) of the way of least cost if every entry is charged."""
@@ -187,8 +191,11 @@ class _Labels:
         rows = np.argsort(-charge, kind='stable')
         rows = rows[charge[rows] > _NEGLIGIBLE * charge.max(initial=0.0)]
         self._met, hit = [0] * len(ground.edge), ground.entering[rows].tocoo()
-        for row, k in zip(hit.row.tolist(), hit.col.tolist(), strict=True):
+        self._counts = [1.0] * len(ground.edge)  # the same for all sites that an edge meets
+        for row, k, counts in zip(hit.row.tolist(), hit.col.tolist(), hit.data.tolist(),
+                                  strict=True):
             self._met[k] |= 1 << row
+            self._counts[k] = counts
         self._edge, self._behind = ground.edge, ground.behind(base).tolist()
         self._first, self._head = ground.out.tolist(), ground.head.tolist()
         self._base, self._charge = base[ground.edge].tolist(), charge[rows].tolist()
@@ -220,7 +227,7 @@ class _Labels:
             here.append((cost, met))
             for k in range(self._first[node], self._first[node + 1]):
                 head, new = self._head[k], self._met[k] & ~met
-                after = self._charged(cost + self._base[k], new)
+                after = cost + self._base[k] + self._counts[k] * self._charged(0.0, new)
                 both, there = met | new, settled.get(head, ())
                 comparisons -= len(there) + 1
                 if self._dominated(there, after, both):

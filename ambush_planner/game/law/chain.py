@@ -7,7 +7,8 @@ function of p, and its derivative is a row over the edges (docs/theory.md, Propo
 
     d P(hit) / d p_e = u_tail  (if e enters)  +  (u_tail (unless e enters) - u_head) V_head.
 
-The row times p is P(hit) itself.
+The row times p is P(hit) itself. An entry that counts less than 1, as on a leg of a trip with less
+aboard, counts that much in P(hit), wherever p_e or V meet it.
 """
 
 from __future__ import annotations
@@ -62,19 +63,19 @@ class MarkovChain:
     def hits(self, rows: csr_matrix) -> FloatArray:
         """P(hit) (K,) by sites whose discs are entered by the edges of ``rows`` (K, m)."""
         hit = np.zeros(rows.shape[0])
-        for site, entering, _, _, unhit in self._each(rows):
-            hit[site] = unhit[self.network.tail[entering]] @ self.p[entering]
+        for site, entering, counts, _, _, unhit in self._each(rows):
+            hit[site] = (unhit[self.network.tail[entering]] * counts) @ self.p[entering]
         return np.minimum(hit, 1.0)
 
     def hits_with_derivatives(self, rows: csr_matrix) -> tuple[FloatArray, csr_matrix]:
         """P(hit) (K,), and the derivatives as rows (K, m); these rows times p are P(hit)."""
         edges, weights = [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
         hit, count = np.zeros(rows.shape[0]), np.zeros(rows.shape[0] + 1, dtype=np.int64)
-        for site, entering, a, b, unhit in self._each(rows):
-            edge, weight = entering, unhit[self.network.tail[entering]]
+        for site, entering, counts, a, b, unhit in self._each(rows):
+            edge, weight = entering, unhit[self.network.tail[entering]] * counts
             hit[site] = weight @ self.p[entering]
-            if b > a and hit[site] < self.p[entering].sum() - LEAST_EXCESS:
-                later, more = self._changes_later_hits(entering, a, b, unhit)
+            if b > a and hit[site] < counts @ self.p[entering] - LEAST_EXCESS:
+                later, more = self._changes_later_hits(entering, counts, a, b, unhit)
                 edge, weight = np.append(edge, later), np.append(weight, more)
             edges.append(edge)
             weights.append(weight)
@@ -83,11 +84,13 @@ class MarkovChain:
                           rows.shape)
         return np.minimum(hit, 1.0), rows
 
-    def _each(self, rows: csr_matrix) -> Iterator[tuple[int, IndexArray, int, int, FloatArray]]:
-        """Each site that routes can meet: its entering edges, and P(not hit yet) at each node (n,).
+    def _each(self, rows: csr_matrix) -> Iterator[
+            tuple[int, IndexArray, FloatArray, int, int, FloatArray]]:
+        """Each site that routes can meet: its entering edges, what they count, and P(not hit yet).
 
-        That is less than 1 only from the first node that an entry leads to, a, and is needed only
-        up to the last node that one leaves, b - 1. The array is the same for all sites.
+        The latter, at each node (n,), is less than 1 only from the first node that an entry leads
+        to, a, and is needed only up to the last node that one leaves, b - 1. The array is the same
+        for all sites.
         """
         head, tail = self.network.head, self.network.tail
         met = np.flatnonzero(np.diff(rows.indptr))
@@ -97,7 +100,8 @@ class MarkovChain:
         end = np.maximum.reduceat(tail[rows.indices], rows.indptr[met]) + 1
         arriving, unhit = self.visits.copy(), np.ones(self.network.count)
         for site, a, b in zip(met.tolist(), begin.tolist(), end.tolist(), strict=True):
-            entering = rows.indices[rows.indptr[site] : rows.indptr[site + 1]]
+            own = slice(rows.indptr[site], rows.indptr[site + 1])
+            entering = rows.indices[own]
             if a < b:
                 again = self._at_ahead[entering]
                 self._ahead[again] = 0.0
@@ -106,16 +110,17 @@ class MarkovChain:
                 self._ahead[again] = self.share[entering]
                 visits = self.visits[a:b]
                 np.divide(arriving[a:b], visits, out=unhit[a:b], where=visits > LEAST_VISITS)
-            yield site, entering, a, b, unhit
+            yield site, entering, rows.data[own], a, b, unhit
             arriving[a:b], unhit[a:b] = self.visits[a:b], 1.0
 
-    def _changes_later_hits(self, entering: IndexArray, a: int, b: int,
+    def _changes_later_hits(self, entering: IndexArray, counts: FloatArray, a: int, b: int,
                             unhit: FloatArray) -> tuple[IndexArray, FloatArray]:
         """The edges with (u_tail unless they enter - u_head) V_head, where that is not 0."""
         network, last = self.network, self.network.count - 1
         again = self._at_behind[entering]
         self._behind[again] = 0.0
-        backwards = sums(last - network.tail[entering], self.share[entering], network.count)
+        backwards = sums(last - network.tail[entering], counts * self.share[entering],
+                         network.count)
         network.backwards.add_rows(self._behind, backwards, last + 1 - b, last + 1 - a)
         self._behind[again] = self.share[entering]
         edge = network.onwards.order[self._into[a] : self._into[b]]

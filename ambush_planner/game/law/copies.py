@@ -172,7 +172,8 @@ class _Laws:
         begin = [self._begin[k] for k in label]
         row = np.concatenate((entry.row[kept], np.repeat(site, list(map(len, begin)))))
         column = np.concatenate((entry.col[kept], *begin))
-        return csr_matrix((np.ones(len(row)), (row, column)), hits.shape)
+        counts = np.append(entry.data[kept], np.ones(len(row) - kept.sum()))
+        return csr_matrix((counts, (row, column)), hits.shape)
 
     def _losses(self, hits: csr_matrix, chain: MarkovChain) -> FloatArray:
         """Mean losses (S,) of a law; in the next one, labels concede what they enter twice in it.
@@ -180,7 +181,7 @@ class _Laws:
         Those that are not among the largest are upper bounds.
         """
         entry, labels, law = hits.tocoo(), len(self._begin), chain.p
-        entries = sums(entry.row * labels + self.label[entry.col], law[entry.col],
+        entries = sums(entry.row * labels + self.label[entry.col], entry.data * law[entry.col],
                        len(self._loss) * labels).reshape(-1, labels)
         weight = np.array([law[begin].sum() for begin in self._begin])
         self._conceded = entries > weight * ONCE

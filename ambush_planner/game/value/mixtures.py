@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.sparse import csr_matrix, hstack, identity, vstack
 
-from ...arrays import BoolArray, FloatArray, IndexArray, sums
+from ...arrays import FloatArray, IndexArray, sums
 from ...errors import SolverFailed
 from . import highs
 
@@ -49,18 +49,20 @@ class Mixtures:
         self._unit = 0.0
         self.routes: list[IndexArray] = []
         self._met: list[IndexArray] = []
+        self._counts: list[FloatArray] = []  # what each of them counts
         self._excess: list[FloatArray] = []
         self._group: list[int] = []
         self._known: set[tuple[int, bytes]] = set()
 
-    def add(self, route: IndexArray, met: BoolArray, excess: FloatArray, group: int = 0) -> bool:
-        """Add a route, given by its edges; return whether it is new."""
+    def add(self, route: IndexArray, met: FloatArray, excess: FloatArray, group: int = 0) -> bool:
+        """Add a route, given by its edges and what each site counts; return whether it is new."""
         key = group, route.tobytes()
         if key in self._known:
             return False
         self._known.add(key)
         self.routes.append(route)
         self._met.append(np.flatnonzero(met))
+        self._counts.append(met[self._met[-1]])
         self._excess.append(excess)
         self._group.append(group)
         return True
@@ -69,8 +71,12 @@ class Mixtures:
         """Add sites with losses (K,) and the edges (K, M) that enter their discs."""
         met_by, count = csr_matrix(entering.T), len(self.loss)
         self.loss = np.append(self.loss, loss)
-        self._met = [np.append(known, count + np.unique(met_by[route].indices))
-                     for known, route in zip(self._met, self.routes, strict=True)]
+        for k, route in enumerate(self.routes):
+            some, counts = met_by[route], np.zeros(len(loss))
+            np.maximum.at(counts, some.indices, some.data)
+            met = np.flatnonzero(counts)
+            self._met[k] = np.append(self._met[k], count + met)
+            self._counts[k] = np.append(self._counts[k], counts[met])
 
     def among(self, columns: IndexArray) -> Mixtures:
         """The program over some of the routes, by their numbers."""
@@ -79,13 +85,14 @@ class Mixtures:
         for k in columns.tolist():
             some.routes.append(self.routes[k])
             some._met.append(self._met[k])
+            some._counts.append(self._counts[k])
             some._excess.append(self._excess[k])
             some._group.append(self._group[k])
         return some
 
     def losses(self, shares: FloatArray) -> FloatArray:
         """Mean loss (S,) that each site causes a mixture."""
-        weight = np.repeat(shares, list(map(len, self._met)))
+        weight = np.repeat(shares, list(map(len, self._met))) * np.concatenate(self._counts)
         sites = np.concatenate(self._met)
         return self.loss * np.bincount(sites, weight, len(self.loss))
 
@@ -129,7 +136,8 @@ class Mixtures:
         unit = self._unit if self._unit > LEAST_UNIT * most else most
         used, row = np.unique(group[column] * len(self.loss) + sites, return_inverse=True)
         extra = len(used) * (self.ambushers > 1)
-        hit = csr_matrix((self.loss[sites] / unit, (row.ravel(), column)), (len(used), count))
+        losses = self.loss[sites] * np.concatenate(self._counts) / unit
+        hit = csr_matrix((losses, (row.ravel(), column)), (len(used), count))
         limits = csr_matrix(hstack([hit, csr_matrix(-np.ones((len(used), 1))),
                                     -identity(len(used), format='csr')[:, :extra]]))
         excess = csr_matrix(np.array(self._excess).T)

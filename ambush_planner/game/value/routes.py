@@ -261,7 +261,7 @@ class Routes:
                 if before is None or (now != before).any():
                     ways[leg] = self._legs[leg].shortest(base, np.where(now, 0.0, charge))
                     met[leg] = self._whole.met(ways[leg])
-            cost = base[np.concatenate(ways)].sum() + charge[met.any(axis=0)].sum()
+            cost = base[np.concatenate(ways)].sum() + charge @ met.max(axis=0)
             if cost >= best * (1.0 - ROUNDING):
                 return found
             best, found = cost, np.concatenate(ways)
