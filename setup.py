@@ -66,6 +66,8 @@ setup(
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
         'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'figures': ['matplotlib>=3.6.3'],
+        # latex2mathml draws formulas without a script from the network.
+        'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
         # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX, KML.
         'gis': gis,
         # Completion after `register-python-argcomplete ambush`, and progress bars.

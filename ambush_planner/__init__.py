@@ -1,5 +1,7 @@
 """Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
 
+from importlib.metadata import version as _version
+
 from .errors import (
     AmbushPlannerError,
     BudgetInfeasible,
@@ -25,6 +27,8 @@ from .planning.many import Problem, Solved, solve_many
 from .planning.options import PlanningOptions
 from .planning.trip import plan_trip
 from .routes.days import DayEffect, day_effect, sample_departures
+
+__version__ = _version(__name__)
 
 __all__ = [
     'AmbushPlannerError',

@@ -1,9 +1,12 @@
 """Links in the documents lead somewhere, modules that they name exist, and formulas parse."""
 
+import ast
 import re
 from pathlib import Path
 
 import pytest
+
+import ambush_planner
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = [*sorted(ROOT.glob('*.md')), *sorted(ROOT.glob('docs/*.md'))]
@@ -39,6 +42,18 @@ def test_the_modules_of_the_contributors_tables_exist():
     for room, names in found:
         for name in re.findall(r'`([\w/]+)`', names):
             assert (package / room / f'{name}.py').is_file(), name
+
+
+def test_the_reference_lists_every_public_name_with_its_file():
+    found = re.findall(r'(?m)^\* \[`(\w+)`\]\((.+)\)$', (ROOT / 'docs/reference.md').read_text())
+    names = [name for name, _ in found]
+    errors = ast.parse((ROOT / 'ambush_planner/errors.py').read_text()).body
+    wanted = {*ambush_planner.__all__,
+              *(each.name for each in errors if isinstance(each, ast.ClassDef))}
+    assert wanted <= set(names) and len(names) == len(set(names))
+    for name, file in found:
+        source = (ROOT / 'docs' / file).read_text()
+        assert re.search(rf'(?m)^(class|def) {name}\b', source), name
 
 
 def test_the_theorys_statements_are_numbered_in_order_and_references_exist():

@@ -39,7 +39,10 @@ class RiskMap:
     crs : str or None
         Coordinate system of world positions, as ``coordinates`` reads it; None if unknown.
 
-    Raises InvalidRiskMap if a shape, the resolution, the origin or a loss is invalid.
+    Raises
+    ------
+    InvalidRiskMap
+        A shape, the resolution, the origin or a loss is invalid.
     """
 
     alpha: FloatArray
