@@ -15,7 +15,7 @@ project = 'ambush_planner'
 version = release = ambush_planner.__version__
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 root_doc = 'README'
-include_patterns = ['*.md', 'docs/*.md', 'benchmarks/*.md']
+include_patterns = ['*.md', 'docs/*.md', 'benchmarks/*.md', 'examples/*.md']
 html_theme = 'furo'
 html_title = 'ambush_planner'
 html_math_renderer = 'mathml'
@@ -34,8 +34,9 @@ def read_page(app, page, source):
     source[0] = re.sub(r'\$`([^`\n]+)`\$', r'{math}`\1`', source[0])
     if page == root_doc:
         order = re.findall(r'\((\w+)\.md\)', (app.srcdir / 'docs/README.md').read_text())
-        pages = '\n'.join(f'docs/{each}' for each in ['README', *order])
-        source[0] += f'\n```{{toctree}}\n:hidden:\n{pages}\nbenchmarks/results\nCONTRIBUTING\n```\n'
+        pages = ['docs/README', *(f'docs/{each}' for each in order),
+                 'examples/README', 'benchmarks/results', 'CONTRIBUTING']
+        source[0] += '\n```{toctree}\n:hidden:\n' + '\n'.join(pages) + '\n```\n'
     if page == 'docs/reference':
         source[0] = re.sub(r'(?m)^\* \[`(\w+)`\]\(\.\./(.*)\.py\)$', documented, source[0])
 

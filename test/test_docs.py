@@ -9,7 +9,8 @@ import pytest
 import ambush_planner
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = [*sorted(ROOT.glob('*.md')), *sorted(ROOT.glob('docs/*.md'))]
+DOCUMENTS = sorted(path for folder in ('.', 'docs', 'examples')
+                   for path in ROOT.joinpath(folder).glob('*.md'))
 
 
 def anchors(document):
