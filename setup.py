@@ -11,6 +11,8 @@ from setuptools import find_packages, setup
 package_name = 'ambush_planner'
 commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk', 'table',
             'terrain', 'verify', 'views')
+# mcap with its compressions.
+recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
 gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
        'shapely>=2.0']
 
@@ -56,15 +58,12 @@ setup(
         'scipy>=1.11.4',
         'highspy>=1.8',
         'PyYAML>=6.0',
-        'mcap>=1.2.2',
-        'mcap-ros2-support>=0.5.3',
-        # The compressions of mcap.
-        'lz4>=4.0',
-        'zstandard>=0.19',
     ],
     extras_require={
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
-        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces', *recordings],
+        # Reading recordings without ROS.
+        'recordings': recordings,
         'figures': ['matplotlib>=3.6.3'],
         # latex2mathml draws formulas without a script from the network.
         'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
