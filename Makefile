@@ -37,7 +37,7 @@ paper: $(VENV)/.demo
 
 docs: $(VENV)/.docs
 	rm -rf out/docs
-	$(BIN)/python -m sphinx -q -n -W --keep-going -c docs . out/docs
+	$(BIN)/python -m sphinx -q -n -W --keep-going -c docs/sphinx . out/docs
 	cp out/docs/README.html out/docs/index.html
 
 # Test files run in parallel. test/watchdog.py ends a run that hangs or loses a worker.

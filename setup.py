@@ -38,10 +38,18 @@ setup(
     maintainer='ambush_planner maintainers',
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: [f'commands/*.{kind}' for kind in (
+    package_data={package_name: ['py.typed', *(f'commands/*.{kind}' for kind in (
         'css', 'html', 'js', 'json', 'rviz',
-    )]},
+    ))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),

@@ -1,6 +1,7 @@
 """Sphinx: the pages that GitHub shows, as a site with the reference of the Python API.
 
-The source folder is the checkout's root, so that all links are those of GitHub.
+The source folder is the checkout's root, so that all links are those of GitHub. docs itself has no
+conf.py: rosdoc2, which makes its own site of docs, would take it for its own.
 """
 
 import re
@@ -15,7 +16,7 @@ project = 'ambush_planner'
 version = release = ambush_planner.__version__
 extensions = ['myst_parser', 'sphinx.ext.autodoc', 'sphinx.ext.napoleon']
 root_doc = 'README'
-include_patterns = ['*.md', 'docs/*.md', 'benchmarks/*.md', 'examples/*.md']
+include_patterns = ['*.md', 'CHANGELOG.rst', 'docs/*.md', 'benchmarks/*.md', 'examples/*.md']
 html_theme = 'furo'
 html_title = 'ambush_planner'
 html_math_renderer = 'mathml'
@@ -35,8 +36,8 @@ def read_page(app, page, source):
     if page == root_doc:
         order = re.findall(r'\((\w+)\.md\)', (app.srcdir / 'docs/README.md').read_text())
         pages = ['docs/README', *(f'docs/{each}' for each in order),
-                 'examples/README', 'benchmarks/results', 'CONTRIBUTING']
-        source[0] += '\n```{toctree}\n:hidden:\n' + '\n'.join(pages) + '\n```\n'
+                 'examples/*', 'benchmarks/*', '*']
+        source[0] += '\n```{toctree}\n:hidden:\n:glob:\n' + '\n'.join(pages) + '\n```\n'
     if page == 'docs/reference':
         source[0] = re.sub(r'(?m)^\* \[`(\w+)`\]\(\.\./(.*)\.py\)$', documented, source[0])
 
