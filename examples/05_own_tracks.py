@@ -20,8 +20,7 @@ sites, loss = game.network.points[game.sites], game.loss[game.sites]
 
 def worst_site(tracks):
     """Return where an ambush costs most on average, the share of tracks it meets, and the cost."""
-    near = [cKDTree(dense(track)).query(sites)[0] <= REACH for track in tracks]
-    met = np.mean(near, axis=0)
+    met = np.mean([cKDTree(dense(each)).query(sites)[0] <= REACH for each in tracks], axis=0)
     k = np.argmax(met * loss)
     return sites[k].round(1), f'{met[k]:.0%}', round(met[k] * loss[k], 2)
 
