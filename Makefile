@@ -14,11 +14,12 @@ unexport PYTHONDONTWRITEBYTECODE
 unexport RMW_IMPLEMENTATION ROS_DISTRO ROS_DOMAIN_ID
 
 .DELETE_ON_ERROR:
-.PHONY: help demo paper test lint benchmark endurance package release clean
+.PHONY: help demo paper docs test lint benchmark endurance package release clean
 
 help:
 	@echo 'make demo       eight departures on real terrain; results in out/demo'
 	@echo 'make paper      the tables and figures of the paper; results in out/paper'
+	@echo 'make docs       all pages and the Python reference as a site; begin at out/docs/index.html'
 	@echo 'make test       linters, type checker and the whole test suite'
 	@echo 'make lint       linters and type checker only'
 	@echo 'make benchmark  speed of solver and node, in an hour or more; benchmarks/results.md'
@@ -33,6 +34,11 @@ demo: $(VENV)/.demo
 
 paper: $(VENV)/.demo
 	$(BIN)/python -m paper
+
+docs: $(VENV)/.docs
+	rm -rf out/docs
+	$(BIN)/python -m sphinx -q -n -W --keep-going -c docs/sphinx . out/docs
+	cp out/docs/README.html out/docs/index.html
 
 # Test files run in parallel. test/watchdog.py ends a run that hangs or loses a worker.
 PARALLEL := -n auto --dist loadfile --max-worker-restart 0
@@ -87,7 +93,8 @@ $(VENV)/.python:
 # index and share/, which only `ros2 run` needs; package data is read with importlib.resources.
 $(VENV)/.demo: EXTRAS := jazzy,figures
 $(VENV)/.test: EXTRAS := jazzy,figures,test,lint
-$(VENV)/.demo $(VENV)/.test: $(VENV)/.python setup.py
+$(VENV)/.docs: EXTRAS := docs
+$(VENV)/.demo $(VENV)/.test $(VENV)/.docs: $(VENV)/.python setup.py
 	@echo 'Installing ambush_planner[$(EXTRAS)] in $(VENV), which takes about a minute ...'
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check -e '.[$(EXTRAS)]'
 	@touch $@

@@ -11,6 +11,8 @@ from setuptools import find_packages, setup
 package_name = 'ambush_planner'
 commands = ('audit', 'demo', 'export', 'frontier', 'plan', 'replay', 'report', 'risk', 'slots',
             'table', 'terrain', 'verify', 'views')
+# mcap with its compressions.
+recordings = ['mcap>=1.2.2', 'mcap-ros2-support>=0.5.3', 'lz4>=4.0', 'zstandard>=0.19']
 gis = ['geopandas>=1.0', 'gpxpy>=1.5', 'pyogrio>=0.7', 'pyproj>=3.4', 'rasterio>=1.3',
        'shapely>=2.0']
 
@@ -36,10 +38,18 @@ setup(
     maintainer='ambush_planner maintainers',
     maintainer_email='maintainers@ambush-planner.invalid',
     license='Apache-2.0',
+    classifiers=[
+        'Development Status :: 4 - Beta',
+        'Intended Audience :: Science/Research',
+        'Operating System :: POSIX :: Linux',
+        'Programming Language :: Python :: 3',
+        'Topic :: Scientific/Engineering',
+        'Typing :: Typed',
+    ],
     packages=find_packages(include=[package_name, f'{package_name}.*']),
-    package_data={package_name: [f'commands/*.{kind}' for kind in (
+    package_data={package_name: ['py.typed', *(f'commands/*.{kind}' for kind in (
         'css', 'html', 'js', 'json', 'rviz',
-    )]},
+    ))]},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{package_name}']),
         (f'share/{package_name}', ['package.xml']),
@@ -56,16 +66,15 @@ setup(
         'scipy>=1.11.4',
         'highspy>=1.8',
         'PyYAML>=6.0',
-        'mcap>=1.2.2',
-        'mcap-ros2-support>=0.5.3',
-        # The compressions of mcap.
-        'lz4>=4.0',
-        'zstandard>=0.19',
     ],
     extras_require={
         # The metapackages pin the distribution; unpinned ros-rclpy would bring a newer one.
-        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
+        'jazzy': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces', *recordings],
+        # Reading recordings without ROS.
+        'recordings': recordings,
         'figures': ['matplotlib>=3.6.3'],
+        # latex2mathml draws formulas without a script from the network.
+        'docs': ['furo>=2024.8', 'latex2mathml>=3.77', 'myst-parser>=3', 'sphinx>=7.3'],
         # Coordinate systems; GeoTIFF, GeoPackage, GeoJSON, GPX, KML.
         'gis': gis,
         # Completion after `register-python-argcomplete ambush`, and progress bars.

@@ -1,5 +1,7 @@
 """Random routes for convoys that somebody may be waiting for: the ambush game on a risk map."""
 
+from importlib.metadata import version as _version
+
 from .errors import (
     AmbushPlannerError,
     BudgetInfeasible,
@@ -38,6 +40,8 @@ from .planning.options import DriveOptions, PlanningOptions
 from .planning.plan import Plan
 from .planning.trip import plan_trip
 from .routes.days import DayEffect, day_effect, sample_departures
+
+__version__ = _version(__name__)
 
 __all__ = [
     'AmbushPlannerError',

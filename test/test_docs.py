@@ -1,5 +1,6 @@
 """Links lead somewhere, modules that are named exist, formulas parse, and examples run."""
 
+import ast
 import doctest
 import re
 from pathlib import Path
@@ -9,7 +10,8 @@ import pytest
 import ambush_planner
 
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = [*sorted(ROOT.glob('*.md')), *sorted(ROOT.glob('docs/*.md'))]
+DOCUMENTS = sorted(path for folder in ('.', 'docs', 'examples')
+                   for path in ROOT.joinpath(folder).glob('*.md'))
 
 
 def anchors(document):
@@ -42,6 +44,18 @@ def test_the_modules_of_the_contributors_tables_exist():
     for room, names in found:
         for name in re.findall(r'`([\w/]+)`', names):
             assert (package / room / f'{name}.py').is_file(), name
+
+
+def test_the_reference_lists_every_public_name_with_its_file():
+    found = re.findall(r'(?m)^\* \[`(\w+)`\]\((.+)\)$', (ROOT / 'docs/reference.md').read_text())
+    names = [name for name, _ in found]
+    errors = ast.parse((ROOT / 'ambush_planner/errors.py').read_text()).body
+    wanted = {*ambush_planner.__all__,
+              *(each.name for each in errors if isinstance(each, ast.ClassDef))}
+    assert wanted <= set(names) and len(names) == len(set(names))
+    for name, file in found:
+        source = (ROOT / 'docs' / file).read_text()
+        assert re.search(rf'(?m)^(class|def) {name}\b', source), name
 
 
 def test_the_theorys_statements_are_numbered_in_order_and_references_exist():

@@ -126,7 +126,8 @@ def test_all_imports_are_declared_once_in_the_manifest(folder, walk, kinds):
 def test_all_imports_are_declared_for_pip():
     arguments = setup_arguments()
     extras = arguments['extras_require']
-    required = [*arguments['install_requires'], *extras['figures'], *extras['terminal']]
+    required = [*arguments['install_requires'], *extras['figures'], *extras['recordings'],
+                *extras['terminal']]
     names = {re.match(r'[\w-]+', requirement).group() for requirement in required}
     libraries = imported_packages() & set(ROSDEP_KEYS)
     assert {REQUIREMENTS.get(name, name) for name in libraries} <= names

@@ -35,6 +35,7 @@ sys.meta_path.insert(0, NoRos())
 SOLVES = NO_ROS + """
 sys.modules.update(dict.fromkeys(('mcap', 'mcap_ros2', 'matplotlib', 'yaml')))  # not needed
 import ambush_planner
+assert 'scipy.optimize' not in sys.modules, 'it is slow to load'
 network = ambush_planner.Network([[0, 0], [1, 0], [2, 0]], [0, 3, 0], [(0, 1), (1, 2)], 0, 2)
 print(round(ambush_planner.solve(network).value, 5))
 """

@@ -16,10 +16,10 @@ from difflib import get_close_matches
 from enum import IntEnum
 from functools import partial
 from importlib import resources
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from .. import __version__
 from ..errors import (
     AmbushPlannerError,
     BudgetInfeasible,
@@ -190,8 +190,7 @@ def resource(name: str) -> str:
 def _parser(program: str, description: str, epilog: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog=program, description=description, epilog=epilog,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--version', action='version',
-                        version=f'ambush_planner {version("ambush_planner")}')
+    parser.add_argument('--version', action='version', version=f'ambush_planner {__version__}')
     return parser
 
 

@@ -40,7 +40,10 @@ class RiskMap(Shown):
     crs : str or None
         Coordinate system of world positions, as ``coordinates`` reads it; None if unknown.
 
-    Raises InvalidRiskMap if a shape, the resolution, the origin or a loss is invalid.
+    Raises
+    ------
+    InvalidRiskMap
+        A shape, the resolution, the origin or a loss is invalid.
     """
 
     alpha: FloatArray

@@ -47,12 +47,17 @@ class NetworkOptions:
         Also keep the clearance from the map's outer edge, which is never touched in any case.
     seed
         Seed of random sampling. It affects node positions, never which route is drawn.
+    target_nodes
+        Number of nodes to aim for if ``spacing`` is 0.
     graph
         Roads for the method 'graph': a ``RoadGraph``, or the file that ``read_roads`` reads.
     join_distance
         Largest distance of start, stops and goal from the nearest road [m].
 
-    Raises InvalidOption if a value is out of range or of another type.
+    Raises
+    ------
+    InvalidOption
+        A value is out of range or of another type.
     """
 
     method: str = 'uniform_delaunay'

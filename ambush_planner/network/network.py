@@ -49,8 +49,10 @@ class Network(Shown):
     seconds : (M,) float, >= 0, optional
         Driving time of each edge [s]. Budgets are then of time instead of length.
 
-    Raises InvalidNetwork if an input is invalid; the message names the field, the index and the
-    value.
+    Raises
+    ------
+    InvalidNetwork
+        An input is invalid; the message names the field, the index and the value.
     """
 
     points: FloatArray

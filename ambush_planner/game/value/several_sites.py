@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
 
 from ...arrays import FloatArray, IndexArray
 from ...errors import SolverFailed
@@ -43,6 +42,8 @@ def share_sites(loss: FloatArray, ambushers: int,
 
     ``cheapest`` finds the set of sites that every route meets whose costs (S,) have the least sum.
     """
+    from scipy.optimize import linprog  # slow to load, see entropy_search
+
     sets: list[FloatArray] = []
     level = np.full(len(loss), loss.max())
     while len(sets) < MAX_SETS:

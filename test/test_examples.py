@@ -1,0 +1,39 @@
+"""Each script in examples runs and prints its results; the one for Nav2 asks a real node."""
+
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from ros_harness import free_domain, stage
+
+EXAMPLES = Path(__file__).resolve().parents[1] / 'examples'
+PRINTED = {
+    '01_map_to_routes': 'no strategy can promise less',
+    '02_terrain_to_gpx': 'departure',
+    '03_roads': 'fastest',
+    '04_nav2': 'poses in map',
+    '05_own_tracks': '300 drawn',
+}
+pytestmark = pytest.mark.slow
+
+
+@pytest.mark.parametrize('script', sorted(path.stem for path in EXAMPLES.glob('*.py')))
+def test_it_runs(script, tmp_path):
+    environment = dict(os.environ)
+    with ExitStack() as stack:
+        if script == '02_terrain_to_gpx':
+            pytest.importorskip('geopandas', reason='it takes the extra "gis"')
+        if script == '04_nav2':
+            domain = stack.enter_context(free_domain())
+            stack.enter_context(stage(domain=domain)).give()
+            environment['ROS_DOMAIN_ID'] = str(domain)
+        done = subprocess.run([sys.executable, EXAMPLES / f'{script}.py'], cwd=tmp_path,
+                              env=environment, capture_output=True, text=True, timeout=120,
+                              check=False)
+    assert done.returncode == 0, done.stderr
+    assert PRINTED[script] in done.stdout
+    for file in tmp_path.iterdir():
+        assert file.name == 'routes.gpx' and file.stat().st_mode & 0o777 == 0o600
