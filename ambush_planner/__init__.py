@@ -8,7 +8,6 @@ from .errors import (
     InvalidOption,
     InvalidRiskMap,
     NoRoute,
-    NotDistinct,
     SolverFailed,
     StartBlocked,
     StopBlocked,
@@ -24,12 +23,10 @@ from .planning.frontier import FrontierRow, frontier, trip_frontier
 from .planning.many import Problem, Solved, solve_many
 from .planning.options import PlanningOptions
 from .planning.trip import plan_trip
-from .routes.days import DayEffect, day_effect, sample_departures
 
 __all__ = [
     'AmbushPlannerError',
     'BudgetInfeasible',
-    'DayEffect',
     'FrontierRow',
     'GameOptions',
     'GoalBlocked',
@@ -39,7 +36,6 @@ __all__ = [
     'Network',
     'NetworkOptions',
     'NoRoute',
-    'NotDistinct',
     'PlanningOptions',
     'Problem',
     'RiskMap',
@@ -51,10 +47,8 @@ __all__ = [
     'StrategyOptions',
     'TimeLimit',
     'build_network',
-    'day_effect',
     'evaluate',
     'frontier',
-    'sample_departures',
     'plan_trip',
     'solve',
     'solve_many',

@@ -33,7 +33,7 @@ RUN_BY = {
     ('nav2.md', 'xml'): (1, 'test_launch'),
     ('nav2.md', 'sh'): (5, 'checked below; test_launch starts what the first one starts, '
                            'test_lifecycle makes the transitions of the last one'),
-    ('python.md', 'python'): (5, 'test_readme'),
+    ('python.md', 'python'): (4, 'test_readme'),
     ('python.md', 'sh'): (3, 'below'),
     ('recordings.md', 'sh'): (2, 'checked below, with a stand-in in test_bag_play; below'),
     ('risk_layers.md', 'python'): (2, 'test_risk_layers'),
