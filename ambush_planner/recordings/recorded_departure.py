@@ -210,7 +210,7 @@ def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
     """
     newest = replace(planned_on, values=changed_map(planned_on.values, changes))
     _, ground = ground_of(strategy, planned_on, options, planning)
-    lost = ground.lost(newest)
+    lost = ground.compare(newest).lost
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
     ):
