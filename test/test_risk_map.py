@@ -140,8 +140,8 @@ def test_rejects_grids_of_other_shapes(values):
 @pytest.mark.parametrize(
     'options',
     [
-        {'alpha_min': -1.0}, {'alpha_min': np.nan}, {'alpha_max': np.inf}, {'alpha_min': 1e-310},
-        {'alpha_max': 1e291}, {'unknown_alpha': 1e291}, {'alpha_max': 0.5},
+        {'alpha_min': -1.0}, {'alpha_min': np.nan}, {'alpha_max': np.inf}, {'alpha_min': 1e-10},
+        {'alpha_max': 1e10}, {'unknown_alpha': 1e10}, {'alpha_max': 0.5},
         {'obstacle_threshold': 0}, {'obstacle_threshold': 102}, {'unknown_alpha': np.nan},
     ],
 )

@@ -21,8 +21,8 @@ from ..errors import InvalidRiskMap
 # Distance at which a position counts as touching a cell [cells]; covers the rounding of positions
 # such as (i + 0.5) * resolution, and of their conversion to world coordinates and back.
 TOUCH = 1e-6
-# Range of nonzero losses, in which the products in a certificate neither overflow nor underflow.
-LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
+# Range of the losses over 0 for which the solvers are tested.
+LEAST_LOSS, MOST_LOSS = 1e-9, 1e9
 
 
 @dataclass(frozen=True, eq=False)
