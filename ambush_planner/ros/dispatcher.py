@@ -32,7 +32,6 @@ from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled, for_the_log
-from .cdr import path_bytes
 from .conversions import path_to_ros
 from .current_map import CurrentMap
 from .departure_record import Answer, Departure, ServiceCall
@@ -283,7 +282,7 @@ class Dispatcher:
             return None
         path = self._path(drawn[1], trip)
         if departure.parameters.publish_path:
-            self._publishers.publish('path', path_bytes(path))
+            self._publishers.publish('path', path)
         self._under_way[before.destination.frames] = replace(
             under_way, diversions=number, trip=trip_on(held.plan, *drawn, before.destination))
         self._reporter.set(last_answer='diverted')
@@ -352,7 +351,7 @@ class Dispatcher:
         return Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
             fit.joined is not None, source, route, path,
-            self._publishers.as_recorded('path', path_bytes(path), name), self._displayed.markers,
+            self._publishers.as_recorded('path', path, name), self._displayed.markers,
             pending.begin_ns, leaving, fit.assessment, tight, note,
         )
 
