@@ -12,7 +12,6 @@ from .errors import (
     InvalidPose,
     InvalidRiskMap,
     NoRoute,
-    NotDistinct,
     SolverFailed,
     StartBlocked,
     StartOutsideMap,
@@ -39,14 +38,12 @@ from .planning.many import Problem, Solved, solve_many
 from .planning.options import DriveOptions, PlanningOptions
 from .planning.plan import Plan
 from .planning.trip import plan_trip
-from .routes.days import DayEffect, day_effect, sample_departures
 
 __version__ = _version(__name__)
 
 __all__ = [
     'AmbushPlannerError',
     'BudgetInfeasible',
-    'DayEffect',
     'DriveOptions',
     'FrontierRow',
     'GameOptions',
@@ -63,7 +60,6 @@ __all__ = [
     'Network',
     'NetworkOptions',
     'NoRoute',
-    'NotDistinct',
     'OccupancyOptions',
     'Plan',
     'PlanningOptions',
@@ -79,14 +75,12 @@ __all__ = [
     'StrategyOptions',
     'TimeLimit',
     'build_network',
-    'day_effect',
     'evaluate',
     'frontier',
     'plan_trip',
     'read_risk_map',
     'risk_from_occupancy',
     'risk_from_terrain',
-    'sample_departures',
     'solve',
     'solve_many',
     'trip_frontier',

@@ -72,10 +72,6 @@ class TimeLimit(AmbushPlannerError):
         self.strategy = strategy
 
 
-class NotDistinct(AmbushPlannerError):
-    """No day was drawn whose convoys' routes do not share their middle."""
-
-
 class SolverFailed(AmbushPlannerError):
     """A solver failed, or its strategy has no valid certificate."""
 

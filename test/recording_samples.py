@@ -11,11 +11,9 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav_msgs.msg import OccupancyGrid
 from nav_msgs.msg import Path as PathMessage
-from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from std_msgs.msg import ColorRGBA, Header
-from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ambush_planner.recordings import RecordedMessage, type_name
@@ -25,8 +23,7 @@ START_NS = 1_700_000_000_123_456_789
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 VOLATILE = QoSProfile(depth=10)
 INPUTS = {'map': '/alpha_map', 'start': '/start_pose', 'goal': '/goal_pose', 'path': '/path'}
-TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray, Trigger.Event,
-         GetPlan.Event)
+TYPES = (OccupancyGrid, PoseStamped, MarkerArray, PathMessage, DiagnosticArray)
 
 
 def pose(x, y):
@@ -166,8 +163,7 @@ def assert_departure(sent, read):
 def any_reader():
     """The reader of rosbags; its parsers are slow, and the tests' files share all definitions."""
     anyreader = pytest.importorskip('rosbags.highlevel.anyreader')
-    for parser in ('get_types_from_idl', 'get_types_from_msg'):
-        setattr(anyreader, parser, cache(getattr(anyreader, parser)))
+    anyreader.get_types_from_msg = cache(anyreader.get_types_from_msg)
     return anyreader.AnyReader
 
 
@@ -180,11 +176,7 @@ def read_with_rosbags(path):
 
 
 def read_with_mcap_ros2(path):
-    """All messages but service events, which mcap_ros2 cannot decode."""
     with path.open('rb') as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        topics = {each.topic for each in reader.get_summary().channels.values()}
-        return [
-            (channel.topic, message.log_time, decoded) for _, channel, message, decoded in
-            reader.iter_decoded_messages([each for each in topics if 'service_event' not in each])
-        ]
+        return [(channel.topic, message.log_time, decoded)
+                for _, channel, message, decoded in reader.iter_decoded_messages()]

@@ -162,7 +162,7 @@ def test_excess_along_a_route_is_its_cost_over_the_best(network):
 # Scale.
 
 
-@pytest.mark.parametrize('exponent', [-305, -250, -100, -9, 0, 9, 100, 200, 289])
+@pytest.mark.parametrize('exponent', [-9, -4, 0, 4, 8])
 @pytest.mark.parametrize('detour', [1.1, np.inf])
 def test_within_tolerance_at_every_scale(exponent, detour):
     plain = terrain_network(2, cells=9)
@@ -193,8 +193,8 @@ def test_one_sentinel_of_1e9_among_ones(where, detour, radius):
     assert strategy.value <= strategy.lower_bound * (1 + SLACK + CERTIFICATE_TOLERANCE)
 
 
-@pytest.mark.parametrize('loss', [1e291, 1e308, 1e-306, 5e-324])
+@pytest.mark.parametrize('loss', [1.1e9, 1e308, 0.9e-9, 5e-324])
 def test_losses_out_of_range_are_refused(loss):
     network = Network([[0, 0], [1, 0], [2, 0]], [0, loss, 0], [(0, 1), (1, 2)], 0, 2)
-    with pytest.raises(InvalidNetwork, match=r'1e-305\.\.1e\+290.* at node 1; scale the losses'):
+    with pytest.raises(InvalidNetwork, match=r'1e-09\.\.1e\+09.* at node 1; scale the losses'):
         solve(network)

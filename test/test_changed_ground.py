@@ -13,14 +13,8 @@ from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
 from ambush_planner.network.network import Network
-from ambush_planner.planning.changed_ground import (
-    Assessment,
-    ChangedGround,
-    clear_steps,
-    drivable_steps,
-    has_arrived,
-    way_out,
-)
+from ambush_planner.planning.changed_ground import Assessment, ChangedGround
+from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.trip import plan_trip
 
@@ -198,7 +192,7 @@ def test_a_paths_steps_are_clear_as_on_the_whole_map(seed, clearance):
         rng.normal(0.0, 0.06, (120, 2)), axis=0)
     field = ObstacleField(risk_map_from_occupancy(grid.values, 0.2, options=RISK))
     wanted = field.clear_segments(points[:-1], points[1:], clearance)
-    found = clear_steps(points, grid, RISK, NetworkOptions(clearance=clearance))
+    found = ClearGround(grid, RISK, NetworkOptions(clearance=clearance)).steps(points)
     np.testing.assert_array_equal(found, wanted)
 
 
@@ -217,7 +211,8 @@ def test_a_robot_beside_its_path_may_come_back_to_it(y, box, clear):
     points = np.array([(1.0, y), *((x, 1.15) for x in np.arange(1.2, 7.0, 0.2))])
     if y < 0.5:
         points[1:-1, 1] = 0.5
-    assert drivable_steps(points, OccupancyMap(values, 0.2), RISK, CLEARANCE).all() == clear
+    ground = ClearGround(OccupancyMap(values, 0.2), RISK, CLEARANCE)
+    assert ground.drivable_steps(points).all() == clear
 
 
 @pytest.mark.parametrize(('x', 'y', 'out'), [
@@ -232,8 +227,8 @@ def test_the_way_out_of_an_inflation_is_short_and_straight(x, y, out):
     values = np.zeros((20, 40), np.int8)
     values[:, :7] = 99  # up to 1.4 m
     values[14:17, 6] = 100
-    found = way_out((x, y), OccupancyMap(values, 0.2), RISK, NetworkOptions(clearance=0.15))
-    assert found == ((x, y) if out is None else pytest.approx(
+    ground = ClearGround(OccupancyMap(values, 0.2), RISK, NetworkOptions(clearance=0.15))
+    assert ground.way_out((x, y)) == ((x, y) if out is None else pytest.approx(
         out if isinstance(out, tuple) else (out, y)))
 
 
@@ -244,4 +239,5 @@ def test_the_way_out_of_an_inflation_is_short_and_straight(x, y, out):
 def test_a_convoy_has_arrived_within_a_cell_of_a_clear_goal(start, goal, there):
     values = np.zeros((20, 40), np.int8)
     values[:, 0] = 100
-    assert has_arrived(start, goal, OccupancyMap(values, 0.2), RISK, NetworkOptions()) == there
+    ground = ClearGround(OccupancyMap(values, 0.2), RISK, NetworkOptions())
+    assert ground.has_arrived(start, goal) == there

@@ -21,7 +21,7 @@ DOCUMENTS = {path.name: path.read_text() for path in (ROOT / 'README.md', *ROOT.
 BLOCKS = [(name, kind, text) for name, document in DOCUMENTS.items()
           for kind, text in re.findall(r'(?ms)^```(\w+)\n(.*?)^```$', document)]
 # The blocks by page and kind, and the test that runs them. Those checked below run `ros2 launch`,
-# `ros2 bag`, `ros2 security`, RViz or Nav2, none of which is on the package index.
+# `ros2 security`, RViz or Nav2, none of which is on the package index.
 RUN_BY = {
     ('README.md', 'sh'): (2, 'test_readme'),
     ('README.md', 'python'): (1, 'test_readme'),
@@ -33,9 +33,9 @@ RUN_BY = {
     ('nav2.md', 'xml'): (1, 'test_launch'),
     ('nav2.md', 'sh'): (5, 'checked below; test_launch starts what the first one starts, '
                            'test_lifecycle makes the transitions of the last one'),
-    ('python.md', 'python'): (5, 'test_readme'),
+    ('python.md', 'python'): (4, 'test_readme'),
     ('python.md', 'sh'): (3, 'below'),
-    ('recordings.md', 'sh'): (2, 'checked below, with a stand-in in test_bag_play; below'),
+    ('recordings.md', 'sh'): (1, 'below'),
     ('risk_layers.md', 'python'): (2, 'test_risk_layers'),
     ('risk_layers.md', 'yaml'): (1, 'test_risk_layers'),
     ('risk_layers.md', 'sh'): (1, 'test_risk_layers'),
@@ -134,7 +134,7 @@ def test_signed_recordings_verify_until_one_changes(tmp_path):
     key = tmp_path / '.ssh/id_ed25519'
     subprocess.run(['ssh-keygen', '-q', '-t', 'ed25519', '-N', '', '-f', key], check=True)
     (tmp_path / 'signers').write_text(f'NAME {key.with_suffix(".pub").read_text()}')
-    _, signing = blocks('recordings.md')
+    (signing,) = blocks('recordings.md')
     done = run(signing, tmp_path)
     assert done.returncode == 0 and done.stdout.count(': OK') == 2, done.stderr
     changed = next(tmp_path.glob('RUNS/**/*.mcap'))

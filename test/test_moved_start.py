@@ -13,7 +13,8 @@ from ambush_planner.game.strategy import StrategyOptions
 from ambush_planner.maps.obstacles import ObstacleField
 from ambush_planner.maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
 from ambush_planner.network.construction import NetworkOptions
-from ambush_planner.planning.changed_ground import ChangedGround, drivable_steps
+from ambush_planner.planning.changed_ground import ChangedGround
+from ambush_planner.planning.clear_ground import ClearGround
 from ambush_planner.planning.moved_start import REGION, joined_plan, other_rest
 from ambush_planner.planning.options import PlanningOptions
 from ambush_planner.planning.plan import depart, departure_path
@@ -168,4 +169,5 @@ def test_another_rest_agrees_with_what_was_driven_and_is_clear(seed, share, radi
     assert tuple(path[0, :2]) == place and tuple(path[-1, :2]) == GOAL
     field = ObstacleField(risk_map_from_occupancy(newest.values, 0.25))
     assert field.clear_segments(path[:-1, :2], path[1:, :2], 0.0).all()
-    assert drivable_steps(path[:, :2], newest, OccupancyOptions(), plan.options.network).all()
+    ground = ClearGround(newest, OccupancyOptions(), plan.options.network)
+    assert ground.drivable_steps(path[:, :2]).all()

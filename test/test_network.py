@@ -30,8 +30,8 @@ def test_arrays_are_private_and_read_only():
     network = Network(**{**GOOD, 'points': points})
     points[0, 0] = 9.0
     assert network.points[0, 0] == 0.0
-    for name in ('points', 'alpha', 'edges', 'lengths', 'dropped_edges', 'tails', 'heads', 'places',
-                 'leg', 'stops', 'ends', 'representatives'):
+    for name in ('points', 'alpha', 'edges', 'lengths', 'tails', 'heads', 'places', 'leg',
+                 'stops', 'ends', 'representatives'):
         with pytest.raises(ValueError, match='read-only'):
             getattr(network, name)[...] = 0
     with pytest.raises(AttributeError):
@@ -43,7 +43,6 @@ def test_warns_of_dropped_edges_into_the_source_and_out_of_the_target():
     with pytest.warns(UserWarning, match='3 edges into the source 0 or out of the target 2'):
         network = Network(**{**GOOD, 'edges': edges})
     assert network.edges.tolist() == [[0, 1], [1, 2]]
-    assert network.dropped_edges.tolist() == [[1, 0], [2, 1], [2, 0]]
 
 
 @pytest.mark.parametrize(

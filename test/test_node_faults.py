@@ -15,6 +15,7 @@ from test_node_process import client_in, exit_code, node_process
 from waiting import TIMEOUT, stderr_in
 
 from ambush_planner.recordings import durable_files as durable
+from ambush_planner.recordings import read_recording
 from ambush_planner.recordings.verify import Verifier
 from ambush_planner.ros import recordings as recordings_module
 
@@ -68,7 +69,7 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
         replaced(source, target)
         steps.append((Path(target).name, len(client.received['path'])))
 
-    parameters = {'recording.required': True, 'recording.service_events': True}
+    parameters = {'recording.required': True}
     with small_disk(tmp_path, '2m'), stage(tmp_path / 'runs', parameters) as running:
         client = running.give()
         monkeypatch.setattr(durable.os, 'replace', written)
@@ -92,9 +93,7 @@ def test_a_departure_that_must_be_recorded_leaves_only_once_it_is(tmp_path, monk
         assert len(files) == len(client.received['path']) == 2, 'refused departures leave no file'
         for path, said in zip(files, (answer, later), strict=True):
             assert Verifier().verify(path).holds
-            events = [each for topic, _, each in read_with_rosbags(path)
-                      if topic.endswith('_service_event') and len(each.response)]
-            assert events[0].response[0].message == said.message
+            assert read_recording(path).entries['call']['response']['message'] == said.message
             reports = [each for topic, _, each in read_with_rosbags(path)
                        if topic == '/diagnostics']
             values = {pair.key: pair.value for pair in reports[0].status[0].values}

@@ -46,8 +46,11 @@ def test_messages_are_read_in_the_order_of_time(tmp_path, stamps):
 
 def test_a_departure_of_a_node(files):
     first, moved, asked = (read_departure(files[k]) for k in (NEW_ROUTE, MOVED_GOAL, GET_PLAN))
-    assert (first.number, first.service, first.frame) == (1, 'new_route', 'map')
-    assert (asked.number, asked.service) == (4, 'get_plan')
+    assert (first.number, first.frame, asked.number) == (1, 'map', 4)
+    called = [each.call['service'].rpartition('/')[2] for each in (first, asked)]
+    assert called == ['new_route', 'get_plan']
+    versions = read_recording(files[NEW_ROUTE]).entries['versions']
+    assert set(versions) == {'ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'}
     assert first.trip.start_xy == (1.5, 5.5) and first.trip.goal_xy == (8.5, 5.5)
     assert moved.trip.goal_xy == moved.ends[1] != (5.0, 5.2)
     assert asked.call['request']['tolerance'] == 0.0
@@ -56,7 +59,6 @@ def test_a_departure_of_a_node(files):
         ends = each.strategy.network.points[each.route[[0, -1]]]
         assert ends.tolist() == [[*each.trip.start_xy], [*each.trip.goal_xy]]
         assert [tuple(row) for row in each.path_poses[[0, -1], :2]] == [*each.ends]
-        assert {'ambush_planner', 'python', 'numpy', 'scipy', 'rclpy'} == set(each.versions)
 
 
 def test_map_and_path_are_those_that_rclpy_reads(files):

@@ -198,7 +198,7 @@ def test_a_start_from_initialpose_and_remapped_names(tmp_path, capsys):
         client.diagnostics(state='ready')
         assert client.call('new_route').success
     (path,) = recordings_in(tmp_path)
-    topics = read_departure(path).topics
+    topics = read_recording(path).entries['topics']
     assert [topics[role] for role in ('start', 'path', 'goal')] == [
         '/convoy/initialpose', '/convoy/way', '/there']
     holds(path, capsys)

@@ -20,10 +20,9 @@ NODE_NAME = 'ambush_replay'
 EPILOG = """\
 Publishes the recorded bytes on the recorded topics, with the recorded quality of service and
 timing; departures are --every seconds apart. First waits for listeners on each topic, for up to
-3.5 s, or 10 s with --inputs-only. Recorded service calls are published on
-<service>/_service_event; no service is called. Keeps latched messages for late joiners until all
-listeners have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node options
-follow --ros-args at the end, as for any ROS executable:
+3.5 s, or 10 s with --inputs-only. Keeps latched messages for late joiners until all listeners
+have them (for 30 s at most), or until Ctrl-C with --keep. Remapping and node options follow
+--ros-args at the end, as for any ROS executable:
   ambush replay FOLDER --keep --topics /alpha_map /path
   ambush replay FOLDER --inputs-only --ros-args -r /alpha_map:=/convoy/alpha_map
 --json: {"verdict", "published": {topic: messages}, "unreadable"}
@@ -215,10 +214,9 @@ def qos_from_yaml(text: str) -> Any:
 
 
 def _message_class(name: str) -> Any:
-    """Return the class of a recorded type such as ``std_srvs/srv/Trigger_Event``."""
+    """Return the class of a recorded type such as ``nav_msgs/msg/Path``."""
     package, kind, short_name = name.split('/')
-    found = getattr(import_module(f'{package}.{kind}'), short_name.removesuffix('_Event'))
-    return found.Event if kind == 'srv' else found
+    return getattr(import_module(f'{package}.{kind}'), short_name)
 
 
 def _end_once(*_: object) -> None:

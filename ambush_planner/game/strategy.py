@@ -416,9 +416,10 @@ def _by_linear_program(game: Game, budgets: tuple[Budget, Budget], options: Stra
 
 
 def _check_losses(network: Network) -> None:
-    """Refuse losses whose products with probabilities leave the range of floating point."""
+    """Raise InvalidNetwork if a loss is out of range."""
     odd = (network.alpha > MOST_LOSS) | ((network.alpha > 0.0) & (network.alpha < LEAST_LOSS))
     if odd.any():
         node = int(np.argmax(odd))
         raise InvalidNetwork(f'alpha must be 0 or in {LEAST_LOSS:g}..{MOST_LOSS:g}, got '
-                             f'{network.alpha[node]:g} at node {node}; scale the losses')
+                             f'{network.alpha[node]:g} at node {node}; scale the losses, or '
+                             'set the smallest to 0')

@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IndexArray
-from .risk_map import RiskMap
+from .risk_map import TOUCH, RiskMap
 
-# Distance at which a point counts as touching a closed cell [cells]; covers the rounding of
-# positions such as (i + 0.5) * resolution.
-TOUCH = 1e-6
 # Number of (segment, cell) pairs tested at once; bounds the memory.
 CHUNK = 1_000_000
 # Longest segment tested in one piece [cells]: its bounding box grows with the square of this.
@@ -141,12 +138,17 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
     """Distance from segments a -> b to the unit square around 0, which they do not meet."""
     ends = np.stack((a, b))
     best = np.hypot(*np.maximum(np.abs(ends) - 0.5, 0.0).T).min(axis=1)
+    for corner in np.array([(-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)]):
+        best = np.minimum(best, np.hypot(*(nearest_on_segments(corner, a, b) - corner).T))
+    return best
+
+
+def nearest_on_segments(point: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the nearest point (K, 2) of each segment a -> b to one (2,) or its own (K, 2)."""
     along = b - a
     squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-    for corner in ((-0.5, -0.5), (-0.5, 0.5), (0.5, -0.5), (0.5, 0.5)):
-        t = np.clip(((corner - a) * along).sum(axis=1) / squared, 0.0, 1.0)
-        best = np.minimum(best, np.hypot(*(a + t[:, None] * along - corner).T))
-    return best
+    share = np.clip(((point - a) * along).sum(axis=1) / squared, 0.0, 1.0)
+    return np.asarray(a + share[:, None] * along)
 
 
 def nearest_free_cell(risk_map: RiskMap, xy: tuple[float, float], tolerance: float,

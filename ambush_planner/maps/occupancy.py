@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..arrays import BoolArray
 from ..errors import InvalidOption, InvalidRiskMap
 from ..option_checks import none_for
 from .risk_map import LEAST_LOSS, MOST_LOSS, RiskMap, check_place
@@ -106,12 +107,15 @@ def risk_map_from_occupancy(values: npt.ArrayLike, resolution: float,
     unknown = grid == -1
     span = options.alpha_max - options.alpha_min
     alpha = options.alpha_min + span * np.where(unknown, 0, grid) / 100.0
-    obstacles = grid >= options.obstacle_threshold
     if options.unknown_alpha is not None:
         alpha = np.where(unknown, options.unknown_alpha, alpha)
-    else:
-        obstacles = obstacles | unknown
-    return RiskMap(alpha, obstacles, resolution, origin, options.crs)
+    return RiskMap(alpha, obstacles_in(grid, options), resolution, origin, options.crs)
+
+
+def obstacles_in(values: npt.NDArray[Any], options: OccupancyOptions) -> BoolArray:
+    """Return which values of an occupancy grid are obstacles."""
+    unknown = (values == -1) & (options.unknown_alpha is None)
+    return np.asarray((values >= options.obstacle_threshold) | unknown)
 
 
 def carries_risk(values: npt.NDArray[np.number[Any]], options: OccupancyOptions) -> bool:

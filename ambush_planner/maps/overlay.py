@@ -9,9 +9,8 @@ from itertools import product
 import numpy as np
 
 from ..arrays import FloatArray, IndexArray
-from .obstacles import TOUCH
 from .occupancy import OccupancyMap
-from .risk_map import to_map_axes
+from .risk_map import TOUCH, to_map_axes
 
 # Cell value of an obstacle in every map, and of an unknown cell.
 OBSTACLE, UNKNOWN = 100, -1

@@ -19,8 +19,11 @@ from ..arrays import BoolArray, FloatArray, IndexArray, frozen_array
 from ..errors import InvalidRiskMap
 from ..notebook import Shown
 
-# Range of nonzero losses, in which the products in a certificate neither overflow nor underflow.
-LEAST_LOSS, MOST_LOSS = 1e-305, 1e290
+# Distance at which a position counts as touching a cell [cells]; covers the rounding of positions
+# such as (i + 0.5) * resolution, and of their conversion to world coordinates and back.
+TOUCH = 1e-6
+# Range of the losses over 0 for which the solvers are tested.
+LEAST_LOSS, MOST_LOSS = 1e-9, 1e9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -110,13 +113,8 @@ class RiskMap(Shown):
         return inside
 
     def cells(self, uv: npt.ArrayLike) -> tuple[IndexArray, IndexArray]:
-        """Return (rows, columns) of the cells that contain positions in map axes (..., 2).
-
-        The upper and right border belong to the last cells. Positions must lie on the map.
-        """
-        rows, columns = self.alpha.shape
-        index = np.floor(np.asarray(uv, dtype=np.float64) / self.resolution).astype(np.int64)
-        return (np.clip(index[..., 1], 0, rows - 1), np.clip(index[..., 0], 0, columns - 1))
+        """Return (rows, columns) of the cells that contain positions in map axes (..., 2)."""
+        return cells_at(uv, self.resolution, self.alpha.shape)
 
 
 def to_map_axes(origin: tuple[float, float, float], xy: npt.ArrayLike) -> FloatArray:
@@ -131,6 +129,18 @@ def to_world(origin: tuple[float, float, float], uv: npt.ArrayLike) -> FloatArra
     x0, y0, yaw = origin
     uv = np.asarray(uv, dtype=np.float64)
     return (uv if yaw == 0.0 else uv @ _rotation(yaw).T) + (x0, y0)
+
+
+def cells_at(uv: npt.ArrayLike, resolution: float,
+             shape: tuple[int, ...]) -> tuple[IndexArray, IndexArray]:
+    """Return (rows, columns) of the cells that contain positions in map axes (..., 2) [m].
+
+    A position within ``TOUCH`` of a border belongs to the cell above or on the right, however it
+    was rounded; on the map's upper and right border, to the last cells. Positions must lie on the
+    map, whose shape is (H, W).
+    """
+    index = np.floor(np.asarray(uv, dtype=np.float64) / resolution + TOUCH).astype(np.int64)
+    return (np.clip(index[..., 1], 0, shape[0] - 1), np.clip(index[..., 0], 0, shape[1] - 1))
 
 
 def _rotation(yaw: float) -> FloatArray:

@@ -22,9 +22,8 @@ def _by_default() -> IndexArray:
 class Network(Shown):
     """A directed network with a loss at each node, validated.
 
-    Edges into the source or out of the target are dropped with a warning and kept in
-    ``dropped_edges``: they would allow flow circulations that never connect the two, and the value
-    would come out too low.
+    Edges into the source or out of the target are dropped with a warning: they would allow flow
+    circulations that never connect the two, and the value would come out too low.
 
     Nodes stand for places, each node for one; several can stand for the same place. On a trip with
     stops, the convoy may come back to a place on another leg: each leg has nodes of its own, and
@@ -63,7 +62,6 @@ class Network(Shown):
     places: IndexArray = field(default_factory=_by_default)
     leg: IndexArray = field(default_factory=_by_default)
     seconds: FloatArray | None = None
-    dropped_edges: IndexArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         points = _floats('points', self.points)
@@ -94,7 +92,6 @@ class Network(Shown):
         object.__setattr__(self, 'target', target)
         object.__setattr__(self, 'places', places)
         object.__setattr__(self, 'leg', leg)
-        object.__setattr__(self, 'dropped_edges', frozen_array(edges[outside], np.int64))
 
     def _summary(self) -> dict[str, str]:
         stops = {'stops': str(self.legs - 1)} if self.legs > 1 else {}

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption, NoRoute
 from ..maps.coordinates import InvalidCoordinates
-from ..maps.obstacles import ObstacleField
+from ..maps.obstacles import ObstacleField, nearest_on_segments
 from ..maps.risk_map import RiskMap
 from ..maps.road_file import RoadGraph
 from ..maps.vector_file import from_system
@@ -79,10 +79,7 @@ class _Pieces:
     def nearest(self, place: FloatArray) -> tuple[float, int, FloatArray]:
         """Distance, number and nearest point of the piece that is nearest to a place."""
         a, b = self.points[self.pairs[:, 0]], self.points[self.pairs[:, 1]]
-        along = b - a
-        squared = np.maximum((along**2).sum(axis=1), np.finfo(float).tiny)
-        share = np.clip(((place - a) * along).sum(axis=1) / squared, 0.0, 1.0)
-        feet = a + share[:, None] * along
+        feet = nearest_on_segments(place, a, b)
         far = np.hypot(*(feet - place).T)
         piece = int(np.argmin(far))
         return float(far[piece]), piece, feet[piece]

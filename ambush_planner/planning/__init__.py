@@ -2,5 +2,6 @@
 
 ``plan`` has the records and a departure's route and path; ``trip`` makes the plan, with or without
 stops. ``many`` solves many problems at once, ``frontier`` many budgets. ``evaluation`` compares
-with fixed routes, ``changed_ground`` follows changes of the map, ``parameters`` has all options.
+with fixed routes, ``changed_ground`` judges a plan on a map that has changed, ``clear_ground`` what
+can be driven there, ``parameters`` has all options.
 """

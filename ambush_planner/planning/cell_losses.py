@@ -22,7 +22,7 @@ from ..game.discs import ExposedEdges, near_ends
 from ..game.game import Game
 from ..game.law.chain import MarkovChain
 from ..maps.occupancy import OccupancyMap, OccupancyOptions, risk_map_from_occupancy
-from ..maps.risk_map import RiskMap, to_map_axes, to_world
+from ..maps.risk_map import RiskMap, cells_at, to_map_axes, to_world
 from .options import parts_of_cells
 
 # A block of cells is divided into this many along each side.
@@ -55,10 +55,9 @@ class CellLosses:
     def at(self, points: FloatArray) -> FloatArray:
         """The losses (K,) at positions (K, 2) [m]; 0 off the map and where nobody can wait."""
         loss = self._largest[1]
-        uv, shape = to_map_axes(self._origin, points) / self.resolution, loss.shape[::-1]
-        inside = ((uv >= 0.0) & (uv <= shape)).all(axis=1)
-        column, row = np.clip(np.floor(uv).astype(np.int64), 0, np.array(shape) - 1).T
-        return np.where(inside, loss[row, column], 0.0)
+        uv, size = to_map_axes(self._origin, points), np.array(loss.shape[::-1]) * self.resolution
+        inside = ((uv >= 0.0) & (uv <= size)).all(axis=1)
+        return np.where(inside, loss[cells_at(uv, self.resolution, loss.shape)], 0.0)
 
     def in_cells(self, cells: IndexArray) -> FloatArray:
         """The losses (K,) at cells (K, 2) = (row, column)."""

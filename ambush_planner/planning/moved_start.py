@@ -100,7 +100,7 @@ def other_rest(ground: ChangedGround, newest: OccupancyMap, ends: Ends, ahead: I
     ``spacing`` [m] apart; None if no rest is clear.
     """
     network = ground.plan.network
-    lost = ground.lost(newest) | _through_start_again(network)
+    lost = ground.compare(newest).lost | _through_start_again(network)
     place = np.array([ends[0]])
     for node in ahead.tolist():
         at = network.points[[node]]

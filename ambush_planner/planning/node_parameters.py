@@ -38,7 +38,6 @@ class RecordingOptions:
     enabled: bool
     directory: str
     compression: str
-    service_events: bool = False
     required: bool = False
 
     def __post_init__(self) -> None:

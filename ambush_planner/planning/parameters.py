@@ -179,10 +179,6 @@ PARAMETERS: Mapping[str, Declaration] = MappingProxyType({
         '~/.ros/ambush_planner', 'Directory of the folders with recordings.', fixed=True),
     'recording.compression': Declaration(
         'zstd', 'Compression of the recordings.', choices=('zstd', 'lz4', 'none'), fixed=True),
-    'recording.service_events': Declaration(
-        False,
-        'Whether request and response are also recorded as messages, for `ros2 bag play '
-        '--publish-service-requests`; many other readers refuse such files.', fixed=True),
     'diagnostics.error_hold': Declaration(
         30.0,
         'Time for which the diagnostics show a failed request [s]; a success ends it earlier.'),

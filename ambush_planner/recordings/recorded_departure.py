@@ -55,8 +55,6 @@ class RecordedDeparture:
     call
         ``service`` (full name), ``type``, ``request_ns``, ``response_ns``, and the fields of
         ``request`` and ``response``.
-    topics
-        The topics of map, start, goal and path, and of the stops (``via``) if there are any.
     ends
         The ends of the driven path, which may lie near the trip's [m].
     route : (K,)
@@ -77,8 +75,6 @@ class RecordedDeparture:
     stamp_ns: int
     frame: str
     call: Mapping[str, Any]
-    topics: Mapping[str, str]
-    versions: Mapping[str, str]
     parameters: NodeParameters
     trip: RecordedTrip
     ends: tuple[Position, Position]
@@ -92,11 +88,6 @@ class RecordedDeparture:
     newest: OccupancyMap
     risk_map: RiskMap
     _path_message: tuple[str, str, bytes] = field(repr=False)
-
-    @property
-    def service(self) -> str:
-        """The service that was called, ``new_route`` or ``get_plan``."""
-        return str(self.call['service']).rpartition('/')[2]
 
     @cached_property
     def path_poses(self) -> FloatArray:
@@ -158,7 +149,7 @@ def departure_in(file: RecordingFile, shared: SharedParts) -> RecordedDeparture:
             raise ValueError('the recorded route leaves the recorded network')
         return RecordedDeparture(
             file.path, entries['departure_id'], entries['departure'], message.stamp_ns,
-            entries['frame'], entries['call'], entries['topics'], entries['versions'], parameters,
+            entries['frame'], entries['call'], parameters,
             RecordedTrip(tuple(trip['start']), tuple(trip['goal']),
                          tuple(map(tuple, trip['stops']))),
             (tuple(entries['ends'][0]), tuple(entries['ends'][1])), route,
@@ -210,7 +201,7 @@ def _conditioned(strategy: Strategy, planned_on: OccupancyMap, changes: bytes,
     """
     newest = replace(planned_on, values=changed_map(planned_on.values, changes))
     _, ground = ground_of(strategy, planned_on, options, planning)
-    lost = ground.lost(newest)
+    lost = ground.compare(newest).lost
     if not lost[strategy.edge_probability > 0.0].any() or not is_acyclic(
         strategy.network, strategy.edge_probability
     ):

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 COMPRESSIONS = ('zstd', 'lz4', 'none')
 METADATA_RECORD = 'ambush_planner'
 # Increases whenever the meaning of a metadata entry or an attachment changes.
-FORMAT = '8'
+FORMAT = '9'
 _CHUNK_SIZE = 2**20  # bytes
 
 
@@ -56,7 +56,7 @@ class RecordingFile:
 def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
            attachments: Mapping[str, bytes], compression: str) -> bytes:
     """Return the bytes of a whole file; ``messages`` are in the order of time."""
-    from mcap.well_known import MessageEncoding
+    from mcap.well_known import MessageEncoding, SchemaEncoding
     from mcap.writer import CompressionType, Writer
 
     stream = BytesIO()
@@ -74,7 +74,7 @@ def encode(messages: Sequence[RecordedMessage], entries: Mapping[str, Any],
         definition = load_definition(message.type)
         if message.type not in schemas:
             schemas[message.type] = writer.register_schema(
-                message.type, definition.encoding, definition.text.encode()
+                message.type, SchemaEncoding.ROS2, definition.text.encode()
             )
         channel = message.channel
         if channel not in channels:

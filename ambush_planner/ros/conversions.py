@@ -59,7 +59,7 @@ def path_to_ros(poses: FloatArray, start: Pose, goal: Pose, header: Header) -> P
 def stamped_poses(poses: FloatArray, header: Header) -> list[PoseStamped]:
     """Return the poses (L, 3) = (x, y, yaw) as messages that share one header.
 
-    The constructors are bypassed: 500 poses take 1 ms instead of 12 ms of an answer.
+    The constructors are bypassed: 500 poses take 0.4 ms instead of 5.3 ms of an answer.
     """
     check = header._check_fields
     return [_stamped_pose(x, y, 0.5 * yaw, header, check) for x, y, yaw in poses.tolist()]

@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from nav_msgs.msg import Path
-from rclpy.serialization import serialize_message
-from rclpy.time import Time
-from service_msgs.msg import ServiceEventInfo
 
 from ..network.road_network import in_map_frame
 from ..planning.changed_ground import Assessment
@@ -24,10 +21,6 @@ from .conversions import fields_of
 from .current_map import ReceivedMessage
 from .inputs import Trip
 from .plan_cache import CachedPlan
-from .qos import LATEST
-
-# Lead of recorded inputs over the request [ns], so that `ros2 bag play` sends them first.
-_INPUTS_LEAD = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,24 +76,18 @@ class Departure:
 
 
 def recorded_messages(departure: Departure) -> list[RecordedMessage]:
-    """Return inputs and publications, and with ``recording.service_events`` request and answer.
+    """Return inputs and publications, in the order of time.
 
-    Inputs get a time half a second before the request. All others get one between request and
-    answer: markers may be older, and the clock may have been set back since.
+    Inputs get the time of the request. All others get one between request and answer: markers may
+    be older, and the clock may have been set back since.
     """
     trip, begin = departure.trip, departure.begin_ns
     planned_on = departure.held.trip.map.received
-    before = max(0, begin - _INPUTS_LEAD)
-    inputs = [_received(each, before)
+    inputs = [_received(each, begin)
               for each in (planned_on, trip.start, trip.goal, trip.via) if each]
     published = [replace(each, stamp_ns=min(max(begin, each.stamp_ns), departure.end_ns))
                  for each in (*departure.others, departure.published)]
-    if not departure.parameters.recording.service_events:
-        return [*inputs, *published]
-    asked, sent = ServiceEventInfo.REQUEST_RECEIVED, ServiceEventInfo.RESPONSE_SENT
-    request = _event(departure, asked, begin, request=[departure.call.request])
-    response = _event(departure, sent, departure.end_ns, response=[departure.response])
-    return [*inputs, request, *published, response]
+    return [*inputs, *published]
 
 
 def metadata_entries(departure: Departure) -> dict[str, Any]:
@@ -145,13 +132,3 @@ def attachments(departure: Departure, strategy: bytes) -> dict[str, bytes]:
 
 def _received(received: ReceivedMessage, stamp_ns: int) -> RecordedMessage:
     return RecordedMessage(received.topic, received.type, received.data, received.qos, stamp_ns)
-
-
-def _event(departure: Departure, what: int, stamp_ns: int, **content: list[Any]) -> RecordedMessage:
-    """Return the message that service introspection would publish, which rosbag2 plays."""
-    info = ServiceEventInfo(event_type=what, stamp=Time(nanoseconds=stamp_ns).to_msg(),
-                            sequence_number=departure.number)
-    kind = departure.call.kind.Event
-    data = serialize_message(kind(info=info, **content))
-    topic = f'{departure.call.name}/_service_event'
-    return RecordedMessage(topic, type_name(kind), data, LATEST, stamp_ns)

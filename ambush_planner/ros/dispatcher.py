@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from ..arrays import FloatArray
 from ..errors import AmbushPlannerError, InvalidOption
 from ..maps.ros_messages import path_from_ros
-from ..planning.changed_ground import drivable_steps, has_arrived, way_out
+from ..planning.clear_ground import ClearGround
 from ..planning.moved_start import other_rest
 from ..planning.node_parameters import NodeParameters
 from ..planning.plan import Plan, Route
@@ -32,8 +32,8 @@ from ..recordings import RecordedMessage
 from ..routes.driven_path import tight_turns
 from ..worker.serial_executor import SerialExecutor
 from ..worker.solve_errors import SolveCancelled, for_the_log
-from .cdr import path_bytes
 from .conversions import path_to_ros
+from .current_map import CurrentMap
 from .departure_record import Answer, Departure, ServiceCall
 from .displayed_plan import DisplayedPlan
 from .error_codes import FrameMismatch, GroundChanges, NotActive
@@ -205,8 +205,7 @@ class Dispatcher:
                                 f'{path.header.frame_id[:80]!r}, the map is in {newest.frame!r}')
         points, place = path_from_ros(path)[:, :2], self._inputs.robot_place(parameters.robot)
         first = int(np.hypot(*(points - place).T).argmin()) if place else 0
-        clear = drivable_steps(points[first:], newest, parameters.occupancy,
-                               parameters.planning.network)
+        clear = _clear_ground(newest, parameters).drivable_steps(points[first:])
         return (np.flatnonzero(~clear) + first + 1).tolist()
 
     def cancel(self) -> int:
@@ -248,8 +247,8 @@ class Dispatcher:
     def _without_departure(self, trip: Trip, pending: _Pending) -> Answer | None:
         """Return the answer to a robot that has arrived or is on its way, if it is."""
         parameters = pending.parameters
-        if not trip.stops_xy and has_arrived(trip.start_xy, trip.goal_xy, trip.map,
-                                             parameters.occupancy, parameters.planning.network):
+        ground = _clear_ground(trip.map, parameters)
+        if not trip.stops_xy and ground.has_arrived(trip.start_xy, trip.goal_xy):
             path = self._path(np.array([(*trip.goal_xy, 0.0)]), trip)
             return self._answer(pending, path, 'arrived')
         wanted = _destination(trip)
@@ -260,10 +259,9 @@ class Dispatcher:
 
     def _continued(self, under_way: _UnderWay, trip: Trip, pending: _Pending) -> Answer | None:
         """Return the rest of the path, if it is clear on the newest map."""
-        departure, planned = under_way.departure, under_way.departure.parameters
-        rest = under_way.trip.rest(trip.start_xy, trip.goal_xy)
-        if not drivable_steps(rest[:, :2], trip.map, planned.occupancy,
-                              planned.planning.network).all():
+        departure, rest = under_way.departure, under_way.trip.rest(trip.start_xy, trip.goal_xy)
+        ground = _clear_ground(trip.map, departure.parameters)
+        if not ground.drivable_steps(rest[:, :2]).all():
             return None
         self._reporter.set(last_answer='continued')
         return self._answer(pending, self._path(rest, trip),
@@ -284,7 +282,7 @@ class Dispatcher:
             return None
         path = self._path(drawn[1], trip)
         if departure.parameters.publish_path:
-            self._publishers.publish('path', path_bytes(path))
+            self._publishers.publish('path', path)
         self._under_way[before.destination.frames] = replace(
             under_way, diversions=number, trip=trip_on(held.plan, *drawn, before.destination))
         self._reporter.set(last_answer='diverted')
@@ -353,7 +351,7 @@ class Dispatcher:
         return Departure(
             str(uuid4()), self._count, pending.call, trip, parameters, fit.cached,
             fit.joined is not None, source, route, path,
-            self._publishers.as_recorded('path', path_bytes(path), name), self._displayed.markers,
+            self._publishers.as_recorded('path', path, name), self._displayed.markers,
             pending.begin_ns, leaving, fit.assessment, tight, note,
         )
 
@@ -427,8 +425,11 @@ def _out_of_obstacle(trip: Trip, parameters: NodeParameters) -> Trip:
     """Return the trip of a robot in the inflation of a costmap, from where it can drive out."""
     if not trip.moves or parameters.values['map.preset'] == 'alpha':
         return trip
-    return replace(trip, start_xy=way_out(trip.start_xy, trip.map, parameters.occupancy,
-                                          parameters.planning.network))
+    return replace(trip, start_xy=_clear_ground(trip.map, parameters).way_out(trip.start_xy))
+
+
+def _clear_ground(newest: CurrentMap, parameters: NodeParameters) -> ClearGround:
+    return ClearGround(newest, parameters.occupancy, parameters.planning.network)
 
 
 def _from_robot(rows: FloatArray, trip: Trip) -> FloatArray:

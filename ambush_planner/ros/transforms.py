@@ -5,7 +5,6 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -15,7 +14,13 @@ from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
 
 from ..maps.ros_messages import position_from_ros
-from ..maps.tf_buffer import Found, Rigid, StampedTransform, TransformBuffer, TransformUnknown
+from ..maps.tf_buffer import (
+    Found,
+    StampedTransform,
+    TransformBuffer,
+    TransformUnknown,
+    rigid_motion,
+)
 from .conversions import installed_type
 from .error_codes import FrameMismatch
 from .listener import Listener
@@ -44,9 +49,9 @@ class FrameTransforms:
     def to_frame(self, pose: PoseStamped, name: str, frame: str, max_age: float) -> PoseStamped:
         """Return the pose called ``name`` in ``frame``; unchanged if that is its frame.
 
-        The latest known transform is used, whatever the pose's stamp: a pose in ``base_link`` is
-        where the robot is now. The result has the stamp of the transform, or none if that is
-        static. Never waits for a transform.
+        The newest transforms are used, whatever the pose's stamp: a pose in ``base_link`` is where
+        the robot is now. The result has the oldest stamp of these, or none if all are static. Never
+        waits for a transform.
 
         Raises FrameMismatch if the pose has no frame, or no transform to ``frame`` is known, or it
         is older than ``max_age`` [s] or stamped further ahead of now, and InvalidPose if a pose to
@@ -112,18 +117,16 @@ class _TfListener:
         for each in message.transforms:
             p, q = each.transform.translation, each.transform.rotation
             stamp = each.header.stamp
-            self._buffer.add(StampedTransform(
-                each.header.frame_id, each.child_frame_id,
-                stamp.sec * 1_000_000_000 + stamp.nanosec, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w),
-            ), static)
+            stamp_ns = None if static else stamp.sec * 1_000_000_000 + stamp.nanosec
+            self._buffer.add(StampedTransform(each.header.frame_id, each.child_frame_id, stamp_ns,
+                                              (p.x, p.y, p.z), (q.x, q.y, q.z, q.w)))
 
 
 def _transformed(pose: PoseStamped, found: Found, frame: str) -> PoseStamped:
     p, q = pose.pose.position, pose.pose.orientation
-    given = Rigid(np.array((p.x, p.y, p.z)), Rotation.from_quat((q.x, q.y, q.z, q.w)))
-    moved = found.rigid @ given
-    x, y, z = moved.translation.tolist()
-    qx, qy, qz, qw = moved.rotation.as_quat().tolist()
+    moved = found.matrix @ rigid_motion((p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+    x, y, z = moved[:3, 3].tolist()
+    qx, qy, qz, qw = Rotation.from_matrix(moved[:3, :3]).as_quat().tolist()
     stamp = Time(nanoseconds=found.stamp_ns or 0).to_msg()
     return PoseStamped(
         header=Header(frame_id=frame, stamp=stamp),

@@ -16,7 +16,7 @@ from ..maps.risk_map import RiskMap
 
 # Share of the distance to the nearest node that strips and quarters may use.
 NODE_SHARE = 0.95
-# Distance kept from obstacles in addition to the clearance [cells]; must exceed obstacles.TOUCH.
+# Distance kept from obstacles in addition to the clearance [cells]; must exceed risk_map.TOUCH.
 OBSTACLE_MARGIN = 1e-5
 # Number of nodes examined around an edge; space beyond the furthest of them is not used.
 NEAREST = 12

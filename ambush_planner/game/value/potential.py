@@ -49,7 +49,7 @@ class Potential:
         self._around = np.zeros(0, dtype=bool)
         self._entering = csr_matrix((0, len(faces.link)))
         self._joined, self._up = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-        self._z, self.bound, self._height = np.inf, 0.0, np.zeros(0)
+        self._z, self.bound = np.inf, 0.0
         self._potential: FloatArray | None = None
         self._kept: FloatArray | None = None  # the latest potential within the budget
         self.circulation: Circulation | None = None

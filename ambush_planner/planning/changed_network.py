@@ -1,0 +1,102 @@
+"""A plan's network on another map of the same ground: lost edges, and the losses of its nodes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..arrays import BoolArray, FloatArray, IndexArray
+from ..maps.obstacles import nearest_on_segments
+from ..maps.occupancy import (
+    OccupancyMap,
+    OccupancyOptions,
+    obstacles_in,
+    risk_map_from_occupancy,
+)
+from ..maps.risk_map import TOUCH, cells_at, to_map_axes
+from .cell_losses import LatestLosses
+from .plan import Plan
+
+# Maximum number of new obstacle cells; with more, all edges count as lost.
+_MOST_CELLS = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class ChangedNetwork:
+    """A plan's network on the ``newest`` map, compared with the one that it was planned on.
+
+    ``changed`` (K,) are the flat indices of cells with another value, ``new_obstacles`` (L, 2) the
+    centres of those that have become obstacles [m], in map axes. The ``lost`` edges meet one of
+    these or lead to a node over the threshold; they are a mask (M,) and pairs (tail, head).
+    ``alpha`` (N,) are the nodes' losses now.
+    """
+
+    newest: OccupancyMap
+    changed: IndexArray
+    new_obstacles: FloatArray
+    lost: BoolArray
+    lost_pairs: frozenset[tuple[int, ...]]
+    alpha: FloatArray
+
+
+class PlannedNetwork:
+    """A plan's network, with the map that it was ``planned_on``."""
+
+    def __init__(self, plan: Plan, planned_on: OccupancyMap, occupancy: OccupancyOptions,
+                 losses: LatestLosses) -> None:
+        self._network, self._planned_on = plan.network, planned_on
+        self._occupancy, self._losses = occupancy, losses
+        self._clearance = plan.options.network.clearance
+        self._threshold = plan.options.game.alpha_threshold
+        # Whether an ambusher can hide in an obstacle, at the loss of the nearest free cell.
+        self.hiding = plan.strategy.game.reach > 0.0 and plan.options.game.ambush_in_obstacles
+        self.uv = to_map_axes(planned_on.origin, plan.network.points)
+        # The construction of networks and plans takes a node's loss from the same cell.
+        self._cells = cells_at(self.uv, planned_on.resolution, planned_on.values.shape)
+        self._tails, self._heads = (self.uv[plan.network.edges[:, k]] for k in (0, 1))
+        self._middles = cKDTree((self._tails + self._heads) / 2)
+
+    def on(self, newest: OccupancyMap) -> ChangedNetwork:
+        """Compare the network on the newest map, which is of the same ground."""
+        network = self._network
+        before, now = self._planned_on.values.ravel(), newest.values.ravel()
+        # Flat indices: with rows and columns numpy takes five times as long.
+        changed = np.flatnonzero(before != now)
+        was, is_now = (obstacles_in(each[changed], self._occupancy) for each in (before, now))
+        cells = np.divmod(changed[is_now & ~was], newest.values.shape[1])
+        new_obstacles = np.multiply(np.stack(cells[::-1], axis=1) + 0.5, newest.resolution)
+        alpha = self._losses_on(newest)
+        lost = (alpha > self._threshold)[network.heads]
+        if len(new_obstacles) > _MOST_CELLS:
+            lost[:] = True
+        else:
+            lost[self._near(new_obstacles, newest.resolution)] = True
+        pairs = frozenset(map(tuple, network.edges[lost].tolist()))
+        return ChangedNetwork(newest, changed, new_obstacles, lost, pairs, alpha)
+
+    def _losses_on(self, newest: OccupancyMap) -> FloatArray:
+        """Return alpha (N,) of the nodes."""
+        if self.hiding:
+            losses = self._losses.on(newest, self._occupancy, True)
+            alpha = losses.in_cells(np.stack(self._cells, axis=1))
+        else:
+            values = newest.values[self._cells][None, :]
+            alpha = risk_map_from_occupancy(values, 1.0, options=self._occupancy).alpha[0].copy()
+        alpha[self._network.ends] = 0.0
+        return alpha
+
+    def _near(self, centres: FloatArray, resolution: float) -> IndexArray:
+        """Return the edges with an obstacle cell, given by its centre (L, 2), in their clearance.
+
+        The cell's circumscribed circle stands for it.
+        """
+        reach = self._clearance + (math.sqrt(0.5) + TOUCH) * resolution
+        half = float(np.hypot(*(self._heads - self._tails).T).max(initial=0.0)) / 2
+        pairs = cKDTree(centres).sparse_distance_matrix(self._middles, half + reach,
+                                                        output_type='ndarray')
+        place, edge = centres[pairs['i']], pairs['j']
+        nearest = nearest_on_segments(place, self._tails[edge], self._heads[edge])
+        return np.unique(edge[np.hypot(*(place - nearest).T) <= reach])
