@@ -1,0 +1,149 @@
+"""``ambush judge``: what an ambusher causes who has watched the trips that were driven."""
+
+from __future__ import annotations
+
+import argparse
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..figures import as_png
+from ..maps.coordinates import Coordinates
+from ..maps.risk_map import RiskMap
+from ..maps.track_file import Track, read_tracks
+from ..planning.concerns import assumptions, concerns
+from ..planning.habits import Habits, find_trips, judge, nearness
+from ..planning.path_mixtures import PathMixture
+from . import cli
+from .audit import read_all
+from .inputs import (
+    MAP_HELP,
+    OPTIONS_HELP,
+    POSITION_HELP,
+    add_crs,
+    add_options,
+    add_places,
+    crs_text,
+    options_from,
+    risk_map_from,
+)
+from .judge_figure import MIN_SHARE, judge_figure
+from .report_words import distance, percent
+
+EPILOG = f"""\
+{MAP_HELP}
+
+TRACKS are files, or folders of recordings:
+  .gpx    tracks, or routes if there are none
+  .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
+  .mcap   the departure that was recorded
+  others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
+A trip leads from the last approach to the start to the first approach to the goal after it. The
+mean length of all trips is the length budget of the optimal strategy. The picture has mode 0600.
+
+{POSITION_HELP}
+{OPTIONS_HELP}
+--json: {{"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval", "shares",
+"driven": {{...}}, "reweighted": {{...}}, "optimal": {{...}}}}
+""" + cli.EXIT_CODES
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    made = cli.new_parser('judge', 'Judge trips that were driven: what would an ambusher cause who '
+                          'has watched them?', EPILOG)
+    made.add_argument('map', type=Path, metavar='MAP', help='the risk map')
+    made.add_argument('tracks', nargs='+', metavar='TRACKS', help='tracks of trips, or recordings')
+    add_places(made, stops=False)
+    made.add_argument('-o', '--output', type=Path, required=True, metavar='PICTURE.png',
+                      help='the picture to write')
+    add_crs(made)
+    add_options(made)
+    return made
+
+
+def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
+    options, output = options_from(arguments), arguments.output
+    if arguments.detour is not None:
+        raise cli.UsageError('argument --detour: the tracks set the length budget; leave it out')
+    if not options.game.ambush_radius > 0.0:
+        raise InvalidOption('how far does an ambusher reach? Add --reach METRES')
+    risk_map = risk_map_from(arguments.map, replace(
+        options.map, crs=crs_text(arguments) or options.map.crs), console)
+    start, goal = (place.xy(risk_map) for place in (*arguments.start, *arguments.goal))
+    tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
+    near = nearness(risk_map, start, goal, options.planning)
+    trips, left_out = find_trips(tracks, start, goal, near, options.game.ambush_radius)
+    for sentence in left_out:
+        console.say(f'Left out: {sentence}.')
+    if not trips:
+        console.error(f'{cli.count(len(tracks), "track")}, but no trip from start to goal')
+        return cli.Exit.TOO_FEW
+    with console.waiting('solving the game'), warnings.catch_warnings():
+        warnings.simplefilter('ignore')  # the concerns tell more
+        habits = judge(risk_map, trips, options.planning)
+    cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
+    console.result = {'picture': cli.place(output), 'left_out': left_out, 'near': near}
+    _tell(habits, risk_map, near, console)
+    console.line(f'{cli.place(output)}: secret, so only this user can read it.')
+    return cli.Exit.HOLDS
+
+
+def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Track]:
+    """The tracks of a file, or of recordings in a file or a folder."""
+    path = Path(source)
+    if not path.is_dir() and path.suffix != '.mcap':
+        yield from read_tracks(source, risk_map.crs)
+        return
+    departures, unreadable = read_all(path, console)
+    for each in departures:
+        poses = each.path_poses
+        yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
+    for error in unreadable:
+        console.error(error)
+
+
+def _tell(habits: Habits, risk_map: RiskMap, near: float, console: cli.Console) -> None:
+    strategy, driven, best = habits.plan.strategy, habits.driven, habits.best
+    (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
+    shares = {habits.trips[k].name: float(best.shares[k])
+              for k in np.argsort(-best.shares) if best.shares[k] >= MIN_SHARE}
+    rows = {'driven': _numbers(driven, habits, risk_map),
+            'reweighted': _numbers(best, habits, risk_map),
+            'optimal': {'value': strategy.value, 'lower_bound': strategy.lower_bound,
+                        'mean_length': strategy.expected_length}}
+    console.line(f'{cli.count(len(habits.trips), "trip")} within {near:.4g} m of start and goal\n\n'
+                 f'{"":<12}{"mean loss":>10}{"mean length":>13}  worst place')
+    for name, row in rows.items():
+        where = row.get('worst_lat_lon') or row.get('worst_xy') or []
+        console.line(f'{name:<12}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  '
+                     + ', '.join(f'{number:.7g}' for number in where))
+    for name, text in (
+        ('driven', f'{driven.met.sum()} of {len(driven.met)} trips pass the worst place; 95 % '
+                   f'interval of the mean loss: {low:.4g} to {high:.4g}'),
+        ('reweighted', ', '.join(f'{percent(share)} {name}' for name, share in shares.items())),
+        ('optimal', f'mean length at most {detour:.2f} times the shortest; no strategy is below '
+                    f'{strategy.lower_bound:.4g}'),
+        *(('assumption', text) for text in assumptions(habits.plan)),
+        *(('warning', text) for text in concerns(habits.plan)),
+    ):
+        console.item(f'{name:<12}{text}', 0)
+    console.result |= {**rows, 'trips': len(habits.trips), 'max_detour': detour,
+                       'interval': [low, high], 'shares': shares}
+
+
+def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:
+    numbers = {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
+               'worst_xy': mixture.worst_xy.round(2).tolist()}
+    if risk_map.crs:
+        place = Coordinates(risk_map.crs).to_lat_lon(mixture.worst_xy)
+        numbers['worst_lat_lon'] = place.round(6).tolist()
+    return numbers
+
+
+main = cli.command(parser, _work)
