@@ -43,10 +43,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
     panels = figure.subplots(1, 3)
     for axes, name, value, length, text in (
-        (panels[0], 'as driven', driven.value, driven.shares @ habits.lengths,
+        (panels[0], 'as driven', driven.value, float(driven.shares @ habits.lengths),
          f'{driven.met.sum()} of {len(paths)} trips\npass the worst place\n95 %: '
          '{:.3g} to {:.3g}'.format(*habits.interval)),
-        (panels[1], 'the same, reweighted', best.value, best.shares @ habits.lengths,
+        (panels[1], 'the same, reweighted', best.value, float(best.shares @ habits.lengths),
          f'{_less(best.value, driven.value)}\nthe best {len(used)} of the {len(paths)} trips\n'
          f'shares {100 * used.min():.0f} to {100 * used.max():.0f} %'),
         (panels[2], 'optimal', strategy.value, strategy.expected_length,

@@ -34,9 +34,9 @@ def read_tracks(source: str, crs: str | None) -> list[Track]:
     Raises InvalidFeatures if the file is unreadable, has no track, or has unusable coordinates.
     """
     path = Path(source.partition('|')[0])
-    read = {'.gpx': _gpx_rows, '.csv': _csv_rows}.get(path.suffix.lower())
+    read = _of_rows if path.suffix.lower() in ('.gpx', '.csv') else _of_lines
     try:
-        xy, names, times = _of_rows(read(path), crs) if read else _of_lines(source, crs)
+        xy, names, times = read(source, crs)
     except InvalidFeatures:
         raise
     except (RuntimeError, ValueError) as error:  # of pyogrio, pandas, Coordinates
@@ -53,26 +53,18 @@ def read_tracks(source: str, crs: str | None) -> list[Track]:
     return tracks
 
 
-def _gpx_rows(path: Path) -> Any:
-    import pyogrio
-
-    for kind in ('track', 'route'):
-        rows = pyogrio.read_dataframe(path, layer=f'{kind}_points')
-        if len(rows):
-            break
-    return rows.assign(lat=rows.geometry.y, lon=rows.geometry.x, track=rows[f'{kind}_fid'] + 1)
-
-
-def _csv_rows(path: Path) -> Any:
-    import pandas
-
-    return pandas.read_csv(path, skipinitialspace=True)
-
-
-def _of_rows(rows: Any, crs: str | None) -> tuple[FloatArray, Any, Any]:
+def _of_rows(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:
     """Positions (L, 2) [m], names of their tracks (L,), times (L,) [s] or None."""
     import pandas
+    import pyogrio
 
+    if source.lower().endswith('.csv'):
+        rows = pandas.read_csv(source, skipinitialspace=True)
+    else:
+        rows, kind = pyogrio.read_dataframe(source, layer='track_points'), 'track'
+        if rows.empty:
+            rows, kind = pyogrio.read_dataframe(source, layer='route_points'), 'route'
+        rows = rows.assign(lat=rows.geometry.y, lon=rows.geometry.x, track=rows[f'{kind}_fid'] + 1)
     in_degrees, times = {'lat', 'lon'} <= set(rows), rows.get('time')
     if not in_degrees and not {'x', 'y'} <= set(rows):
         raise ValueError('the columns x and y [m], or lat and lon [degrees], are needed; there are '
@@ -86,7 +78,7 @@ def _of_rows(rows: Any, crs: str | None) -> tuple[FloatArray, Any, Any]:
     return xy, names, None if times is None else times.to_numpy(np.float64)
 
 
-def _of_lines(source: str, crs: str | None) -> tuple[FloatArray, Any, None]:
+def _of_lines(source: str, crs: str | None) -> tuple[FloatArray, Any, Any]:
     import shapely
 
     lines = read_features(source, 'LineString')

@@ -21,17 +21,16 @@ from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan
 from .trip import plan_trip
 
-# A trip has to come this near to start and goal, as a share of their distance.
+# How near to start and goal a trip has to come, as a share of their distance.
 NEAR = 0.05
-# Positions this near to the last one are left out, as a share of the reach: a vehicle that stands
-# still gets no length.
+# Smaller steps, as shares of the reach, are those of a vehicle that stands still.
 MIN_STEP = 0.05
-# A quarter of a track's steps is larger than its usual step.
+# A track's usual step is this quantile of its steps.
 USUAL = 0.75
-# Up to MAX_SPIKE positions in a row are an outlier if the steps to and from them are over
-# SPIKE_STEPS usual ones, and together over SPIKE_DETOUR times the way without them.
+# Positions in a row that can be an outlier; least steps to and from them, in usual ones; their
+# least sum over the way without them.
 MAX_SPIKE, SPIKE_STEPS, SPIKE_DETOUR = 3, 5.0, 4.0
-# A step is a gap if it is over GAP_STEPS usual ones and this share of the distance to the goal.
+# Longest step that is no gap: in usual ones, or as a share of the distance to the goal.
 GAP_STEPS, MAX_BRIDGED = 5.0, 0.1
 # Least overlap in time of two tracks of one trip, as a share of the shorter.
 SAME_TIME = 0.5
