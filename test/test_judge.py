@@ -104,7 +104,7 @@ def test_a_track_of_a_day_has_several_trips():
     ([LINE[:9]], 'track 1 never comes within 2.6 m of the goal'),
     ([LINE[::-1]], 'track 1 leads from the goal to the start'),
     ([np.delete(LINE, np.s_[5:14], axis=0)], 'track 1 has a gap of 2'),
-    ([LINE, LINE], 'track 2 is the same trip as track 1'),
+    ([LINE, LINE], 'track 2 is a copy of track 1'),
 ])
 def test_tracks_that_are_left_out_are_named_with_the_reason(tracks, reason):
     trips, left_out = find(tracks_of(tracks))
@@ -237,15 +237,16 @@ def test_recordings_are_judged(tmp_path):
 
 
 @pytest.mark.parametrize(('arguments', 'code', 'reason'), [
-    (QUICK, 4, 'Left out: track 1 of a.csv never comes within 2.875 m of the start.\n'
-     'ambush judge: 1 track, but no trip from start to goal\n'),
+    (QUICK, 4, '0 trips within 2.875 m of start and goal\n'
+     'left out: track 1 of a.csv never comes within 2.875 m of the start\n'
+     'ambush judge: no track has a trip from start to goal\n'),
     ((), 3, 'how far does an ambusher reach? Add --reach METRES'),
     ((*QUICK, '--detour', 1.2), 2, 'leave it out'),
 ])
 def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, arguments, code, reason):
     (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y + 9.0}\n' for x, y in LINE))
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *arguments)
-    assert (done.code, reason in done.err) == (code, True), done.err
+    assert (done.code, reason in done.out + done.err) == (code, True), done.err
     assert 'Traceback' not in done.err and not (tmp_path / 'judge.png').exists()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +18,8 @@ from ..maps.coordinates import Coordinates
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track, read_tracks
 from ..planning.concerns import assumptions, concerns
-from ..planning.habits import Habits, find_trips, judge, nearness
+from ..planning.habits import NEAR, Habits, find_trips, judge
+from ..planning.options import solved_game
 from ..planning.path_mixtures import PathMixture
 from . import cli
 from .audit import read_all
@@ -77,20 +79,25 @@ def _work(arguments: argparse.Namespace, console: cli.Console) -> cli.Exit:
         options.map, crs=crs_text(arguments) or options.map.crs), console)
     start, goal = (place.xy(risk_map) for place in (*arguments.start, *arguments.goal))
     tracks = [track for source in arguments.tracks for track in _tracks(source, risk_map, console)]
-    near = nearness(risk_map, start, goal, options.planning)
-    trips, left_out = find_trips(tracks, start, goal, near, options.game.ambush_radius)
+    game = solved_game(risk_map, options.planning)
+    near = max(game.ambush_radius, game.held_radius, NEAR * math.dist(start, goal))
+    trips, left_out = find_trips(tracks, start, goal, near, game.ambush_radius)
+    console.line(f'{cli.count(len(trips), "trip")} within {near:.4g} m of start and goal')
     for sentence in left_out:
-        console.say(f'Left out: {sentence}.')
+        console.item(f'left out: {sentence}', 0)
+    console.result = {'trips': len(trips), 'left_out': left_out, 'near': near}
     if not trips:
-        console.error(f'{cli.count(len(tracks), "track")}, but no trip from start to goal')
+        console.error('no track has a trip from start to goal')
         return cli.Exit.TOO_FEW
     with console.waiting('solving the game'), warnings.catch_warnings():
         warnings.simplefilter('ignore')  # the concerns tell more
         habits = judge(risk_map, trips, options.planning)
     cli.write_private(output.parent, {output.name: as_png(judge_figure(habits, risk_map))})
-    console.result = {'picture': cli.place(output), 'left_out': left_out, 'near': near}
-    _tell(habits, risk_map, near, console)
+    _tell(habits, risk_map, console)
+    for text in concerns(habits.plan):
+        console.say(f'Warning: {text}.')
     console.line(f'{cli.place(output)}: secret, so only this user can read it.')
+    console.result['picture'] = cli.place(output)
     return cli.Exit.HOLDS
 
 
@@ -108,33 +115,30 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
         console.error(error)
 
 
-def _tell(habits: Habits, risk_map: RiskMap, near: float, console: cli.Console) -> None:
-    strategy, driven, best = habits.plan.strategy, habits.driven, habits.best
-    (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
-    shares = {habits.trips[k].name: float(best.shares[k])
-              for k in np.argsort(-best.shares) if best.shares[k] >= MIN_SHARE}
-    rows = {'driven': _numbers(driven, habits, risk_map),
-            'reweighted': _numbers(best, habits, risk_map),
+def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
+    strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
+    detour = habits.plan.options.strategy.max_detour
+    named = {habits.trips[k].name: float(shares[k])
+             for k in np.argsort(-shares) if shares[k] >= MIN_SHARE}
+    rows = {'driven': _numbers(habits.driven, habits, risk_map),
+            'reweighted': _numbers(habits.best, habits, risk_map),
             'optimal': {'value': strategy.value, 'lower_bound': strategy.lower_bound,
                         'mean_length': strategy.expected_length}}
-    console.line(f'{cli.count(len(habits.trips), "trip")} within {near:.4g} m of start and goal\n\n'
-                 f'{"":<12}{"mean loss":>10}{"mean length":>13}  worst place')
+    console.line(f'{"mean loss":>21}{"mean length":>13}  worst place')
     for name, row in rows.items():
-        where = row.get('worst_lat_lon') or row.get('worst_xy') or []
-        console.line(f'{name:<12}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  '
-                     + ', '.join(f'{number:.7g}' for number in where))
+        worst = row.get('worst_lat_lon') or row.get('worst_xy') or ['many']
+        console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  '
+                     + ' '.join(map(str, worst)))
     for name, text in (
-        ('driven', f'{driven.met.sum()} of {len(driven.met)} trips pass the worst place; 95 % '
-                   f'interval of the mean loss: {low:.4g} to {high:.4g}'),
-        ('reweighted', ', '.join(f'{percent(share)} {name}' for name, share in shares.items())),
-        ('optimal', f'mean length at most {detour:.2f} times the shortest; no strategy is below '
+        ('driven', f'{met.sum()} of {len(met)} trips pass the worst place; 95 % interval of the '
+                   'mean loss {:.4g} to {:.4g}'.format(*habits.interval)),
+        ('reweighted', ', '.join(f'{percent(share)} {name}' for name, share in named.items())),
+        ('optimal', f'mean length at most {detour:.3g} times the shortest; no strategy is below '
                     f'{strategy.lower_bound:.4g}'),
         *(('assumption', text) for text in assumptions(habits.plan)),
-        *(('warning', text) for text in concerns(habits.plan)),
     ):
-        console.item(f'{name:<12}{text}', 0)
-    console.result |= {**rows, 'trips': len(habits.trips), 'max_detour': detour,
-                       'interval': [low, high], 'shares': shares}
+        console.item(f'{name:<11}{text}', 0)
+    console.result |= {**rows, 'max_detour': detour, 'interval': habits.interval, 'shares': named}
 
 
 def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:

@@ -18,8 +18,6 @@ from .report_words import distance
 
 # Trips and edges with smaller shares are not shown.
 MIN_SHARE = 0.001
-# The ground that is shown over the extent of the routes.
-_MARGIN = 1.15
 _CONVOY, _MET = figures.PROBABILITY(0.4), figures.PROBABILITY(1.0)
 _LEGEND = (
     Line2D([], [], linestyle='none', marker='o', markersize=11, markerfacecolor='none',
@@ -37,9 +35,10 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     paths, used = [trip.xy for trip in habits.trips], best.shares[best.shares >= MIN_SHARE]
     seen = np.concatenate((*paths, *edges[p >= MIN_SHARE]))
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
-    low, high = middle - _MARGIN * half, middle + _MARGIN * half
-    figure = Figure((figures.WIDTH, figures.WIDTH / 3.0 * half[1] / half[0] + 3.2),
-                    layout='compressed')
+    low, high = middle - 1.15 * half, middle + 1.15 * half
+    low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # names and the scale bar
+    height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
+    figure = Figure((figures.WIDTH, height + 3.3), layout='compressed')
     figure.suptitle('Mean loss caused by an ambusher who has watched', x=0.0, ha='left')
     panels = figure.subplots(1, 3)
     for axes, name, value, length, text in (

@@ -16,7 +16,7 @@ from ..game.budget import least_cost
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
 from ..network.construction import build_network
-from .options import PlanningOptions, solved_game
+from .options import PlanningOptions
 from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan
 from .trip import plan_trip
@@ -84,13 +84,6 @@ def _interval(driven: PathMixture) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def nearness(risk_map: RiskMap, start: FloatArray, goal: FloatArray,
-             options: PlanningOptions) -> float:
-    """How near to start and goal a trip has to come [m]."""
-    game = solved_game(risk_map, options)
-    return max(game.ambush_radius, game.held_radius, NEAR * math.dist(start, goal))
-
-
 def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, near: float,
                reach: float) -> tuple[list[Track], list[str]]:
     """The trips from start to goal, which are their ends, and a sentence for each left out.
@@ -106,7 +99,8 @@ def find_trips(tracks: Iterable[Track], start: FloatArray, goal: FloatArray, nea
             if isinstance(found, str):
                 left_out.append(found)
             elif twin := next((trip for trip in trips if _is_one(found, trip, reach)), None):
-                left_out.append(f'{found.name} is the same trip as {twin.name}')
+                same = 'a copy of' if found.times is None else 'the same trip as'
+                left_out.append(f'{found.name} is {same} {twin.name}')
             else:
                 trips.append(found)
     return trips, left_out
