@@ -115,7 +115,8 @@ def test_tracks_that_are_left_out_are_named_with_the_reason(tracks, reason):
 def test_times_tell_trips_apart():
     times = np.arange(len(LINE)) * 2.0
     first = Track('a', LINE, times)
-    convoy, again = Track('b', LINE + 0.5, times + 4.0), Track('c', LINE, times + 86400.0)
+    some = [*range(0, len(LINE) - 1, 2), -1]
+    convoy, again = Track('b', LINE[some] + 0.2, times[some] + 4.0), Track('c', LINE, times + 86400.0)
     elsewhere = driven('south', np.random.default_rng(1))
     other = Track('d', elsewhere, np.arange(len(elsewhere)) * 2.0)
     backwards = Track('e', LINE, np.insert(times[:-1], 5, 0.0))
@@ -240,11 +241,13 @@ def test_recordings_are_judged(tmp_path):
     (QUICK, 4, '0 trips within 2.875 m of start and goal\n'
      'left out: track 1 of a.csv never comes within 2.875 m of the start\n'
      'ambush judge: no track has a trip from start to goal\n'),
+    ((*QUICK, '--held', 60), 3, 'held ground covers everything'),
     ((), 3, 'how far does an ambusher reach? Add --reach METRES'),
     ((*QUICK, '--detour', 1.2), 2, 'leave it out'),
 ])
 def test_what_cannot_be_judged_is_said_in_a_sentence(map_file, tmp_path, arguments, code, reason):
-    (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y + 9.0}\n' for x, y in LINE))
+    shift = 0.0 if '--held' in arguments else 9.0
+    (tmp_path / 'a.csv').write_text('x,y\n' + ''.join(f'{x},{y + shift}\n' for x, y in LINE))
     done = run(tmp_path, tmp_path / 'a.csv', *PLACES, *arguments)
     assert (done.code, reason in done.out + done.err) == (code, True), done.err
     assert 'Traceback' not in done.err and not (tmp_path / 'judge.png').exists()

@@ -108,11 +108,11 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
         yield from read_tracks(source, risk_map.crs)
         return
     departures, unreadable = read_all(path, console)
+    if unreadable:
+        raise unreadable[0]
     for each in departures:
         poses = each.path_poses
         yield Track(each.path.name, poses[:, :2], np.full(len(poses), each.stamp_ns / 1e9))
-    for error in unreadable:
-        console.error(error)
 
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:

@@ -12,6 +12,7 @@ from scipy.spatial.distance import directed_hausdorff
 from scipy.stats import binom
 
 from ..arrays import FloatArray
+from ..errors import InvalidOption
 from ..game.budget import least_cost
 from ..maps.risk_map import RiskMap
 from ..maps.track_file import Track
@@ -21,21 +22,16 @@ from .path_mixtures import PathMixture, PathMixtures
 from .plan import Plan
 from .trip import plan_trip
 
-# How near to start and goal a trip has to come, as a share of their distance.
+# A trip has to come this near to start and goal, as a share of their distance.
 NEAR = 0.05
-# Smaller steps, as shares of the reach, are those of a vehicle that stands still.
-MIN_STEP = 0.05
-# A track's usual step is this quantile of its steps.
-USUAL = 0.75
-# Positions in a row that can be an outlier; least steps to and from them, in usual ones; their
-# least sum over the way without them.
+MIN_STEP = 0.05  # a vehicle that moves less stands still; share of the reach
+USUAL = 0.75  # quantile of a track's steps
+# An outlier: most positions, least steps there and back in usual ones and over the direct way
 MAX_SPIKE, SPIKE_STEPS, SPIKE_DETOUR = 3, 5.0, 4.0
-# Longest step that is no gap: in usual ones, or as a share of the distance to the goal.
+# Longest step that is no gap: in usual ones, or as a share of the distance from start to goal
 GAP_STEPS, MAX_BRIDGED = 5.0, 0.1
-# Least overlap in time of two tracks of one trip, as a share of the shorter.
-SAME_TIME = 0.5
-# Least length budget of the optimum, as a multiple of the shortest route's length.
-MIN_DETOUR = 1.05
+SAME_TIME = 0.5  # least overlap of two tracks of one trip, as a share of the shorter
+MIN_DETOUR = 1.05  # least length budget of the optimum, over the shortest route
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +53,8 @@ class Habits:
 def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -> Habits:
     """Judge trips that have start and goal in common, as ``find_trips`` returns them.
 
-    The plan's ``max_detour`` is that of the trips, at least ``MIN_DETOUR``. Raises the errors of
-    ``plan_trip`` and ``PathMixtures``.
+    The plan's ``max_detour`` is that of the trips, at least ``MIN_DETOUR``. Raises InvalidOption if
+    nobody can wait anywhere, and the errors of ``plan_trip`` and ``PathMixtures``.
     """
     start, goal = trips[0].xy[[0, -1]]
     lengths = np.array([_steps(trip.xy).sum() for trip in trips])
@@ -67,6 +63,9 @@ def judge(risk_map: RiskMap, trips: Sequence[Track], options: PlanningOptions) -
     detour = max(mean / least_cost(network, network.lengths), MIN_DETOUR)
     plan = plan_trip(risk_map, start, goal, replace(
         options, strategy=replace(options.strategy, max_detour=detour)))
+    if not len(plan.strategy.game.sites):
+        raise InvalidOption('held ground covers everything around start and goal, so that nobody '
+                            'can wait there: choose a smaller radius (--held)')
     mixtures = PathMixtures(risk_map, plan, [trip.xy for trip in trips])
     driven = mixtures.judged(np.full(len(trips), 1.0 / len(trips)))
     return Habits(trips, lengths, driven, _interval(driven), mixtures.best(lengths, mean), plan)
@@ -172,5 +171,12 @@ def _is_one(one: Track, other: Track, reach: float) -> bool:
         return np.array_equal(one.xy, other.xy)
     (a, b), (c, d) = one.times[[0, -1]], other.times[[0, -1]]
     return min(b, d) - max(a, c) >= SAME_TIME * min(b - a, d - c) and all(
-        directed_hausdorff(*pair)[0] <= reach
-        for pair in ((one.xy, other.xy), (other.xy, one.xy)))
+        directed_hausdorff(line, _dense(wide, reach / 2.0))[0] <= reach
+        for line, wide in ((one.xy, other.xy), (other.xy, one.xy)))
+
+
+def _dense(xy: FloatArray, step: float) -> FloatArray:
+    """Positions (K, 2) on the line (L, 2), a step apart [m]."""
+    along = np.append(0.0, _steps(xy).cumsum())
+    at = np.arange(0.0, along[-1] + step, step)
+    return np.column_stack([np.interp(at, along, axis) for axis in xy.T])
