@@ -116,7 +116,8 @@ def test_times_tell_trips_apart():
     times = np.arange(len(LINE)) * 2.0
     first = Track('a', LINE, times)
     some = [*range(0, len(LINE) - 1, 2), -1]
-    convoy, again = Track('b', LINE[some] + 0.2, times[some] + 4.0), Track('c', LINE, times + 86400.0)
+    convoy = Track('b', LINE[some] + 0.2, times[some] + 4.0)
+    again = Track('c', LINE, times + 86400.0)
     elsewhere = driven('south', np.random.default_rng(1))
     other = Track('d', elsewhere, np.arange(len(elsewhere)) * 2.0)
     backwards = Track('e', LINE, np.insert(times[:-1], 5, 0.0))
