@@ -40,10 +40,9 @@ from .report_words import distance, percent
 EPILOG = f"""\
 {MAP_HELP}
 
-TRACKS are files, or folders of recordings:
+TRACKS are recordings (.mcap, or a folder), or files:
   .gpx    tracks, or routes if there are none
   .csv    columns x and y [m] or lat and lon [degrees], optional track and time (ISO 8601 or [s])
-  .mcap   the departure that was recorded
   others  lines of a GeoPackage, GeoJSON or other vector file; FILE|layername=NAME names a layer
 A trip leads from the last approach to the start to the first approach to the goal after it. The
 mean length of all trips is the length budget of the optimal strategy. The picture has mode 0600.
@@ -117,37 +116,34 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
 
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
     strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
-    detour = habits.plan.options.strategy.max_detour
+    (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
     named = {habits.trips[k].name: float(shares[k])
              for k in np.argsort(-shares) if shares[k] >= MIN_SHARE}
     rows = {'driven': _numbers(habits.driven, habits, risk_map),
             'reweighted': _numbers(habits.best, habits, risk_map),
-            'optimal': {'value': strategy.value, 'lower_bound': strategy.lower_bound,
-                        'mean_length': strategy.expected_length}}
-    console.line(f'{"mean loss":>21}{"mean length":>13}  worst place')
-    for name, row in rows.items():
-        worst = row.get('worst_lat_lon') or row.get('worst_xy') or ['many']
-        console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  '
-                     + ' '.join(map(str, worst)))
+            'optimal': {'value': strategy.value, 'mean_length': strategy.expected_length,
+                        'lower_bound': strategy.lower_bound}}
+    worst = ['worst at ' + ' '.join(map(str, row.get('worst_lat_lon', row['worst_xy'])))
+             for row in (rows['driven'], rows['reweighted'])]
+    console.line(f'{"mean loss":>21}{"mean length":>13}')
+    for (name, row), text in zip(rows.items(), (
+        f'{worst[0]}: {met.sum()} of {len(met)} trips; 95 %: {low:.4g} to {high:.4g}', worst[1],
+        f'at most {detour:.3g} times the shortest; no strategy is below {strategy.lower_bound:.4g}',
+    ), strict=True):
+        console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
     for name, text in (
-        ('driven', f'{met.sum()} of {len(met)} trips pass the worst place; 95 % interval of the '
-                   'mean loss {:.4g} to {:.4g}'.format(*habits.interval)),
-        ('reweighted', ', '.join(f'{percent(share)} {name}' for name, share in named.items())),
-        ('optimal', f'mean length at most {detour:.3g} times the shortest; no strategy is below '
-                    f'{strategy.lower_bound:.4g}'),
+        ('reweighted', ', '.join(f'{percent(share)} {track}' for track, share in named.items())),
         *(('assumption', text) for text in assumptions(habits.plan)),
     ):
         console.item(f'{name:<11}{text}', 0)
-    console.result |= {**rows, 'max_detour': detour, 'interval': habits.interval, 'shares': named}
+    console.result |= {**rows, 'max_detour': detour, 'interval': [low, high], 'shares': named}
 
 
 def _numbers(mixture: PathMixture, habits: Habits, risk_map: RiskMap) -> dict[str, Any]:
-    numbers = {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
-               'worst_xy': mixture.worst_xy.round(2).tolist()}
-    if risk_map.crs:
-        place = Coordinates(risk_map.crs).to_lat_lon(mixture.worst_xy)
-        numbers['worst_lat_lon'] = place.round(6).tolist()
-    return numbers
+    at, crs = mixture.worst_xy, risk_map.crs
+    return {'value': mixture.value, 'mean_length': float(mixture.shares @ habits.lengths),
+            'worst_xy': at.round(2).tolist(), **({
+                'worst_lat_lon': Coordinates(crs).to_lat_lon(at).round(6).tolist()} if crs else {})}
 
 
 main = cli.command(parser, _work)

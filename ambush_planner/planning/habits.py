@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.distance import directed_hausdorff
 from scipy.stats import binom
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IndexArray
 from ..errors import InvalidOption
 from ..game.budget import least_cost
 from ..maps.risk_map import RiskMap
@@ -120,11 +120,7 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
         if k not in end:
             yield f'{track.name} never comes within {near:.4g} m of the {name}'
             return
-    runs = np.split(np.arange(len(xy)), np.flatnonzero(np.diff(end)) + 1)
-    legs = [(one[away[0, one].argmin()], other[away[1, other].argmin()])
-            for one, other in pairwise(run for run in runs if end[run[0]] >= 0)
-            if (end[one[0]], end[other[0]]) == (0, 1)]
-    if not legs:
+    if not (legs := _legs(away, end)):
         yield f'{track.name} leads from the goal to the start: the way back is another game'
     steps = _steps(xy)
     most = max(GAP_STEPS * np.quantile(steps, USUAL), MAX_BRIDGED * math.dist(start, goal))
@@ -136,6 +132,17 @@ def _trips_of(track: Track, start: FloatArray, goal: FloatArray, near: float,
         when = np.pad(times[first : last + 1], 1, mode='edge')
         yield Track(name, np.vstack((start, xy[first : last + 1], goal)),
                     None if track.times is None else when)
+
+
+def _legs(away: FloatArray, end: IndexArray) -> list[tuple[int, int]]:
+    """First and last position of each trip, from their distances (2, L) of start and goal [m].
+
+    ``end`` (L,) says which positions are near the start (0), near the goal (1) or at neither (-1).
+    """
+    runs = np.split(np.arange(len(end)), np.flatnonzero(np.diff(end)) + 1)
+    return [(int(one[away[0, one].argmin()]), int(other[away[1, other].argmin()]))
+            for one, other in pairwise(run for run in runs if end[run[0]] >= 0)
+            if (end[one[0]], end[other[0]]) == (0, 1)]
 
 
 def _steps(xy: FloatArray) -> FloatArray:
