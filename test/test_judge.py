@@ -217,7 +217,7 @@ def test_a_file_is_judged_like_its_arrays(map_file, tmp_path):
     assert result['driven']['value'] == pytest.approx(expected.driven.value, rel=1e-3)
     assert result['reweighted']['value'] == pytest.approx(expected.best.value, rel=2e-3)
     assert result['optimal']['value'] == pytest.approx(expected.plan.strategy.value, rel=0.02)
-    assert sum(result['shares'].values()) == pytest.approx(1.0, abs=0.02)
+    assert sum(each['share'] for each in result['shares']) == pytest.approx(1.0, abs=0.02)
     at = Coordinates(CRS).from_lat_lon(result['driven']['worst_lat_lon'])
     np.testing.assert_allclose(at, result['driven']['worst_xy'], atol=0.2)
     assert (tmp_path / 'judge.png').read_bytes().startswith(b'\x89PNG')

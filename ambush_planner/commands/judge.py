@@ -49,8 +49,8 @@ mean length of all trips is the length budget of the optimal strategy. The pictu
 
 {POSITION_HELP}
 {OPTIONS_HELP}
---json: {{"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval", "shares",
-"driven": {{...}}, "reweighted": {{...}}, "optimal": {{...}}}}
+--json: {{"verdict", "picture", "trips", "left_out", "near", "max_detour", "interval",
+"shares": [{{"track", "share"}}], "driven": {{...}}, "reweighted": {{...}}, "optimal": {{...}}}}
 """ + cli.EXIT_CODES
 
 
@@ -117,8 +117,8 @@ def _tracks(source: str, risk_map: RiskMap, console: cli.Console) -> Iterator[Tr
 def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
     strategy, met, shares = habits.plan.strategy, habits.driven.met, habits.best.shares
     (low, high), detour = habits.interval, habits.plan.options.strategy.max_detour
-    named = {habits.trips[k].name: float(shares[k])
-             for k in np.argsort(-shares) if shares[k] >= MIN_SHARE}
+    named = [{'track': habits.trips[k].name, 'share': float(shares[k])}
+             for k in np.argsort(-shares) if shares[k] >= MIN_SHARE]
     rows = {'driven': _numbers(habits.driven, habits, risk_map),
             'reweighted': _numbers(habits.best, habits, risk_map),
             'optimal': {'value': strategy.value, 'mean_length': strategy.expected_length,
@@ -132,7 +132,7 @@ def _tell(habits: Habits, risk_map: RiskMap, console: cli.Console) -> None:
     ), strict=True):
         console.line(f'{name:<11}{row["value"]:>10.4g}{distance(row["mean_length"]):>13}  {text}')
     for name, text in (
-        ('reweighted', ', '.join(f'{percent(share)} {track}' for track, share in named.items())),
+        ('reweighted', ', '.join(f'{percent(each["share"])} {each["track"]}' for each in named)),
         *(('assumption', text) for text in assumptions(habits.plan)),
     ):
         console.item(f'{name:<11}{text}', 0)

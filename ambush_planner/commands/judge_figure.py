@@ -35,6 +35,7 @@ def judge_figure(habits: Habits, risk_map: RiskMap) -> Figure:
     paths, used = [trip.xy for trip in habits.trips], best.shares[best.shares >= MIN_SHARE]
     seen = np.concatenate((*paths, *edges[p >= MIN_SHARE]))
     middle, half = (seen.max(axis=0) + seen.min(axis=0)) / 2.0, np.ptp(seen, axis=0) / 2.0
+    half = np.maximum(half, 0.5 * half.max())
     low, high = middle - 1.15 * half, middle + 1.15 * half
     low[1] = min(low[1], paths[0][[0, -1], 1].min() - 0.6 * half[0])  # names and the scale bar
     height = figures.WIDTH / 3.0 * (high[1] - low[1]) / (high[0] - low[0])
